@@ -8,7 +8,7 @@ _OF_THE_SET = ["position", "name", "measurement_times"]
 
 
 def last_bounds(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Give the proof of most compared draws, then most particle-steps, by the set's name.
+    """The proof of most compared draws, then most particle-steps, by the set's name.
 
     Parameters
     ----------

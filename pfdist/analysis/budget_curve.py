@@ -107,7 +107,7 @@ def _limit(proof: Mapping[str, Any], numbers: int) -> float:
 
 
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
-    """Give the sets that have a higher MSE than the best set with fewer measurements.
+    """The sets that have a higher MSE than the best set with fewer measurements.
 
     Both sets are of one kind, regular or found. The result maps a set's name to the smaller number.
     The interval of the difference on common draws must lie above 0. The best set was chosen on the

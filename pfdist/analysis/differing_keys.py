@@ -9,7 +9,7 @@ _NO_SEARCH = "search"  # the leaf of an empty list; the key search.order says th
 
 
 def differing_keys(jobs: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Give the keys in which jobs differ, each with the value of every job.
+    """The keys in which jobs differ, each with the value of every job.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def exact_costs(run: "Run") -> dict[str, float]:
-    """Give the exact expected MSE of each compared set whose tables hold it, by name.
+    """The exact expected MSE of each compared set whose tables hold it, by name.
 
     The searches know it of the sets that they have found. That of the reference is known once
     ``pfdist bound`` or ``pfdist why`` has computed it.
@@ -41,7 +41,7 @@ def exact_costs(run: "Run") -> dict[str, float]:
 
 
 def names_by_error(summary: Mapping[str, Any]) -> list[str]:
-    """Give the names of the found sets, or of all sets in a run without a search, the best first.
+    """The names of the found sets, or of all sets in a run without a search, the best first.
 
     Exact errors decide if the engine knows them, and else the errors on the compared draws. Sets
     whose error is unknown or infinite come last.

@@ -32,14 +32,14 @@ class FoundSet(NamedTuple):
 
 
 def times_by_search(runs: Mapping[str, Run]) -> dict[str, dict[str, Times]]:
-    """Give the times that the searches of each run have found, by name of the run and search."""
+    """The times that the searches of each run have found, by name of the run and search."""
     return {
         name: {search: run.sets()[search] for search in run.found} for name, run in runs.items()
     }
 
 
 def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataFrame:
-    """Give a row for each point, and each set of times found at any point.
+    """A row for each point, and each set of times found at any point.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
 
 
 def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) -> dict[Times, Loss]:
-    """Give the loss with its interval of all times that can be compared at a point.
+    """The loss with its interval of all times that can be compared at a point.
 
     With money, `smaller` says whether sets can be compared to which a measurement can be added.
     """
@@ -115,7 +115,7 @@ def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) ->
 
 
 def _mse(result: Mapping[str, Any]) -> float:
-    """Give the expected MSE of a set; inf if it is unknown."""
+    """The expected MSE of a set; inf if it is unknown."""
     exact = result.get("exact_mse")
     known = result.get("expected_mse") if exact is None else exact
     return math.inf if known is None or math.isnan(known) else float(known)

@@ -60,7 +60,7 @@ class ListedRun:
 
 
 def listed_run(path: Path, name: str) -> ListedRun:
-    """Give the line of a list for a run in a folder.
+    """The line of a list for a run in a folder.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ def _state(run: Run) -> str:
 
 
 def _statistics(run: Run) -> ComparisonStatistics | None:
-    """Give the statistics of the compared draws; None if no draw was compared."""
+    """The statistics of the compared draws; None if no draw was compared."""
     if not run.has("compared") or not run.has("comparison"):
         return None
     return run.statistics()
 
 
 def _best(run: Run, statistics: ComparisonStatistics) -> tuple[str | None, float]:
-    """Give the best set and the gain of means; exact errors decide if the engine knows them."""
+    """The best set and the gain of means; exact errors decide if the engine knows them."""
     names = run.found or run.names[1:]
     if run.has_budget or not names:
         return None, math.nan
@@ -122,7 +122,7 @@ def _best(run: Run, statistics: ComparisonStatistics) -> tuple[str | None, float
 
 
 def _in_few_words(error: Exception, path: Path) -> str:
-    """Give the error without its remedy, and with names of files relative to the run's folder."""
+    """The error without its remedy, and with names of files relative to the run's folder."""
     if not isinstance(error, StoreError):
         return one_line(shown_text(f"{type(error).__name__}: {error}"))
     text = str(error).replace(f"{path}/", "").replace(f"{path} ", "")

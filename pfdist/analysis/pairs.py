@@ -66,7 +66,7 @@ class Pair:
         self.first_wins += int(np.sum(first < second))
 
     def columns(self, confidence: float, exact: tuple[float, float] | None) -> dict[str, Any]:
-        """Give the columns of `PAIR_COLUMNS` without the names.
+        """The columns of `PAIR_COLUMNS` without the names.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class Pair:
 def pairs_table(
     names: Sequence[str], blocks: Iterable[Array], exact: Mapping[str, float]
 ) -> pd.DataFrame:
-    """Give a row for each pair of sets, with the columns of `pfdist.analysis.Run.pairs`.
+    """A row for each pair of sets, with the columns of `pfdist.analysis.Run.pairs`.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def pairs_table(
 
 
 def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
-    """Give a row for each set, the lowest expected MSE first, with its interval of ranks.
+    """A row for each set, the lowest expected MSE first, with its interval of ranks.
 
     A set is clearly better than another if the simultaneous interval of their difference lies on
     the same side of 0. The best rank of a set is 1 plus the number of sets that are clearly better;
@@ -178,7 +178,7 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
 
 
 def formatted_ranks(best: int, worst: int) -> str:
-    """Give an interval of ranks as text.
+    """An interval of ranks as text.
 
     Examples
     --------

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def title_of(run: "Run") -> str:
-    """Give a run in a line: its folder, its state and how many draws are compared.
+    """A run in a line: its folder, its state and how many draws are compared.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ Row = dict[str, Any]
 
 
 def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
-    """Give a row for each run and each compared set other than the reference.
+    """A row for each run and each compared set other than the reference.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _rows(run: Run, summary: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def _set(name: str, result: Row) -> Row:
-    """Give the values of a set alone."""
+    """The values of a set alone."""
     error, standard_error = _error(result)
     proof = result.get("lower_bound", {})
     return {
@@ -111,7 +111,7 @@ def _reference(name: str, result: Row) -> Row:
 
 
 def _error(result: Row) -> tuple[float | None, float | None]:
-    """Give the expected MSE and the standard error; if an engine knows it exactly, with 0."""
+    """The expected MSE and the standard error; if an engine knows it exactly, with 0."""
     if result.get("exact_mse") is not None:
         return result["exact_mse"], 0.0
     if "expected_mse" not in result:  # the comparison has not begun
@@ -120,7 +120,7 @@ def _error(result: Row) -> tuple[float | None, float | None]:
 
 
 def _gains(result: Row, reference: Row) -> Row:
-    """Give the gains over the reference with the ends of their intervals."""
+    """The gains over the reference with the ends of their intervals."""
     found = Row()
     for gain in _GAINS:
         low, high = result.get(f"{gain}_interval", (None, None))
@@ -139,7 +139,7 @@ def _seconds(run: Run) -> float | None:
 
 
 def _differ(paths: Sequence[Path]) -> list[str]:
-    """Give the name of each folder, after as much of the path as tells equal names apart."""
+    """The name of each folder, after as much of the path as tells equal names apart."""
     parts = [path.absolute().parts for path in paths]
     depths = [1] * len(parts)
     while True:
@@ -153,7 +153,7 @@ def _differ(paths: Sequence[Path]) -> list[str]:
 
 
 def _column(name: str, values: list[Any]) -> "pd.Series[Any]":
-    """Give a column whose values keep their types, also beside missing ones."""
+    """A column whose values keep their types, also beside missing ones."""
     if name in _NUMBERS:
         return pd.Series([math.nan if value is None else value for value in values], dtype=float)
     known = [value for value in values if value is not None]

@@ -68,7 +68,7 @@ class SamplingWindow:
 
 
 def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
-    """Give the sampling windows of a set's measurements, in order of time.
+    """The sampling windows of a set's measurements, in order of time.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
 
 
 def runs_of(instants: Mapping[Time, int]) -> list[list[Time]]:
-    """Give the stretches of successive instants, where the number of each instant is given."""
+    """The stretches of successive instants, where the number of each instant is given."""
     runs, last = list[list[Time]](), -2
     for instant, place in instants.items():
         if place != last + 1:
@@ -108,7 +108,7 @@ def runs_of(instants: Mapping[Time, int]) -> list[list[Time]]:
 
 
 def spelled(instants: Mapping[Time, int]) -> str:
-    """Give instants in words, three and more successive instants as a range.
+    """Instants in words, three and more successive instants as a range.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
 
 
 def loss_text(row: Mapping[Hashable, Any]) -> str:
-    """Give the loss of a row of the table ``jitter`` with its 95 % interval, in per cent."""
+    """The loss of a row of the table ``jitter`` with its 95 % interval, in per cent."""
     known = [None if row[key] is None else float(row[key]) for key in ("loss", "low", "high")]
     loss, *interval = [None if x is None or math.isnan(x) else x for x in known]
     return percent_with_interval(loss, interval).replace("  (", " (")

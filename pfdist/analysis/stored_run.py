@@ -212,7 +212,7 @@ class Run(RunTables):
         return with_bounds(table, last_bounds(self.bounds()) if self.has("bound") else {})
 
     def reaching(self, target: float) -> dict[str, dict[str, Any]]:
-        """Give the least number of measurements whose expected MSE is at most a target.
+        """The least number of measurements whose expected MSE is at most a target.
 
         Parameters
         ----------

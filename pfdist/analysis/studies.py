@@ -44,7 +44,7 @@ class Average:
 
 
 def columns_of(frame: pd.DataFrame) -> list[str]:
-    """Give the columns that tell the rows of a table of runs apart: the set, and all keys but seed.
+    """The columns that tell the rows of a table of runs apart: the set, and all keys but seed.
 
     Columns that have the same value in all rows are left out.
     """
@@ -54,13 +54,13 @@ def columns_of(frame: pd.DataFrame) -> list[str]:
 
 
 def values_of(frame: pd.DataFrame, name: str) -> list[Any]:
-    """Give the different values of a column, in the order that people expect; None comes last."""
+    """The different values of a column, in the order that people expect; None comes last."""
     known = dict.fromkeys(map(plain, frame[name].tolist()))
     return sorted(known, key=_order)
 
 
 def in_order(frame: pd.DataFrame, names: Sequence[str]) -> list[dict[Any, Any]]:
-    """Give the rows of a table in the order of the values of some columns, the first column first.
+    """The rows of a table in the order of the values of some columns, the first column first.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def is_numeric(values: Sequence[Any]) -> bool:
 
 
 def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Give the columns that tell rows apart whose values of some columns are the same.
+    """The columns that tell rows apart whose values of some columns are the same.
 
     A key that changes together with these columns tells no more rows apart, and is left out.
 
@@ -109,7 +109,7 @@ def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
 
 
 def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Average]:
-    """Give the mean of a result for each combination of values, over the seeds.
+    """The mean of a result for each combination of values, over the seeds.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
 def formatted_point(
     names: Sequence[str], values: Values, keys: Sequence[str], link: str = " "
 ) -> str:
-    """Give values of columns as text.
+    """Values of columns as text.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def _average(
 
 
 def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
-    """Give the 95 % interval that a row holds of a result."""
+    """The 95 % interval that a row holds of a result."""
     error = row.get(_ERRORS.get(value, ""), math.nan)
     if not is_missing(error):
         return Estimate(row[value], error).interval()
@@ -190,7 +190,7 @@ def _is_determined(frame: pd.DataFrame, name: str, names: Sequence[str]) -> bool
 
 
 def plain(value: Any) -> Any:
-    """Give the value of a cell of a table; None if there is none."""
+    """The value of a cell of a table; None if there is none."""
     return None if is_missing(value) else value
 
 
@@ -203,7 +203,7 @@ def _order(value: Any) -> tuple[int, float, list[tuple[int, str]]]:
 
 
 def selected(frame: pd.DataFrame, held: Mapping[str, Any]) -> pd.DataFrame:
-    """Give the rows of a table that have some values.
+    """The rows of a table that have some values.
 
     Parameters
     ----------

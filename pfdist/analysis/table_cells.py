@@ -15,7 +15,7 @@ _LEADING = ("run", "set")
 
 
 def keys_of(frame: pd.DataFrame) -> list[str]:
-    """Give the columns of a table of runs that hold differing keys."""
+    """The columns of a table of runs that hold differing keys."""
     columns = list(map(str, frame.columns))
     first, last = (columns.index(name) for name in _LEADING)
     return columns[first + 1 : last]
@@ -28,7 +28,7 @@ def differ_by_keys(frame: pd.DataFrame, keys: list[str]) -> bool:
 
 
 def formatted_value(value: Any) -> str:
-    """Give the value of a key as text; empty if the job lacks it.
+    """The value of a key as text; empty if the job lacks it.
 
     Examples
     --------
@@ -50,14 +50,14 @@ def is_missing(value: Any) -> bool:
 
 
 def formatted_mse(row: Row) -> str:
-    """Give the expected MSE of a row with its standard error; empty if nothing was compared."""
+    """The expected MSE of a row with its standard error; empty if nothing was compared."""
     if math.isnan(row["expected_mse"]):
         return ""
     return with_error(row["expected_mse"], row["standard_error"])
 
 
 def formatted_gain(row: Row, *, interval: bool = True) -> str:
-    """Give the gain of means of a row in per cent, with its 95 % interval if wanted."""
+    """The gain of means of a row in per cent, with its 95 % interval if wanted."""
     ends = (row["gain_of_means"], row["gain_of_means_low"], row["gain_of_means_high"])
     if math.isnan(ends[0]):
         return ""

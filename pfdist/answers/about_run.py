@@ -42,7 +42,7 @@ The pfdist developers, "pfdist: when to measure", version {version}.
 
 
 def problem(subject: Subject) -> Section:
-    """Give the question of a run's job."""
+    """The question of a run's job."""
     return Section("What was asked", [Text(_WHAT), Facts(list(_facts(subject)))])
 
 
@@ -77,7 +77,7 @@ def _model(section: Mapping[str, Any]) -> str:
 
 
 def _named_components(meaning: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Give the names and units of z and y, where the model of the run has them."""
+    """The names and units of z and y, where the model of the run has them."""
     for key, what in (("z_names", "quantity of interest"), ("y_names", "what is measured")):
         if meaning.get(key):
             yield what, str(meaning[key])
@@ -119,14 +119,14 @@ def _weights(asked: Mapping[str, Any], section: ProblemSection) -> Iterator[tupl
 
 
 def formatted_spelling(value: Any, unit: str) -> str:
-    """Give times as the job spells them, with the unit."""
+    """Times as the job spells them, with the unit."""
     entries = value if isinstance(value, list | tuple) else [value]
     text = ", ".join(map(str, entries))
     return f"{text} {unit}" if unit else text
 
 
 def computed(subject: Subject) -> Section:
-    """Give versions, seeds, processor and time of a run, and its job."""
+    """Versions, seeds, processor and time of a run, and its job."""
     about, job = read_recorded(subject.run.path)
     return Section(
         "How it was computed",
@@ -192,7 +192,7 @@ def _identity(
 
 
 def _sendable(job: dict[str, Any]) -> dict[str, Any]:
-    """Give a job whose models are named without folders of this machine."""
+    """A job whose models are named without folders of this machine."""
     model = {**job["model"], "name": without_folder(job["model"]["name"])}
     if "filter" in model:
         model["filter"] = {**model["filter"], "name": without_folder(model["filter"]["name"])}

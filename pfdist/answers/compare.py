@@ -29,7 +29,7 @@ _MOST_OPEN = 28
 
 
 def compared(subject: Subject) -> Section | None:
-    """Give the ranks and the pairs of a run whose job names sets."""
+    """The ranks and the pairs of a run whose job names sets."""
     ranks, pairs = (subject.summary.get(table) for table in ("ranks", "pairs"))
     if not ranks:
         return None

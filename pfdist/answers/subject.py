@@ -125,12 +125,12 @@ class Subject:
         return self.run.problem.clock.unit
 
     def listed(self, times: Sequence[float]) -> str:
-        """Give measurement times as text, with the unit of the clock."""
+        """Measurement times as text, with the unit of the clock."""
         return formatted_times(times, self.unit)
 
 
 def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, str]:
-    """Give a fraction in per cent, and its 95 % interval, as two texts.
+    """A fraction in per cent, and its 95 % interval, as two texts.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def exact_effect(mse: float, reference: float) -> str:
 
 
 def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:
-    """Give a cell with a fraction in per cent and its interval.
+    """A cell with a fraction in per cent and its interval.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:
 
 
 def without_folder(model: str) -> str:
-    """Give the name of a model without a folder of the machine: a report may be sent.
+    """The name of a model without a folder of the machine: a report may be sent.
 
     Examples
     --------
@@ -223,7 +223,7 @@ def without_folder(model: str) -> str:
 
 
 def number_of(count: int, what: str) -> str:
-    """Give a number with a noun in the singular or plural.
+    """A number with a noun in the singular or plural.
 
     Examples
     --------
@@ -234,7 +234,7 @@ def number_of(count: int, what: str) -> str:
 
 
 def sets_table(subject: Subject) -> Table:
-    """Give a table of all sets of times, folded away."""
+    """A table of all sets of times, folded away."""
     rows = [
         [Cell(name), Cell(str(len(times)), len(times)), Cell(subject.listed(times))]
         for name, result in subject.results.items()

@@ -74,7 +74,7 @@ def answer(subject: SweepSubject) -> Section | None:
 
 
 def points(subject: SweepSubject) -> Section:
-    """Give a table with a row for each point and set, and a table of the damaged points."""
+    """A table with a row for each point and set, and a table of the damaged points."""
     blocks: list[Block] = []
     keys = [*(key for key in subject.keys if key != SEED), *({SEED} & {*subject.keys})]
     rows = [_row(subject, keys, row) for row in subject.rows]
@@ -97,7 +97,7 @@ def points(subject: SweepSubject) -> Section:
 
 
 def figures(subject: SweepSubject) -> Section | None:
-    """Give the figures: a result against each key, a heat map, and the found times."""
+    """The figures: a result against each key, a heat map, and the found times."""
     frame = subject.frame
     blocks: list[Block] = []
     if any(map(math.isfinite, frame["expected_mse"])):
@@ -375,12 +375,12 @@ def _values_by_run(subject: SweepSubject) -> dict[str, Row]:
 
 
 def _key_values(subject: SweepSubject, row: Row) -> list[str]:
-    """Give the values of a point's keys as texts; without keys, the point's name."""
+    """The values of a point's keys as texts; without keys, the point's name."""
     return [one_line(formatted_value(row[key])) for key in subject.keys] or [one_line(row["run"])]
 
 
 def _phrase(subject: SweepSubject, row: Row) -> str:
-    """Give the values of a point's keys as a phrase; without keys, the point's name."""
+    """The values of a point's keys as a phrase; without keys, the point's name."""
     phrase = subject.phrase(subject.keys, [plain(row[key]) for key in subject.keys])
     return one_line(phrase or row["run"])
 

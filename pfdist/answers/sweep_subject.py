@@ -148,29 +148,29 @@ class SweepSubject:
         return in_order(self.frame, [*self.varying, SET, *({SEED} & {*self.keys})])
 
     def count(self, state: str) -> int:
-        """Give the number of points in a state."""
+        """The number of points in a state."""
         return sum(point.state == state for point in self.points)
 
     def ranked(self, value: str, *, is_best_low: bool) -> list[Average]:
-        """Give the averages over seeds of a result that are known and finite, the best first."""
+        """The averages over seeds of a result that are known and finite, the best first."""
         known = [
             each for each in averages(self.frame, self.columns, value) if math.isfinite(each.mean)
         ]
         return sorted(known, key=lambda each: each.mean if is_best_low else -each.mean)
 
     def best(self) -> dict[str, Any]:
-        """Give the values of the columns with the least expected MSE; if unknown, the first."""
+        """The values of the columns with the least expected MSE; if unknown, the first."""
         ranked = self.ranked("expected_mse", is_best_low=True)
         if ranked:
             return dict(zip(self.columns, ranked[0].point, strict=True))
         return {name: values_of(self.frame, name)[0] for name in self.columns}
 
     def phrase(self, names: Sequence[str], values: Sequence[Any]) -> str:
-        """Give values of columns as a phrase."""
+        """Values of columns as a phrase."""
         return formatted_point(names, tuple(values), self.keys, " = ")
 
     def held(self, free: Sequence[str], most: int) -> tuple[pd.DataFrame, dict[str, Any]]:
-        """Give the rows for a figure, with the last columns held at their best values.
+        """The rows for a figure, with the last columns held at their best values.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ def _table(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def _tried(point: Point) -> Point:
-    """Give a point with the reason why it cannot be read, if it cannot."""
+    """A point with the reason why it cannot be read, if it cannot."""
     try:
         runs_table([open_run(point.path)])
     except Exception as error:
@@ -236,6 +236,6 @@ def _tried(point: Point) -> Point:
 
 
 def _reason(error: Exception) -> str:
-    """Give an error on one line; an error that pfdist does not expect has the name of its type."""
+    """An error on one line; an error that pfdist does not expect has the name of its type."""
     text = str(error) if isinstance(error, PfdistError) else f"{type(error).__name__}: {error}"
     return one_line(shown_text(text))

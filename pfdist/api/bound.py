@@ -165,7 +165,7 @@ def bound(
 
 
 def _on_clock(gap: Gap, clock: Clock) -> Gap:
-    """Give a gap with times on the clock in the place of instants."""
+    """A gap with times on the clock in the place of instants."""
     times: Any = tuple(clock.times_of(gap.measurement_times))
     path: Any = tuple(clock.times_of(gap.path))
     return replace(gap, measurement_times=times, path=path)

@@ -97,7 +97,7 @@ def budget(
 
 
 def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]:
-    """Give the section [budget] of a job.
+    """The section [budget] of a job.
 
     It is the same, and so the run is the same, however numbers without a gap are given.
     """

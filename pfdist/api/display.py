@@ -28,7 +28,7 @@ _LONGEST_IN_SECONDS = 120  # longer times are given in minutes
 
 
 def _columns(with_bar: bool) -> list[ProgressColumn]:
-    """Give the columns of a line; a narrow terminal cuts only the last, the description."""
+    """The columns of a line; a narrow terminal cuts only the last, the description."""
     return [
         TaskProgressColumn(table_column=Column(min_width=4, no_wrap=True)),
         TimeRemainingColumn(compact=True, table_column=Column(min_width=5, no_wrap=True)),
@@ -116,7 +116,7 @@ class Display:
         self._bar.update(self._task, completed=state.done, description=line)
 
     def _rate(self, state: State, now: float) -> list[str]:
-        """Give the evaluations or draws per second, if they are known."""
+        """The evaluations or draws per second, if they are known."""
         elapsed = now - self._start_time
         if elapsed <= _RATE_SECONDS or state.evaluations == self._start.evaluations:
             return []
@@ -135,7 +135,7 @@ class Display:
 
 
 def _position(state: State) -> list[str]:
-    """Give the phase, the position in the phase, and what the phase has found so far."""
+    """The phase, the position in the phase, and what the phase has found so far."""
     if state.doing:
         return [state.doing]
     if not state.generations:
@@ -150,7 +150,7 @@ def _position(state: State) -> list[str]:
 
 
 def _gain(found: Found) -> str:
-    """Give how much better a set is so far; ± is half of the 95 % interval."""
+    """How much better a set is so far; ± is half of the 95 % interval."""
     (low, high), (least, most) = found.gain_of_means_interval, found.interval
     lower = with_error(100 * found.gain_of_means, 50 * (high - low))
     relative = with_error(100 * found.mean_relative_gain, 50 * (most - least))

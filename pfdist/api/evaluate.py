@@ -124,7 +124,7 @@ def prepare(
 
 
 def _instants(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
-    """Give the instants of a set; the error names the option, and the set if it has a name."""
+    """The instants of a set; the error names the option, and the set if it has a name."""
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()
     try:
@@ -159,6 +159,6 @@ def _estimated(
 
 
 def _on_clock(evaluation: Evaluation, clock: Clock) -> Evaluation:
-    """Give an evaluation with times on the clock in the place of instants."""
+    """An evaluation with times on the clock in the place of instants."""
     times: Any = tuple(clock.times_of(evaluation.measurement_times))
     return replace(evaluation, measurement_times=times)

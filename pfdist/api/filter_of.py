@@ -6,7 +6,7 @@ from pfdist.sequential.filter import Filter
 
 
 def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter:
-    """Give the filter of a job for one system, with the job's [model.filter], [filter] and seed.
+    """The filter of a job for one system, with the job's [model.filter], [filter] and seed.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ def silent(line: str) -> None:
 
 @contextlib.contextmanager
 def following(progress: Show | bool, say: Say) -> Iterator[tuple[Show, Say]]:
-    """Give the functions that receive the progress and the messages of a computation.
+    """The functions that receive the progress and the messages of a computation.
 
     Parameters
     ----------

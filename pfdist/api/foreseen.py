@@ -28,7 +28,7 @@ def foreseen(
     changes: Iterable[str] = (),
     judge: bool | None = None,
 ) -> pd.DataFrame:
-    """Give the points of a sweep and about how much work each is; nothing is computed.
+    """The points of a sweep and about how much work each is; nothing is computed.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def foreseen(
 
 
 def _state(folder: Path, job: Job) -> str:
-    """Give how far the run of a point is."""
+    """How far the run of a point is."""
     if not holds_run(folder):
         return "none"
     recorded, wanted = read_recorded(folder)[1], job.identity()

@@ -226,7 +226,7 @@ def _t(row: tuple[int, Any]) -> int:
 
 
 def _instant_now(now: Time, last: int, clock: Clock) -> int:
-    """Give the instant of the last time that has passed, after checking it."""
+    """The instant of the last time that has passed, after checking it."""
     if clock.counts and (isinstance(now, bool) or not isinstance(now, Integral)):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
     first = clock.time(last) if last >= 0 else -1

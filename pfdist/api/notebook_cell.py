@@ -38,7 +38,7 @@ class _Line:
 
 
 def notebook_cell() -> NotebookCell | None:
-    """Give the cell that runs now; None outside a notebook."""
+    """The cell that runs now; None outside a notebook."""
     ipython = sys.modules.get("IPython")  # a notebook has loaded it
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):

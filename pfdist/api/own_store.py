@@ -18,7 +18,7 @@ from pfdist.store import Store
 def own_store(
     run: Run, built: Built, say: Callable[[str], Any], *, must_be: bool = True
 ) -> Iterator[Store]:
-    """Give the run's own store, or a temporary store if another version computed the run.
+    """The run's own store, or a temporary store if another version computed the run.
 
     Parameters
     ----------

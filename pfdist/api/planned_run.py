@@ -36,7 +36,7 @@ class PlannedRun(NamedTuple):
 
 
 def planned_run(asked: tuple[Run, Built], planned: str, prior: Any) -> PlannedRun:
-    """Give a finished run whose times were planned, and what filters need.
+    """A finished run whose times were planned, and what filters need.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _known(prior: Any, built: Built) -> Prior | None:
 
 
 def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
-    """Give the name and the times of the set that was planned.
+    """The name and the times of the set that was planned.
 
     Parameters
     ----------

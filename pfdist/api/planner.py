@@ -94,11 +94,11 @@ class Planner:
         return planner
 
     def next_time(self) -> Time | None:
-        """Give the time to measure next; None if no measurement is left."""
+        """The time to measure next; None if no measurement is left."""
         return self.plan()[0] if self._plan else None
 
     def plan(self) -> tuple[Time, ...]:
-        """Give all planned times that are left, the next first."""
+        """All planned times that are left, the next first."""
         return tuple(self.clock.times_of(self._plan))
 
     @property
@@ -233,7 +233,7 @@ class Planner:
         self._before = tuple(time for time in planned if time < self._now.first)
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
-        """Give an estimate whose time is one on the clock."""
+        """An estimate whose time is one on the clock."""
         if self.clock.counts:
             return estimate
         time: Any = self.clock.time(estimate.t)
@@ -266,7 +266,7 @@ class Planner:
 
 
 def _feasible(built: Built, planned: Times | None) -> Feasible:
-    """Give the feasible sets, of as many measurements as were planned if the job has a range.
+    """The feasible sets, of as many measurements as were planned if the job has a range.
 
     Raises
     ------

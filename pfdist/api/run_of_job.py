@@ -22,7 +22,7 @@ PLANNED = "-plan"
 
 
 def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
-    """Give the folder of a job's run.
+    """The folder of a job's run.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
 
 
 def searched_by(method: str) -> dict[str, Any]:
-    """Give the sections of a job that takes one search, in the place of those that it lists."""
+    """The sections of a job that takes one search, in the place of those that it lists."""
     return {"search": [{"method": method}]}
 
 
 def finished_run(run: Run | str | Path) -> Run:
-    """Give a run that is finished.
+    """A run that is finished.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def asked_run(
     say: Say,
     execution: Mapping[str, Any] = _AS_DEFAULT,
 ) -> tuple[Run, Built]:
-    """Give the finished run of a job, and the job with its models, for a question about the run.
+    """The finished run of a job, and the job with its models, for a question about the run.
 
     Parameters
     ----------

@@ -124,7 +124,7 @@ class SetsToCompare:
             raise
 
     def job(self) -> Job:
-        """Give the job that compares the sets, without a search.
+        """The job that compares the sets, without a search.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class SetsToCompare:
         self._instants[name] = instants
 
     def _free_name(self, name: str, instants: Times, run: Run) -> str:
-        """Give a set's name, with that of the run's folder before it if the name is in use."""
+        """A set's name, with that of the run's folder before it if the name is in use."""
         is_reserved = name == REGULAR and instants != self._regular
         is_reserved |= name == REFERENCE and bool(self._written)
         if name not in self._written and not is_reserved:
@@ -202,7 +202,7 @@ def _differences(run: Run, first: ProblemSection) -> list[str]:
 
 
 def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
-    """Give the weights of instants; None if all are equal."""
+    """The weights of instants; None if all are equal."""
     weights = problem.weights
     return None if weights is None or len({*weights}) == 1 else weights
 

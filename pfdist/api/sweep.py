@@ -53,11 +53,11 @@ class Sweep:
     busy: tuple[str, ...] = ()
 
     def table(self) -> pd.DataFrame:
-        """Give all runs as one tidy table; see `pfdist.table`."""
+        """All runs as one tidy table; see `pfdist.table`."""
         return table(*self.runs.values())
 
     def judged(self) -> pd.DataFrame:
-        """Give how good the times found at each point are at every point.
+        """How good the times found at each point are at every point.
 
         Returns
         -------
@@ -211,7 +211,7 @@ def _report(runs: Mapping[str, Run], say: Say) -> None:
 def checked_folder(
     asked: SweepJob, results: str | Path | None, judge: bool | None
 ) -> tuple[Path, bool]:
-    """Give the folder of a sweep, and whether it judges.
+    """The folder of a sweep, and whether it judges.
 
     Raises
     ------
@@ -243,6 +243,6 @@ def asked_sweep(
     workers: int | None = None,
     address: str | None = None,
 ) -> SweepJob:
-    """Give the sweep that somebody asks for; parameters and errors as of `sweep`."""
+    """The sweep that somebody asks for; parameters and errors as of `sweep`."""
     execution = {"pool": pool, "workers": workers, "address": address}
     return read_sweep(job, over, parallel, points, changes, {"execution": execution})

@@ -20,7 +20,7 @@ _DEPTH = 2  # a folder with sweeps in it; comparisons that judge the points of s
 
 
 def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
-    """Give many runs as one tidy table: what differs between them, and what they found.
+    """Many runs as one tidy table: what differs between them, and what they found.
 
     The runs are read; no model is loaded, and nothing is computed anew.
 
@@ -85,7 +85,7 @@ def _opened(runs: Iterable[Runs]) -> Iterator[Run]:
 
 
 def _folders(run: str | Path) -> list[Path]:
-    """Give the folder of a run, or those of the runs in a folder."""
+    """The folder of a run, or those of the runs in a folder."""
     if not isinstance(run, str | Path) or holds_run(Path(run)) or not Path(run).is_dir():
         return [run]  # type: ignore[list-item]  # whatever it is, open_run says what is wrong
     return list(runs_below(Path(run), _DEPTH)) or [Path(run)]

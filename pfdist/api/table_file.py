@@ -42,7 +42,7 @@ _POWER_OF_TEN = re.compile(r"(?<=[0-9)])e([+-][0-9]+)")
 
 
 def table_path(path: str | Path) -> Path:
-    """Give the path of a file for a table of runs, after checking its ending.
+    """The path of a file for a table of runs, after checking its ending.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def write_table_of_runs(frame: pd.DataFrame, path: Path) -> None:
 
 
 def tex(frame: pd.DataFrame) -> str:
-    """Give the main columns of a table of runs as a table for LaTeX.
+    """The main columns of a table of runs as a table for LaTeX.
 
     The columns are the keys that differ, the set, the expected MSE with its standard error, the
     gain of means in per cent with its 95 % interval, and the times. Numbers have two significant
@@ -120,13 +120,13 @@ def _tex_line(cells: Iterable[str]) -> str:
 
 
 def _in_tex(text: str) -> str:
-    """Give a text as LaTeX prints it; a line that began with a bracket would be an option."""
+    """A text as LaTeX prints it; a line that began with a bracket would be an option."""
     printable = "".join(each if each.isprintable() else "?" for each in text)
     return ("{}" if text.startswith("[") else "") + printable.translate(_SPECIAL)
 
 
 def _number_in_tex(text: str) -> str:
-    """Give a number with its error as LaTeX prints it, with powers of ten for exponents."""
+    """A number with its error as LaTeX prints it, with powers of ten for exponents."""
     return _POWER_OF_TEN.sub(
         lambda found: rf"$\times 10^{{{int(found[1])}}}$", _MINUS.sub("$-$", _in_tex(text))
     )
@@ -148,7 +148,7 @@ def _write_parquet(frame: pd.DataFrame, path: Path) -> None:
 
 
 def _arrow(column: "pd.Series[Any]") -> pa.Array:
-    """Give a column as Arrow holds it; values of different types become texts."""
+    """A column as Arrow holds it; values of different types become texts."""
     if pd.api.types.is_float_dtype(column):
         return pa.array(column.to_numpy(), from_pandas=True)
     values = [None if is_missing(value) else value for value in column.tolist()]

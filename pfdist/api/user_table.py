@@ -12,5 +12,5 @@ Table = str | Path | pd.DataFrame
 
 
 def table_argument(name: str, value: Any) -> Path | pd.DataFrame:
-    """Give an argument as a path or a DataFrame; an `ArgumentError` if it is neither."""
+    """An argument as a path or a DataFrame; an `ArgumentError` if it is neither."""
     return value if isinstance(value, pd.DataFrame) else path_argument(name, value)

@@ -75,7 +75,7 @@ def add_no_report(parser: ArgumentParser) -> None:
 
 
 def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentParser], None]:
-    """Give a function that adds ``--pool``, ``--workers`` and ``--address``.
+    """A function that adds ``--pool``, ``--workers`` and ``--address``.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentPar
 def computing(
     results: str, *, reuse: bool = True, what: str = "run"
 ) -> Callable[[ArgumentParser], None]:
-    """Give a function that adds what a command needs to compute a run.
+    """A function that adds what a command needs to compute a run.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def computing(
 
 
 def whole(text: str) -> int:
-    """Give a whole number.
+    """A whole number.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def whole(text: str) -> int:
 
 
 def decimal(text: str) -> int | float:
-    """Give a number with digits and a decimal point; a whole number without a point is an int.
+    """A number with digits and a decimal point; a whole number without a point is an int.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def decimal(text: str) -> int | float:
 
 
 def count(text: str) -> int:
-    """Give a whole number from 1 to 32,000.
+    """A whole number from 1 to 32,000.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def count(text: str) -> int:
 
 
 def finite(text: str) -> float:
-    """Give a finite number.
+    """A finite number.
 
     Raises
     ------

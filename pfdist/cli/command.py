@@ -81,7 +81,7 @@ def command(
 
 
 def required_words(parser: ArgumentParser) -> str:
-    """Give the arguments that must be given to a parser, for instance ``JOB --times TIMES``."""
+    """The arguments that must be given to a parser, for instance ``JOB --times TIMES``."""
     words = []
     for argument in parser._actions:
         if argument.required:

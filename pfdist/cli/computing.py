@@ -7,7 +7,7 @@ from pfdist.api.display import Display
 
 
 def settings(options: Namespace, display: Display) -> dict[str, Any]:
-    """Give the arguments of `pfdist.run` that `pfdist.cli.arguments.computing` has added.
+    """The arguments of `pfdist.run` that `pfdist.cli.arguments.computing` has added.
 
     Parameters
     ----------

@@ -31,17 +31,17 @@ class HelpFormatter(argparse.HelpFormatter):
 
 
 def examples_text(examples: Mapping[str, str], title: str = "examples:") -> str:
-    """Give the paragraph that shows examples: each command line below what it does."""
+    """The paragraph that shows examples: each command line below what it does."""
     return "\n".join([title, *(f"  # {does}\n  {line}" for line, does in examples.items())])
 
 
 def way_in() -> dict[str, str]:
-    """Give the command lines to begin with: the first examples of some commands."""
+    """The command lines to begin with: the first examples of some commands."""
     return dict(next(iter(COMMANDS[name].examples.items())) for name in _BEGIN_WITH)
 
 
 def welcome() -> str:
-    """Give what ``pfdist`` alone prints."""
+    """What ``pfdist`` alone prints."""
     text = "\n\n".join(
         [
             PROGRAM,

@@ -93,7 +93,7 @@ def _failed(reason: str, hint: str = "", code: int = _ERROR) -> int:
 
 
 def _output_error() -> OSError | None:
-    """Give the error that a flush of standard output raises; None if there is none."""
+    """The error that a flush of standard output raises; None if there is none."""
     try:
         flush_output()
     except OSError as error:

@@ -56,7 +56,7 @@ def complete_parser() -> argparse.ArgumentParser:
 
 
 def subparsers_of(parser: argparse.ArgumentParser) -> dict[str, "_Parser"]:
-    """Give the parsers of all commands, by name."""
+    """The parsers of all commands, by name."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             return dict(action.choices)
@@ -102,7 +102,7 @@ class _Parser(argparse.ArgumentParser):
             )
 
     def format_help(self) -> str:
-        """Give the help: the sentence that describes the command, and what argparse makes."""
+        """The help: the sentence that describes the command, and what argparse makes."""
         formatter = self._get_formatter()
         formatter.add_text(self.sentence)
         return f"{formatter.format_help()}\n{super().format_help()}"

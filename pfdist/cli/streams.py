@@ -51,7 +51,7 @@ def encode_all_text() -> None:
 
 
 def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Give the bytes of a path as they are, and a replacement for each other character."""
+    """The bytes of a path as they are, and a replacement for each other character."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lacking = error.object[error.start : error.end]
@@ -106,7 +106,7 @@ def answers_alone(options: Namespace, *, ends: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _separate_stream(stream: Any, *, ends: bool) -> Iterator[Any]:
-    """Give a new stream to where a stream writes, and redirect the old descriptors to 2."""
+    """A new stream to where a stream writes, and redirect the old descriptors to 2."""
     try:
         stream.flush()
         copies = {number: os.dup(number) for number in {1, stream.fileno()}}

@@ -15,7 +15,7 @@ _OPTION = re.compile(r"-[^0-9. ][^ ]*")  # argparse takes other words for values
 
 
 def number_list(text: str) -> list[int]:
-    """Give the numbers that an option lists: the type of options such as ``--times``.
+    """The numbers that an option lists: the type of options such as ``--times``.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def number_list(text: str) -> list[int]:
 
 
 def time_list(text: str) -> str:
-    """Give the times that an option lists, as they are written: the clock of the job reads them.
+    """The times that an option lists, as they are written: the clock of the job reads them.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def time_list(text: str) -> str:
 
 
 def named_times(text: str) -> tuple[str, str]:
-    """Give the name and the times of a set, as in ``clinic=0,6,12``; the name may be missing.
+    """The name and the times of a set, as in ``clinic=0,6,12``; the name may be missing.
 
     The word ``regular`` alone is a set of this name.
 
@@ -89,7 +89,7 @@ def add_named_times(
 
 
 def sets_by_name(named: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Give the sets of ``--times`` by name.
+    """The sets of ``--times`` by name.
 
     Raises
     ------
@@ -115,7 +115,7 @@ _LISTS = (number_list, time_list, named_times)
 
 
 def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str]:
-    """Give a command line in which each list of numbers is one word.
+    """A command line in which each list of numbers is one word.
 
     ``--times 0 6 12 JOB`` becomes ``--times "0 6 12" JOB``. argparse itself would take JOB for one
     of the times. A word that is the name of a folder is never joined to a list: ``2024`` may be a
@@ -144,7 +144,7 @@ def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str
 
 
 def unknown_option(words: Iterable[str], options: Sequence[str]) -> str:
-    """Give the first option of a command line that a parser does not know; empty if there is none.
+    """The first option of a command line that a parser does not know; empty if there is none.
 
     argparse names unknown options only after all other mistakes, so a misspelt option that is
     required would be called missing.

@@ -17,7 +17,7 @@ _FOLDER = files("pfdist.documents")
 
 
 def as_html(page: Page) -> str:
-    """Give a page as an HTML document that loads nothing.
+    """A page as an HTML document that loads nothing.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ class Table:
 
 
 def without_empty_columns(table: Table) -> Table:
-    """Give a table without the columns in which no row has a text.
+    """A table without the columns in which no row has a text.
 
     Examples
     --------

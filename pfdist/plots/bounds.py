@@ -1,4 +1,4 @@
-"""What a number of measurements can reach: the budget curve, and the proof of a lower bound."""
+"""The reach of a number of measurements: the budget curve, and the proof of a lower bound."""
 
 from pathlib import Path
 from typing import Any

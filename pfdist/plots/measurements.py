@@ -1,4 +1,4 @@
-"""What each measurement is worth, and its sampling window: how far it can move at a small loss."""
+"""The worth of each measurement, and its sampling window: how far it can move at a small loss."""
 
 from collections.abc import Mapping, Sequence
 

@@ -166,13 +166,15 @@ def label_times(ax: Axes, table: pd.DataFrame) -> None:
     label_instants(ax, table.attrs.get("time_unit", ""), whole=table["t"].dtype.kind != "f")
 
 
-def label_quantity(ax: Axes, quantities: Sequence[Component], number: int, of: str = "{}") -> None:
+def label_quantity(
+    ax: Axes, quantities: Sequence[Component], number: int, what: str = "{}"
+) -> None:
     """Label the vertical axis as a component of z, by its name and unit if the model has them.
 
-    The text `of` says what of the component is drawn.
+    The text `what` says what is drawn, with braces in the place of the component.
     """
     symbol = "$z$" if len(quantities) == 1 else f"$z_{{{number}}}$"
-    text = of.format(verbatim(quantities[number].label) or symbol)
+    text = what.format(verbatim(quantities[number].label) or symbol)
     ax.set_ylabel("\n".join(wrap(text, _LABEL_LINE)))
 
 
