@@ -244,7 +244,7 @@ def _checks(schema: pa.Schema) -> Iterable[Callable[[Path], None]]:
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
-    """What the filter believes at each instant, by the measurements up to it."""
+    """The belief of the filter at each instant, by the measurements up to it."""
     measured = dict(zip(rows.t, rows.y, strict=True))
     for t in range(filtering.now.t, filtering.horizon + 1):
         yield filtering.update(t, measured[t]) if t in measured else filtering.predict(t)

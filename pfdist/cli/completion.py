@@ -26,7 +26,7 @@ _pfdist_run_dirs() {
 
 
 def _files(*patterns: str) -> dict[str, Any]:
-    """What completes names of files that match one of some patterns."""
+    """Completes names of files that match one of some patterns."""
     one_of = patterns[0] if len(patterns) == 1 else f"({'|'.join(patterns)})"
     # shtab writes (*.toml), which zsh does not take for a pattern.
     return {**shtab.glob(*patterns), "zsh": f"_files -g '{one_of}'"}

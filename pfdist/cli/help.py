@@ -41,7 +41,7 @@ def way_in() -> dict[str, str]:
 
 
 def welcome() -> str:
-    """What ``pfdist`` alone prints."""
+    """The text that ``pfdist`` alone prints."""
     text = "\n\n".join(
         [
             PROGRAM,

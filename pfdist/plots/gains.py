@@ -1,4 +1,4 @@
-"""The gains of found times: the relative gain over all draws, and one draw (paper, figures 3, 4)."""
+"""Gains of found times: the relative gain over all draws, and one draw (paper, figures 3, 4)."""
 
 from collections.abc import Mapping, Sequence
 
