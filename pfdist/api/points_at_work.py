@@ -83,8 +83,8 @@ class PointsAtWork:
         """
         todo = [*self._asked.jobs]
         while todo:
-            self._busy = {}
             for name in todo:
+                self._busy.pop(name, None)  # the others are still left out
                 self._at_work += 1
                 yield self._point(name)
             while self._at_work:

@@ -1,5 +1,6 @@
 """A sweep is the same as its runs, started one by one."""
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -247,6 +248,20 @@ def test_a_point_that_fails_is_said_and_the_others_go_on(swept: Sweeping, tmp_pa
     assert "the found times are not judged, because not all points are finished" in said
     for name in ("process_sd=1.0", "process_sd=2.0"):
         assert pfdist.open_run(tmp_path / "sweep" / name).state == "finished"
+
+
+def test_a_point_that_is_free_again_is_computed_and_the_others_stay_left_out(
+    swept: Sweeping, tmp_path: Path
+) -> None:
+    with held(tmp_path / "sweep" / "seed=1"), contextlib.ExitStack() as stack:
+        stack.enter_context(held(tmp_path / "sweep" / "seed=2"))
+
+        def say(line: str) -> None:
+            if line.startswith("seed=3: finished"):
+                stack.close()
+
+        sweep = swept({"seed": [1, 2, 3]}, say=say)
+    assert (list(sweep.runs), sweep.busy) == (["seed=2", "seed=3"], ("seed=1",))
 
 
 def test_a_point_that_another_process_computes_is_left_out_and_said(
