@@ -161,7 +161,12 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
         if others:
             best = f"These are the times of the search {name}, the best of {others + 1} sets"
             yield Text(f"{best} {_BY_EXACT_ERRORS if subject.is_exact else _LOOKS_BETTER}")
-    yield Text(f"Measure at {'t = ' if times else 'no time'}{subject.listed(times)}.")
+    at = f"{'t = ' if times else 'no time'}{subject.listed(times)}"
+    if subject.is_compared:
+        yield Text(f"Measure at {at}.")
+    else:
+        believed = with_error(result["search_cost"], result["search_standard_error"])
+        yield Text(f"{name}: measure at {at}. The search believed an expected error of {believed}.")
 
 
 def _gain(subject: Subject, result: Mapping[str, Any]) -> str:

@@ -254,7 +254,7 @@ def test_commands_read_and_write_hours(
     assert main(["run", str(job), "--results", str(tmp_path / "run")]) == 0
     text = capsys.readouterr().out
     times = pfdist.open_run(tmp_path / "run").sets()["exhaustive"]
-    assert f"measure at t = {', '.join(f'{time:g}' for time in times)} h" in text
+    assert f"Measure at t = {', '.join(f'{time:g}' for time in times)} h." in text
     assert main(["evaluate", str(job), "--times", "0.5:8", "--json"]) == 0
     broken = json.loads(capsys.readouterr().out)["broken_constraints"]
     assert "problem.forbidden: 2, 3 are measured" in broken
@@ -322,7 +322,7 @@ def test_measurements_and_the_next_time_speak_of_the_clock(
     job_of_run = str(run.path / "job.toml")
     assert main(["filter", job_of_run, str(tmp_path / "mine.csv"), "--no-report"]) == 0
     out = capsys.readouterr().out
-    assert re.search(r"planned, missing +t = [\d., ]+ h\n", out)
+    assert re.search(r"planned, missing +[\d., ]+ h\n", out)
     assert re.search(r"most surprising +t = [\d., ]+ h", out)
     after = pfdist.next_time(run, measured[:1], now=planned[0])
     planner = pfdist.Planner(pfdist.load_job(job), planned)

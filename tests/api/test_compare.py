@@ -117,10 +117,10 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     *lines, files = capsys.readouterr().out.splitlines()
     assert files.startswith("tables: ")
     assert max(map(len, lines[1:])) <= 80
-    text = "\n".join(lines)
-    assert "breaks                problem.measurement_budget is 4, got 2 times" in text
-    assert "clinic against late: " in text
-    assert "rank 3, expected MSE" in text
+    text = " ".join(" ".join(lines).split())
+    assert "break a constraint of the job. problem.measurement_budget is 4, got 2 times." in text
+    assert "rank times number expected" in text
+    assert "Pairs of sets first second" in text
     page = pfdist.report(compared).read_text()
     assert "How the sets compare" in page
     assert "problem.measurement_budget is 4, got 2 times" in page

@@ -247,7 +247,7 @@ def test_measurements_that_contradict_the_model_are_told(
     file.write_text("t,y0\n0,3000.0\n")
     assert pfdist.next_time(kept, file).is_improbable
     assert main(["next", str(kept), str(file)]) == 0
-    assert "it may be wrong about this system" in capsys.readouterr().out
+    assert "The model may be wrong about this system" in capsys.readouterr().out
 
 
 def test_a_first_plan_that_is_no_longer_possible_is_not_compared(

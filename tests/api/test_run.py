@@ -318,7 +318,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
     assert main(["status", str(tmp_path / "run")]) == 0
     text = capsys.readouterr().out
     assert "genetic: measure at t = " in text
-    assert "the search believed" in text
+    assert "The search believed an expected error of" in " ".join(text.split())
     assert f"tables: {tmp_path / 'run' / 'tables'}" in text
     assert "figures" not in text  # there is no such folder yet
     with pytest.raises(PfdistError, match=r"run is not finished \(comparing\): run its job on fi"):
