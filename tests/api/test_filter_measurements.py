@@ -142,9 +142,8 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     words = ["filter", str(job), str(path), "--planned", "regular"]
     assert main(words) == 0
     text = capsys.readouterr().out
-    assert re.match(
-        r"3 measurements, filtered as .* does; planned: regular", " ".join(text.split())
-    )
+    assert text.startswith("3 measurements, filtered as ")
+    assert "does; planned: regular" in " ".join(text.split())
     for line in (
         "  planned, missing      4\n",
         "  planned, to come      12\n",
