@@ -40,7 +40,9 @@ def compared(subject: Subject) -> Section | None:
         without_empty_columns(sets),
         Text(_EXACT if subject.is_exact else _MEANING, detail=True),
         Figures(["compared"] if subject.found else ["times", "compared"]),
-        Table("Pairs of sets", _PAIRS_HEAD, rows, detail=len(rows) > _MOST_OPEN),
+        Table(
+            "Pairs of sets", _PAIRS_HEAD, rows, len(rows) > _MOST_OPEN, optional=_PAIRS_HEAD[:-4:-1]
+        ),
     ]
     return Section("How the sets compare", blocks)
 

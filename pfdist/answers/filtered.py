@@ -79,7 +79,10 @@ def _surprise(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     most = answer["most_surprising"]
     if not most:
         return []
-    at, p = formatted_time(most["t"]), rounded(most["surprise"], _P_DIGITS)
+    at, p = (
+        formatted_times([most["t"]], answer.get("time_unit", "")),
+        rounded(most["surprise"], _P_DIGITS),
+    )
     among = rounded(answer["surprise_of_all"], _P_DIGITS)
     return [("most surprising", f"t = {at}, p = {p} ({among} among all measurements)")]
 

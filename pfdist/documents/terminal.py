@@ -16,7 +16,7 @@ _PIECE = re.compile(r"[^_. ]+[_. ]?|[_. ]")
 
 def lines_of(page: Page, *, verbose: bool = False) -> list[str]:
     """The lines of a page, without its pictures; without its details unless they are asked for."""
-    lines = wrapped(page.subtitle)
+    lines = [one_line(page.subtitle)]  # it may hold a path, which is not cut
     for section in page.sections:
         lines += lines_of_blocks(section.blocks, verbose=verbose)
     for warning in page.warnings:

@@ -116,7 +116,7 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     assert main(["status", str(compared.path)]) == 0
     *lines, files = capsys.readouterr().out.splitlines()
     assert files.startswith("tables: ")
-    assert max(map(len, lines[1:])) <= 80
+    assert [line for line in lines[1:] if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())
     assert "break a constraint of the job. problem.measurement_budget is 4, got 2 times." in text
     assert "rank times number expected" in text
@@ -269,7 +269,6 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     page = (tmp_path / "both" / "report.html").read_text()
     assert "How the sets compare" in page
     assert "The times of mine break a constraint of the job." in page
-    assert "The times of random have an expected MSE of" in page  # the best of the searches
     assert results["every"]["expected_mse"] < results["random"]["expected_mse"]
 
 
@@ -340,7 +339,9 @@ def test_evaluate_prints_a_line_for_each_set(
     words = ["evaluate", str(folder / "walk.toml"), *WORDS, "--draws", "30"]
     assert main(words) == 0
     out, err = capsys.readouterr()
-    assert [line.partition(":")[0] for line in out.splitlines()] == ["clinic", "late", "few"]
-    assert "the times of few break a constraint: problem.measurement_budget" in err
+    rows = [line.split()[0] for line in out.splitlines() if "±" in line]
+    assert rows == ["clinic", "late", "few"]
+    assert "Note: the times of few break a constraint: problem.measurement_budget" in out
+    assert not err
     assert main([*words, "--json"]) == 0
     assert [*json.loads(capsys.readouterr().out)["sets"]] == ["clinic", "late", "few"]
