@@ -34,7 +34,12 @@ def compared(subject: Subject) -> Section | None:
     if not ranks:
         return None
     draws = number_of(subject.summary["draws_compared"], "draw")
-    sets = Table(f"Ranks on {draws}", _RANKS_HEAD, [_set_row(subject, row) for row in ranks])
+    sets = Table(
+        f"Ranks on {draws}",
+        _RANKS_HEAD,
+        [_set_row(subject, row) for row in ranks],
+        optional=["breaks"],
+    )
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
         without_empty_columns(sets),
