@@ -47,7 +47,7 @@ def drive(session: Session) -> Generator[Batch, None, None]:
         if built.job.online is not None:
             yield from run_online(session, sets)
         session.commit()
-        store.manifest.forget_lost()
+        store.manifest.forget(store.lost())  # answers to questions are not made again
     finally:  # also where the driver is closed: it loses nothing that it has
         session.commit()
         for phase in (*built.phases, COMPARISON, ONLINE_TIMES):

@@ -84,9 +84,9 @@ class Manifest:
         if self.expected().get(name) != {sha256: True}:
             self._add([f"{word} {name} {sha256}" for word in ("next", "now")])
 
-    def forget_lost(self) -> None:
+    def forget(self, lost: Iterable[Path]) -> None:
         """Expect missing files no more, after everything that can be made was made again."""
-        self._add([f"gone {path} {_UNKNOWN}" for path in self.lost()])
+        self._add([f"gone {path} {_UNKNOWN}" for path in lost])
 
     def lost(self) -> list[Path]:
         """Files that are expected and not there, relative to the run's folder."""

@@ -74,7 +74,7 @@ def _with_one_key(path: Path) -> Iterator[str]:
     for files in ("tables/*/*.parquet", "parts/*/*.parquet"):
         found += [file.relative_to(path) for file in sorted(path.glob(files))]
     yield from _moved(manifest, [Damage(file, "may be another run's") for file in found])
-    manifest.forget_lost()  # so that either run may begin here again
+    manifest.forget(manifest.lost())  # so that either run may begin here again
 
 
 def _moved(manifest: Manifest, damages: Iterable[Damage]) -> Iterator[str]:

@@ -248,3 +248,17 @@ def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_s
     words = r"model\.formulas: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
     with pytest.raises(RunMismatchError, match=words):
         why(run, draws=2)
+
+
+def test_a_lost_answer_is_missed_until_it_is_asked_for_again(run_of: Callable[..., Run]) -> None:
+    run = run_of(*KALMAN)
+    why(run)
+    (worth,) = (run.path / "tables" / "worth").iterdir()
+    (comparison, *_) = (run.path / "tables" / "comparison").iterdir()
+    for file in (worth, comparison):
+        file.unlink()
+    again = pfdist.run(run.path / "job.toml", figures=False)
+    assert again.state == "finished"
+    assert [str(damage.path) for damage in verify_run(run.path)] == [f"tables/worth/{worth.name}"]
+    why(again)
+    assert not list(verify_run(run.path))
