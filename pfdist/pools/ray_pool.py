@@ -149,7 +149,7 @@ class RayPool:
                     timeout=base.PAUSE_SECONDS if task is None else base.LOOK_SECONDS
                 )
             except Empty:
-                pass
+                pass  # no worker has answered; it is time to look for the silent
             else:
                 yield from self._take(call)
             if time.monotonic() - self._looked >= base.LOOK_SECONDS:

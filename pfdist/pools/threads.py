@@ -1,5 +1,6 @@
 """The pool of threads in the process of the driver. Compiled filters release Python's lock."""
 
+import contextlib
 import time
 from collections.abc import Iterable, Iterator
 from queue import Empty, SimpleQueue
@@ -64,7 +65,7 @@ class ThreadPool:
             try:
                 outcome = answers.get(timeout=pause)
             except Empty:
-                pass
+                pass  # no thread has answered; it is time to look for the silent
             else:
                 in_flight -= 1
                 yield outcome
@@ -86,11 +87,9 @@ class ThreadPool:
 
     def _forget_tasks(self) -> None:
         """Forget tasks that no thread has begun; the answers of the others are ignored."""
-        try:
+        with contextlib.suppress(Empty):
             while True:
                 self._todo.get_nowait()
-        except Empty:
-            pass
 
 
 _Handed = tuple[Task, SimpleQueue[Outcome]]
