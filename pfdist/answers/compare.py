@@ -7,9 +7,9 @@ from pfdist.analysis.pairs import formatted_ranks
 from pfdist.answers.subject import Subject, number_of, percent_cell
 from pfdist.common.percent import cost, range_of
 from pfdist.common.rounding import with_error, with_interval
-from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text, without_empty_columns
+from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text
 
-_RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by", "breaks")
+_RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by")
 _PAIRS_HEAD = (
     "first", "second", "first less second", "clear", "first is lower by, %",
     "draws where first is lower, %",
@@ -34,15 +34,10 @@ def compared(subject: Subject) -> Section | None:
     if not ranks:
         return None
     draws = number_of(subject.summary["draws_compared"], "draw")
-    sets = Table(
-        f"Ranks on {draws}",
-        _RANKS_HEAD,
-        [_set_row(subject, row) for row in ranks],
-        optional=["breaks"],
-    )
+    sets = Table(f"Ranks on {draws}", _RANKS_HEAD, [_set_row(subject, row) for row in ranks])
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
-        without_empty_columns(sets),
+        sets,
         Text(_EXACT if subject.is_exact else _MEANING, detail=True),
         Figures(["compared"] if subject.found else ["times", "compared"]),
         Table(
@@ -53,15 +48,14 @@ def compared(subject: Subject) -> Section | None:
 
 
 def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
-    result, mse = subject.results[row["name"]], cost(row["expected_mse"])
-    number = len(result["measurement_times"])
+    mse = cost(row["expected_mse"])
+    number = len(subject.results[row["name"]]["measurement_times"])
     return [
         Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
         Cell(row["name"]),
         Cell(str(number), number),
         Cell(with_error(mse, row["standard_error"]), mse),
         _difference(row) if row["difference"] else Cell(""),
-        Cell("; ".join(result.get("broken_constraints", ()))),
     ]
 
 

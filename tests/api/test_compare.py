@@ -119,7 +119,7 @@ def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     assert [line for line in lines[1:] if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())
     assert "break a constraint of the job. problem.measurement_budget is 4, got 2 times." in text
-    assert "rank times number expected" in text
+    assert "Ranks on 1,500 draws" in text
     assert "Pairs of sets first second" in text
     page = pfdist.report(compared).read_text()
     assert "How the sets compare" in page
