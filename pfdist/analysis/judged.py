@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,6 +11,7 @@ import pandas as pd
 from pfdist.analysis.gains import Gain, relative_gain
 from pfdist.analysis.runs_table import RESULTS, runs_table
 from pfdist.analysis.stored_run import Run
+from pfdist.analysis.summary import SetResult
 from pfdist.times.measurement_times import Times
 
 JUDGED = "judged"
@@ -94,7 +95,7 @@ def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) ->
     With money, `smaller` says whether sets can be compared to which a measurement can be added.
     """
     names = {times: name for name, times in judge.sets().items()}
-    results = judge.summary()["results"]
+    results = judge.summary().results
     mse = {times: _mse(results[name]) for times, name in names.items()}
     own = {each.times for each in found if each.point == point and each.times in names}
     best = dict[Times, Times]()  # of those found at the point, for each set of times
@@ -102,7 +103,7 @@ def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) ->
         comparable = [each for each in own if _are_comparable(judge, times, each, smaller)]
         if comparable:
             best[times] = min(comparable, key=lambda each: (mse[each], each))
-    if all(result.get("exact_mse") is not None for result in results.values()):
+    if all(result.exact_mse is not None for result in results.values()):
         exact = {times: np.array(mse[times]) for times in names}
         gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
         return {times: (0.0 - gain,) * 3 for times, gain in gains.items()}
@@ -114,10 +115,10 @@ def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) ->
     return {times: _loss(gain) for times, gain in drawn.items()}
 
 
-def _mse(result: Mapping[str, Any]) -> float:
+def _mse(result: SetResult) -> float:
     """The expected MSE of a set; inf if it is unknown."""
-    exact = result.get("exact_mse")
-    known = result.get("expected_mse") if exact is None else exact
+    exact = result.exact_mse
+    known = result.expected_mse if exact is None else exact
     return math.inf if known is None or math.isnan(known) else float(known)
 
 

@@ -1,6 +1,6 @@
 """A run as a prompt and a notebook show it."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pfdist.common.percent import cost, percent_with_interval
 from pfdist.common.rounding import with_error
@@ -9,6 +9,7 @@ from pfdist.errors import StoreError
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run
+    from pfdist.analysis.summary import SetResult
 
 
 def title_of(run: "Run") -> str:
@@ -27,7 +28,7 @@ def title_of(run: "Run") -> str:
 def run_card(run: "Run") -> Page:
     """The sets of a run with their expected MSE and gain."""
     try:
-        results = run.summary()["results"]
+        results = run.summary().results
     except StoreError:
         return Page("", title_of(run), [])
     head = ("times", "measurements", "expected MSE", "below the reference")
@@ -35,10 +36,10 @@ def run_card(run: "Run") -> Page:
     return Page("", title_of(run), [Section("", [Table("", head, rows)])])
 
 
-def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
+def _row(name: str, result: "SetResult") -> tuple[str, ...]:
     mse = gain = ""
-    if "expected_mse" in result:
-        mse = with_error(cost(result["expected_mse"]), result["standard_error"])
-    if "gain_of_means" in result:
-        gain = percent_with_interval(result["gain_of_means"], result["gain_of_means_interval"])
-    return name, str(len(result["measurement_times"])), mse, gain
+    if result.is_compared:
+        mse = with_error(cost(result.expected_mse), result.standard_error)
+    if result.gain_draws is not None:
+        gain = percent_with_interval(result.gain_of_means, result.gain_of_means_interval)
+    return name, str(result.measurements), mse, gain

@@ -1,7 +1,7 @@
 """Many runs as one table: the keys in which they differ, and a row for each set."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import pandas as pd
 
 from pfdist.analysis.differing_keys import differing_keys
 from pfdist.analysis.stored_run import Run
+from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.percent import cost
 
 _GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction")
@@ -56,7 +57,7 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     rows, units = list[Row](), set[str]()
     for number, run in enumerate(runs):
         summary = run.summary()
-        units.add(summary.get("time_unit", ""))
+        units.add(summary.time_unit or "")
         head = {"run": names[number], **{key: values[number] for key, values in keys.items()}}
         rows += [head | row for row in _rows(run, summary)]
     columns = ("run", *keys, *RESULTS)
@@ -66,13 +67,13 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     return frame
 
 
-def _rows(run: Run, summary: Mapping[str, Any]) -> Iterator[Row]:
+def _rows(run: Run, summary: Summary) -> Iterator[Row]:
     """Yield the rows of a run; one if nothing is known of any set but the reference."""
-    results = summary["results"]
+    results = summary.results
     shared = dict.fromkeys(RESULTS) | {
-        "state": summary["state"],
-        "draws": summary["draws_compared"],
-        "evaluations": summary["evaluations"],
+        "state": summary.state,
+        "draws": summary.draws_compared,
+        "evaluations": summary.evaluations,
         "worker_seconds": _seconds(run),
         "path": str(run.path),
     }
@@ -90,47 +91,44 @@ def _rows(run: Run, summary: Mapping[str, Any]) -> Iterator[Row]:
         )
 
 
-def _set(name: str, result: Row) -> Row:
+def _set(name: str, result: SetResult) -> Row:
     """The values of a set alone."""
     error, standard_error = _error(result)
-    proof = result.get("lower_bound", {})
+    proof = result.lower_bound or {}
     return {
         "set": name,
         "expected_mse": error,
         "standard_error": standard_error,
         **{column: proof.get(key) for column, key in _PROOF.items()},
-        "measurements": len(result["measurement_times"]),
-        "measurement_times": tuple(result["measurement_times"]),
+        "measurements": result.measurements,
+        "measurement_times": tuple(result.measurement_times),
     }
 
 
-def _reference(name: str, result: Row) -> Row:
+def _reference(name: str, result: SetResult) -> Row:
     error, standard_error = _error(result)
     values = {"reference_mse": error, "reference_standard_error": standard_error}
     return {"reference": name, **values}
 
 
-def _error(result: Row) -> tuple[float | None, float | None]:
+def _error(result: SetResult) -> tuple[float | None, float | None]:
     """The expected MSE and the standard error; if an engine knows it exactly, with 0."""
-    if result.get("exact_mse") is not None:
-        return result["exact_mse"], 0.0
-    if "expected_mse" not in result:  # the comparison has not begun
+    if result.exact_mse is not None:
+        return result.exact_mse, 0.0
+    if not result.is_compared:
         return None, None
-    return cost(result["expected_mse"]), result["standard_error"]
+    return cost(result.expected_mse), result.standard_error
 
 
-def _gains(result: Row, reference: Row) -> Row:
+def _gains(result: SetResult, reference: SetResult) -> Row:
     """The gains over the reference with the ends of their intervals."""
     found = Row()
     for gain in _GAINS:
-        low, high = result.get(f"{gain}_interval", (None, None))
-        found |= {gain: result.get(gain), f"{gain}_low": low, f"{gain}_high": high}
-    exact = result.get("exact_mse"), reference.get("exact_mse")
-    if None not in exact and exact[1]:
-        gain_of_means = result.get("exact_gain", 1 - exact[0] / exact[1])
-        found |= dict.fromkeys(
-            ("gain_of_means", "gain_of_means_low", "gain_of_means_high"), gain_of_means
-        )
+        low, high = getattr(result, f"{gain}_interval")
+        found |= {gain: getattr(result, gain), f"{gain}_low": low, f"{gain}_high": high}
+    if result.exact_gain is not None:
+        names = ("gain_of_means", "gain_of_means_low", "gain_of_means_high")
+        found |= dict.fromkeys(names, result.exact_gain)
     return found
 
 

@@ -21,7 +21,7 @@ from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.reference import references_of, without_number
 from pfdist.analysis.run_card import run_card, title_of
 from pfdist.analysis.run_tables import RunTables
-from pfdist.analysis.summary import summary_of
+from pfdist.analysis.summary import Summary, summary_of
 from pfdist.documents.parts import Page
 from pfdist.errors import StoreError, shown
 from pfdist.job.job import Job
@@ -271,8 +271,8 @@ class Run(RunTables):
         """Number of draws that every set has filtered."""
         return int(self._store.present("comparison", "draw").sum())
 
-    def summary(self) -> dict[str, Any]:
-        """How far the run is, and what it has found; see `pfdist.analysis.summary.summary_of`."""
+    def summary(self) -> Summary:
+        """How far the run is, and what it has found; see `pfdist.analysis.summary.Summary`."""
         return summary_of(self)
 
     def _page(self) -> Page:

@@ -1,6 +1,7 @@
-"""The summary of a run, as `pfdist status --json` prints it."""
+"""What a run has found, as one record; `pfdist status --json` prints it."""
 
 import math
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -8,111 +9,247 @@ import pandas as pd
 from pfdist.analysis.belief import belief_of
 from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import FOUND
-from pfdist.analysis.exact import add_exact_results
+from pfdist.analysis.exact import exact_costs
 from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import gain_over_itself
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.particle_loss import hardly_measured
 from pfdist.analysis.reference import described, without_number
 from pfdist.evaluation.engines import is_exact
+from pfdist.times.clock import Time
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run
 
+Ends = list[float | None]
+Row = dict[str, Any]
 
-def summary_of(run: "Run") -> dict[str, Any]:
+
+def _unknown() -> Ends:
+    return [None, None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetResult:
+    """What a run knows of one set of times.
+
+    None stands for a value that is infinite or unknown, or that such a set does not have. Fractions
+    are not in per cent, and intervals hold with 95 %.
+
+    Parameters
+    ----------
+    kind, measurement_times, expected_mse, standard_error, low, high, draws, degenerate_draws
+        As of `pfdist.analysis.Run.budget`, like worse_than, bound, bound_error and bound_low. Only
+        the times are known before the comparison has begun, and the next two fields.
+    search_cost, search_standard_error : float or None
+        What the search believed of the set that it found.
+    search_excess, search_estimation, search_cause, search_distrust
+        search_cost over expected_mse, less 1; how the search estimated otherwise than the
+        comparison; why search_cost is not expected_mse; and why the search was run again by the
+        squared error, or None.
+    top_percent_share : float or None
+        The share of expected_mse that 1 % of the draws carry; None with fewer than 100 draws. Above
+        0.25 the standard error and the intervals are too small.
+    gain_draws, mean_relative_gain, positive_fraction, gain_of_means, mean_log10_ratio, quantiles
+        The gain over the reference with as many measurements; see `GainSummary`.
+    gains_disagree : bool
+        `GainSummary.disagree`.
+    gain_over_itself, gain_over_itself_interval, gain_over_itself_draws
+        Of a reference; see `pfdist.analysis.gains.gain_over_itself`.
+    particle_loss, particle_loss_error : float or None
+        The loss by a finite number of particles, by two filters, as a fraction of expected_mse. It
+        is known where the engine has particles and the error is the squared norm.
+    particle_loss_at_most, particle_loss_at_most_error, particle_loss_limit : float or None
+        A value that is at least this loss, its standard error, and its 95 % limit.
+    unmeasured_mse : float or None
+        The exact filter's expected MSE without a measurement.
+    lower_bound : dict or None
+        Columns of `pfdist.analysis.Run.bounds`, of the proof of most compared draws, then of most
+        particle-steps.
+    exact_mse, exact_gain : float or None
+        What an exact engine knows: the expected MSE, and 1 less its ratio to that of the reference.
+        Those of the reference are known if the job names sets, if a lower bound was proved, or if
+        ``pfdist why`` has computed them.
+    description, broken_constraints : str and list of str
+        What the reference, or a set that the job names, is; and the constraints of the job that it
+        breaks (see `pfdist.job.problem_section.ProblemSection.broken`).
+    warnings : list of str
+        Sentences.
+    """
+
+    measurement_times: list[Time]
+    measurements: int
+    search_cost: float | None
+    search_standard_error: float | None
+    kind: str = ""
+    expected_mse: float | None = None
+    standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
+    draws: int = 0
+    degenerate_draws: int = 0
+    top_percent_share: float | None = None
+    worse_than: int | None = None
+    bound: float | None = None
+    bound_error: float | None = None
+    bound_low: float | None = None
+    search_excess: float | None = None
+    search_estimation: Row = field(default_factory=dict)
+    search_cause: str | None = None
+    search_distrust: str | None = None
+    gain_draws: int | None = None
+    mean_relative_gain: float | None = None
+    mean_relative_gain_interval: Ends = field(default_factory=_unknown)
+    positive_fraction: float | None = None
+    positive_fraction_interval: Ends = field(default_factory=_unknown)
+    gain_of_means: float | None = None
+    gain_of_means_interval: Ends = field(default_factory=_unknown)
+    mean_log10_ratio: float | None = None
+    mean_log10_ratio_interval: Ends = field(default_factory=_unknown)
+    quantiles: dict[str, float | None] = field(default_factory=dict)
+    gains_disagree: bool = False
+    gain_over_itself: float | None = None
+    gain_over_itself_interval: Ends = field(default_factory=_unknown)
+    gain_over_itself_draws: int | None = None
+    particle_loss: float | None = None
+    particle_loss_error: float | None = None
+    particle_loss_at_most: float | None = None
+    particle_loss_at_most_error: float | None = None
+    particle_loss_limit: float | None = None
+    unmeasured_mse: float | None = None
+    lower_bound: Row | None = None
+    exact_mse: float | None = None
+    exact_gain: float | None = None
+    description: str = ""
+    broken_constraints: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether the comparison has begun: all sets filter the same fresh draws."""
+        return self.kind != ""
+
+    @property
+    def is_found(self) -> bool:
+        """Whether a search has found the set."""
+        return self.search_cost is not None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How far a run is, and what it has found.
+
+    Parameters
+    ----------
+    state, run : str
+        ``searching``, ``comparing`` or ``finished``; the run's folder.
+    evaluations : int
+        Copies counted.
+    draws_compared : int
+    has_budget : bool
+        Whether the run has times of several numbers of measurements.
+    is_exact : bool
+        Whether the engine knows expected MSEs without draws.
+    is_constrained : bool
+        Whether the job excludes some times, beside their number or cost.
+    time_unit : str or None
+        That of the job's clock; None without a clock.
+    instant_weights : list of float or None
+        The weight of each instant's error in the MSE, with mean 1, if there are weights.
+    results : dict of str to SetResult
+        By name, the reference first.
+    online : dict or None
+        Of times that were chosen one after another: draws (without the degenerate_draws, which are
+        degenerate with the online times, the plan or the reference), expected_mse and
+        standard_error of the online times, and differs_from_plan (share of draws whose times are
+        not those of the plan). The plan is the set of the first search. Under ``plan`` and
+        ``reference`` stand name, expected_mse and standard_error on these draws, difference
+        (expected MSE of the online times, less that of the set) with difference_interval (95 %,
+        Student's t, of the paired differences), and the fields of `GainSummary` for the gain of
+        the online times over the set.
+    pairs, ranks : list of dict or None
+        Rows of `pfdist.analysis.Run.pairs` and `pfdist.analysis.Run.ranks`, if the job names sets.
+    """
+
+    state: str
+    run: str
+    evaluations: int
+    draws_compared: int
+    has_budget: bool
+    is_exact: bool
+    is_constrained: bool
+    time_unit: str | None
+    instant_weights: list[float] | None
+    results: dict[str, SetResult]
+    online: Row | None
+    pairs: list[Row] | None
+    ranks: list[Row] | None
+
+    @property
+    def by_error(self) -> list[str]:
+        """Names of the found sets, or of all sets of a run without a search, the best first.
+
+        Exact errors decide if the engine knows them, and else the errors on the compared draws.
+        Sets whose error is unknown or infinite come last. The run has one number of measurements.
+        """
+        found = {name: result for name, result in self.results.items() if result.is_found}
+        errors = {
+            name: result.exact_mse if self.is_exact else result.expected_mse
+            for name, result in (found or self.results).items()
+        }
+        return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
+
+    def as_json(self) -> Row:
+        """All fields; those of each set as a dict."""
+        return asdict(self)
+
+
+def summary_of(run: "Run") -> Summary:
     """How far a run is, and what it has found.
 
     Parameters
     ----------
     run : Run
-
-    Returns
-    -------
-    dict
-        ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``has_budget``
-        (whether the run has times of several numbers of measurements), ``is_exact``
-        (whether the engine knows expected MSEs without draws), ``is_constrained`` (whether the job
-        excludes some times, beside their number or cost), ``time_unit`` if the job has a clock,
-        ``instant_weights`` (the weight of each instant's error in the MSE, with mean 1) if there
-        are weights, ``results`` by name, and ``online`` if there is such a table. Times are those
-        of the clock. Fractions are not in per cent; an infinite or unknown value is None. Each
-        result has:
-
-        - The columns of `pfdist.analysis.Run.budget`, among them measurement_times, expected_mse,
-          standard_error, degenerate_draws, search_cost and search_standard_error.
-        - particle_loss and particle_loss_error (by two filters), particle_loss_at_most,
-          particle_loss_at_most_error and its 95 % limit particle_loss_limit: the loss by a finite
-          number of particles as a fraction of expected_mse, where the engine has particles and the
-          error is the squared norm.
-          unmeasured_mse: the exact filter's expected MSE without a measurement. warnings: a list
-          of sentences.
-        - top_percent_share: the share of expected_mse that 1 % of the draws carry; None with fewer
-          than 100 draws. Above 0.25 the standard error and the intervals are too small.
-        - For the reference: gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with
-          interval and draws. For the reference and sets that the job names, if they have one
-          number of measurements: description, and broken_constraints (see
-          `pfdist.job.problem_section.ProblemSection.broken`).
-        - For all but references: the fields of `GainSummary`, and gains_disagree
-          (`GainSummary.disagree`). The reference has as many measurements.
-        - For found sets: search_excess (search_cost over expected_mse, less 1),
-          search_estimation (how the search estimated otherwise than the comparison),
-          search_cause (why search_cost is not expected_mse), search_distrust (why the search
-          was run again by the squared error, or None).
-        - For all, if a lower bound was proved: lower_bound, with the columns of `bounds` for
-          the proof of most compared draws, then of most particle-steps.
-
-        - With an exact engine: exact_mse, of the reference only if the job names sets, a lower
-          bound was proved, or ``pfdist why`` has computed it; then exact_gain of the others, 1
-          less the ratio.
-
-        Before the comparison has begun, a result has only measurement_times, search_cost and
-        search_standard_error.
-
-        If the job names sets, ``pairs`` and ``ranks`` hold the rows of `pfdist.analysis.Run.pairs`
-        and `pfdist.analysis.Run.ranks`.
-
-        If times were chosen one after another, there is a key ``online``: draws (without the
-        degenerate_draws, which are degenerate with the online times, the plan or the
-        reference), expected_mse and standard_error of the online times, and differs_from_plan
-        (share of draws whose times are not those of the plan). The plan is the set of the
-        first search. Under ``plan`` and ``reference`` stand name, expected_mse and
-        standard_error on these draws, difference (expected MSE of the online times, less that
-        of the set) with difference_interval (95 %, Student's t, of the paired differences),
-        and the fields of `GainSummary` for the gain of the online times over the set.
     """
-    results: dict[str, Any] = {}
-    if run.has("compared"):
-        compared = run.has("comparison")
-        results = _results(run) if compared else _before_the_comparison(run)
-        proved = last_bounds(run.bounds()) if run.has("bound") else {}
-        for name, columns in proved.items():
-            results[name]["lower_bound"] = columns
-        add_exact_results(run, results)
-    evaluations = int(run.evaluations()["copies"].sum()) if run.has("evaluations") else 0
-    has_online = run.has("online") and run.has("comparison")
-    online = {"online": finite(online_draws(run).summary())} if has_online else {}
-    return {
-        "state": run.state,
-        "run": str(run.path),
-        "evaluations": evaluations,
-        "draws_compared": run.draws_compared,
-        "has_budget": run.has_budget,
-        "is_exact": is_exact(run.job["filter"]["engine"]),
-        "is_constrained": run.problem.is_constrained,
-        **({"time_unit": run.problem.clock.unit} if run.problem.has_clock else {}),
-        **({"instant_weights": [*run.problem.weights]} if run.problem.weights else {}),
-        "results": finite(results),
-        **online,
-        **(_pairs_and_ranks(run) if run.has("comparison") and run.named else {}),
-    }
+    compared, named = run.has("comparison"), bool(run.has("comparison") and run.named)
+    problem = run.problem
+    return Summary(
+        state=run.state,
+        run=str(run.path),
+        evaluations=int(run.evaluations()["copies"].sum()) if run.has("evaluations") else 0,
+        draws_compared=run.draws_compared,
+        has_budget=run.has_budget,
+        is_exact=is_exact(run.job["filter"]["engine"]),
+        is_constrained=problem.is_constrained,
+        time_unit=problem.clock.unit if problem.has_clock else None,
+        instant_weights=[*problem.weights] if problem.weights else None,
+        results=_results(run) if run.has("compared") else {},
+        online=finite(online_draws(run).summary()) if compared and run.has("online") else None,
+        pairs=finite(run.pairs().to_dict("records")) if named else None,
+        ranks=finite(run.ranks().to_dict("records")) if named else None,
+    )
 
 
-def _results(run: "Run") -> dict[str, dict[str, Any]]:
+def _results(run: "Run") -> dict[str, SetResult]:
+    """The result of each set by name, the reference first."""
+    results = _compared(run) if run.has("comparison") else _before_the_comparison(run)
+    proofs = last_bounds(run.bounds()) if run.has("bound") else {}
+    for name, columns in proofs.items():
+        results[name]["lower_bound"] = columns
+    exact = exact_costs(run)
+    for name, cost in exact.items():
+        results[name]["exact_mse"] = cost
+    for name, reference in run.references.items():
+        if exact.get(reference):
+            results[name]["exact_gain"] = 1 - exact[name] / exact[reference]
+    return {name: SetResult(**finite(columns)) for name, columns in results.items()}
+
+
+def _compared(run: "Run") -> dict[str, Row]:
     """Costs of each set, facts about it, and its gains over its reference."""
-    results, statistics = dict[str, dict[str, Any]](), run.statistics()
+    results, statistics = dict[str, Row](), run.statistics()
     for row in run.budget(statistics).to_dict("records"):
-        result: dict[str, Any] = {str(key): value for key, value in row.items()}
+        result: Row = {str(key): value for key, value in row.items()}
         name, worse_than = result.pop("name"), result["worse_than"]
         result["worse_than"] = None if pd.isna(worse_than) else worse_than
         if result["kind"] == FOUND:
@@ -134,7 +271,7 @@ def _results(run: "Run") -> dict[str, dict[str, Any]]:
     return results
 
 
-def _gain_over_itself(run: "Run") -> dict[str, Any]:
+def _gain_over_itself(run: "Run") -> Row:
     """The effect of filter noise alone on a gain, if the reference was filtered twice."""
     if not run.has("repeated"):
         return {}
@@ -149,17 +286,12 @@ def _gain_over_itself(run: "Run") -> dict[str, Any]:
     }
 
 
-def _pairs_and_ranks(run: "Run") -> dict[str, Any]:
-    """Rows of the tables of pairs and ranks."""
-    tables = {"pairs": run.pairs(), "ranks": run.ranks()}
-    return {name: finite(table.to_dict("records")) for name, table in tables.items()}
-
-
-def _before_the_comparison(run: "Run") -> dict[str, Any]:
+def _before_the_comparison(run: "Run") -> dict[str, Row]:
     """Times of each set, and the cost that its search believed."""
     return {
         str(entry["name"]): {
             "measurement_times": entry["measurement_times"].tolist(),
+            "measurements": len(entry["measurement_times"]),
             "search_cost": float(entry["search_cost"]),
             "search_standard_error": float(entry["search_standard_error"]),
         }

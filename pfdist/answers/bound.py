@@ -26,9 +26,7 @@ _HEAD = (
 
 def proof(subject: Subject) -> Section | None:
     """The lower bound of each set but the reference, or why there is none."""
-    proofs = {
-        name: each["lower_bound"] for name, each in subject.others.items() if "lower_bound" in each
-    }
+    proofs = {name: each.lower_bound for name, each in subject.others.items() if each.lower_bound}
     if not proofs:
         return None
     blocks = [Text(_MEANING, detail=True), *_table(proofs), *_reasons(proofs)]

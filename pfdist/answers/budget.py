@@ -1,10 +1,11 @@
 """How many measurements are enough: the expected error of each number, and its lower bound."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
+from pfdist.analysis.summary import SetResult
 from pfdist.answers.subject import Subject, number_of, sets_table
 from pfdist.common.percent import cost, percent
 from pfdist.common.rounding import rounded, with_interval
@@ -17,7 +18,6 @@ _BOUND = (
     "of the same model. The bound was computed on other draws. So an estimated error can lie below "
     "it by chance."
 )
-Result = dict[str, Any]
 
 
 def budget(subject: Subject) -> Section | None:
@@ -25,7 +25,7 @@ def budget(subject: Subject) -> Section | None:
     if not subject.is_compared:
         return None
     results = list(subject.results.values())
-    found = [result for result in results if result["kind"] == "found"]
+    found = [result for result in results if result.kind == "found"]
     blocks: list[Block] = [
         *_answer(subject),
         *_target(subject),
@@ -42,15 +42,15 @@ def budget(subject: Subject) -> Section | None:
 
 def _answer(subject: Subject) -> list[Text]:
     """How many found times do what the largest number of regular times does."""
-    regular = [each for each in subject.results.values() if each["kind"] == "regular"]
-    most = max(regular, key=lambda each: int(each["measurements"]))
-    if most["expected_mse"] is None:
+    regular = [each for each in subject.results.values() if each.kind == "regular"]
+    most = max(regular, key=lambda each: each.measurements)
+    if most.expected_mse is None:
         return []
-    reached = subject.run.reaching(most["expected_mse"])["found"]
+    reached = subject.run.reaching(most.expected_mse)["found"]
     if reached["measurements"] is None:
         return []
-    number, regular_times = reached["measurements"], f"{most['measurements']} regular times"
-    if number < most["measurements"]:
+    number, regular_times = reached["measurements"], f"{most.measurements} regular times"
+    if number < most.measurements:
         reach = "time reaches" if number == 1 else "times reach"
         text = f"{number} found {reach} the error of {regular_times} on these draws."
     else:
@@ -70,7 +70,7 @@ def _target(subject: Subject) -> Iterator[Text]:
             yield Text(f"Measure at t = {subject.listed(reached['measurement_times'])}.")
 
 
-def _reached(kind: str, reached: Result, target: float) -> str:
+def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:
     number = reached["measurements"]
     low, high = ("more" if bound is None else str(bound) for bound in reached["interval"])
     text = f"target {target:g}: "
@@ -87,41 +87,44 @@ def _reached(kind: str, reached: Result, target: float) -> str:
     return text if impossible is None else f"{text}; no {impossible} {times} can (95 %)"
 
 
-def _rows(results: Sequence[Result]) -> list[list[Cell]]:
-    rows = defaultdict[int, dict[str, Result]](dict)
+def _rows(results: Sequence[SetResult]) -> list[list[Cell]]:
+    rows = defaultdict[int, dict[str, SetResult]](dict)
     for result in results:
-        rows[result["measurements"]][result["kind"]] = result
+        rows[result.measurements][result.kind] = result
     return [_row(number, rows[number]) for number in sorted(rows)]
 
 
-def _row(number: int, kinds: dict[str, Result]) -> list[Cell]:
+def _row(number: int, kinds: dict[str, SetResult]) -> list[Cell]:
     cells = [_cost(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS]
-    return [Cell(str(number), number), *cells, _bound(kinds.get("found", {}))]
+    return [
+        Cell(str(number), number),
+        *cells,
+        _bound(kinds["found"]) if "found" in kinds else Cell(""),
+    ]
 
 
-def _cost(result: Result) -> Cell:
-    mse, low, high = with_interval(cost(result["expected_mse"]), result["low"], result["high"])
-    return Cell(f"{mse} ({low} to {high})", cost(result["expected_mse"]))
+def _cost(result: SetResult) -> Cell:
+    mse, low, high = with_interval(cost(result.expected_mse), result.low, result.high)
+    return Cell(f"{mse} ({low} to {high})", cost(result.expected_mse))
 
 
-def _bound(result: Result) -> Cell:
+def _bound(result: SetResult) -> Cell:
     """The bound and its lower limit, which is rounded down: it must hold as it is printed."""
-    bound = result.get("bound")
-    if bound is None or not result["bound_error"]:  # unknown or exact
+    bound, limit = result.bound, result.bound_low
+    if bound is None or limit is None or not result.bound_error:  # unknown or exact
         return Cell("" if bound is None else rounded(bound), bound)
-    limit = result["bound_low"]
     text, low, _ = with_interval(bound, limit, 2 * bound - limit)
     floor = Decimal(limit).quantize(Decimal(low), ROUND_FLOOR)
     return Cell(f"{text} (from {floor})".lower(), bound)  # Decimal writes E for e
 
 
-def _worse(results: Sequence[Result]) -> Iterator[Text]:
+def _worse(results: Sequence[SetResult]) -> Iterator[Text]:
     """Name the numbers of measurements that are worse than a smaller number."""
     for kind in _KINDS:
         worse = [
-            f"{result['measurements']} than {result['worse_than']}"
+            f"{result.measurements} than {result.worse_than}"
             for result in results
-            if result["kind"] == kind and result["worse_than"] is not None
+            if result.kind == kind and result.worse_than is not None
         ]
         if worse:
             yield Text(
@@ -130,13 +133,13 @@ def _worse(results: Sequence[Result]) -> Iterator[Text]:
             )
 
 
-def _believed(found: Sequence[Result]) -> Iterator[Text]:
+def _believed(found: Sequence[SetResult]) -> Iterator[Text]:
     """The mean distance of what the search believed from the fresh costs (winner's curse)."""
-    excesses = [result["search_excess"] for result in found if result["search_excess"] is not None]
-    if not excesses or found[0]["search_standard_error"] == 0.0:  # the search knew exact costs
+    excesses = [result.search_excess for result in found if result.search_excess is not None]
+    if not excesses or found[0].search_standard_error == 0.0:  # the search knew exact costs
         return
-    mean, causes = sum(excesses) / len(excesses), [result["search_cause"] for result in found]
-    settings = [f"{key} = {value}" for key, value in found[0]["search_estimation"].items()]
+    mean, causes = sum(excesses) / len(excesses), [result.search_cause for result in found]
+    settings = [f"{key} = {value}" for key, value in found[0].search_estimation.items()]
     reasons = "; ".join(filter(None, [max(causes, key=causes.count), ", ".join(settings)]))
     side = "below" if mean < 0 else "above"
     yield Text(
@@ -144,15 +147,15 @@ def _believed(found: Sequence[Result]) -> Iterator[Text]:
         f"({reasons})",
         detail=True,
     )
-    if distrust := found[0].get("search_distrust"):
+    if distrust := found[0].search_distrust:
         yield Text(f"searched again: {distrust}", detail=True)
 
 
-def _unproved(found: Sequence[Result]) -> Iterator[Text]:
+def _unproved(found: Sequence[SetResult]) -> Iterator[Text]:
     """Why there is no lower bound, if a proof has failed."""
     numbers = defaultdict[str, list[str]](list)
     for result in found:
-        if reason := result.get("lower_bound", {}).get("reason"):
-            numbers[reason].append(str(result["measurements"]))
+        if reason := (result.lower_bound or {}).get("reason"):
+            numbers[reason].append(str(result.measurements))
     for reason, every in numbers.items():
         yield Text(f"no lower bound for N = {', '.join(every)}: {reason}")

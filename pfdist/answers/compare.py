@@ -30,10 +30,10 @@ _MOST_OPEN = 28
 
 def compared(subject: Subject) -> Section | None:
     """The ranks and the pairs of a run whose job names sets."""
-    ranks, pairs = (subject.summary.get(table) for table in ("ranks", "pairs"))
+    ranks, pairs = subject.summary.ranks, subject.summary.pairs
     if not ranks:
         return None
-    draws = number_of(subject.summary["draws_compared"], "draw")
+    draws = number_of(subject.summary.draws_compared, "draw")
     sets = Table(f"Ranks on {draws}", _RANKS_HEAD, [_set_row(subject, row) for row in ranks])
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
@@ -49,7 +49,7 @@ def compared(subject: Subject) -> Section | None:
 
 def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
     mse = cost(row["expected_mse"])
-    number = len(subject.results[row["name"]]["measurement_times"])
+    number = len(subject.results[row["name"]].measurement_times)
     return [
         Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
         Cell(row["name"]),

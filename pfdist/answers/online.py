@@ -12,7 +12,7 @@ _FIGURES = ("online_gain", "online_times", "online_draw")
 
 def online(subject: Subject) -> Section | None:
     """Compare online times with the plan and with the reference."""
-    found = subject.summary.get("online")
+    found = subject.summary.online
     if found is None:
         return None
     plan, reference = found["plan"], found["reference"]
@@ -46,7 +46,7 @@ def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:
 
 def online_sentence(subject: Subject) -> str:
     """The gain of choosing each time when the last measurement is known; empty if unknown."""
-    plan = subject.summary.get("online", {}).get("plan", {})
+    plan = (subject.summary.online or {}).get("plan", {})
     gain = plan.get("gain_of_means")
     if gain is None:
         return ""

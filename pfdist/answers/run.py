@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.analysis import Run
+from pfdist.analysis.summary import SetResult
 from pfdist.answers.about_run import citation, computed, problem, tables
 from pfdist.answers.bound import proof
 from pfdist.answers.budget import budget
@@ -117,8 +118,8 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         chapters = (budget,)
     summary = subject.summary
     line = (
-        f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
-        f"{summary['draws_compared']:,} draws compared"
+        f"{summary.run}: {summary.state}, {summary.evaluations:,} evaluations, "
+        f"{summary.draws_compared:,} draws compared"
     )
     sections = _sections(subject, (*chapters, *([proof, searches] if details else [])))
     return Page("", line, sections, _warnings(subject))
@@ -132,9 +133,9 @@ def _warnings(subject: Subject) -> list[str]:
     warnings = [
         f"{times}: {warning}"
         for times, result in subject.results.items()
-        for warning in result.get("warnings", ())
+        for warning in result.warnings
     ]
-    shares = {name: each.get("top_percent_share") for name, each in subject.results.items()}
+    shares = {name: each.top_percent_share for name, each in subject.results.items()}
     heavy_tail = heavy_tail_warning(shares)
     return [*warnings, *([f"{heavy_tail}."] if heavy_tail else [])]
 
@@ -153,7 +154,7 @@ def answer(subject: Subject) -> Section | None:
 
 def _answer(subject: Subject, name: str) -> Iterator[Block]:
     result = subject.found[name]
-    times = result["measurement_times"]
+    times = result.measurement_times
     if subject.is_compared:
         sentences = [_gain(subject, result), _proof(subject, result), online_sentence(subject)]
         yield Text(" ".join(filter(None, sentences)), prominent=True)
@@ -165,38 +166,38 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
     if subject.is_compared:
         yield Text(f"Measure at {at}.")
     else:
-        believed = with_error(result["search_cost"], result["search_standard_error"])
+        believed = with_error(result.search_cost, result.search_standard_error)
         yield Text(f"{name}: measure at {at}. The search believed an expected error of {believed}.")
 
 
-def _gain(subject: Subject, result: Mapping[str, Any]) -> str:
-    gain, positive = result.get("gain_of_means"), result.get("positive_fraction")
-    times = result["measurement_times"]
+def _gain(subject: Subject, result: SetResult) -> str:
+    gain, positive = result.gain_of_means, result.positive_fraction
+    times = result.measurement_times
     if times == subject.reference_times:
         return "The search found no better times than the reference's own."
     at = {0: "no time", 1: "this time"}.get(len(times), f"these {len(times):,} times")
     these = f"Measuring at {at} instead of {subject.reference}"
     if gain is None or positive is None:
         return f"{these}: the gain is not known, because errors are 0, infinite or unknown."
-    share = f"{percent(positive, 0)} of {number_of(result['gain_draws'], 'draw')}"
-    if result.get("exact_gain") is not None:
-        reference = next(iter(subject.results.values()))["exact_mse"]
-        lowers = exact_effect(result["exact_mse"], reference)
+    share = f"{percent(positive, 0)} of {number_of(result.gain_draws or 0, 'draw')}"
+    reference = next(iter(subject.results.values())).exact_mse
+    if result.exact_mse is not None and reference:
+        lowers = exact_effect(result.exact_mse, reference)
         return f"{these} {lowers}. In {share}, the error is lower."
-    lowers, left_open = effect(gain, result["gain_of_means_interval"])
+    lowers, left_open = effect(gain, result.gain_of_means_interval)
     measured = _MEASURED if subject.is_exact else ""
     sentences = (f"{these} {lowers}.", measured, f"In {share}, the error is lower.", left_open)
     return " ".join(filter(None, sentences))
 
 
-def _proof(subject: Subject, result: Mapping[str, Any]) -> str:
-    proof = result.get("lower_bound")
+def _proof(subject: Subject, result: SetResult) -> str:
+    proof = result.lower_bound
     if proof is None:
         return ""
     if proof["reason"]:
         return f"There is no lower bound: {proof['reason']}."
-    constrained = subject.summary["is_constrained"]
-    return gap_sentence(proof, len(result["measurement_times"]), is_constrained=constrained)
+    constrained = subject.summary.is_constrained
+    return gap_sentence(proof, len(result.measurement_times), is_constrained=constrained)
 
 
 # --- all sets -------------------------------------------------------------------------------------
@@ -207,7 +208,7 @@ def gains(subject: Subject) -> Section | None:
     if not subject.is_compared:
         return None
     rows = [_gains_row(name, result) for name, result in subject.results.items()]
-    draws = number_of(subject.summary["draws_compared"], "draw")
+    draws = number_of(subject.summary.draws_compared, "draw")
     fresh = " that took no part in the search" if subject.run.found else ""
     table = Table(
         f"Expected error on {draws}{fresh}", _GAINS_HEAD, rows,
@@ -226,27 +227,31 @@ def gains(subject: Subject) -> Section | None:
     return Section("What the times gain", blocks)
 
 
-def _gains_row(name: str, result: Mapping[str, Any]) -> list[Cell]:
-    mse = cost(result["expected_mse"])
-    cells = [Cell(name), Cell(with_error(mse, result["standard_error"]), mse)]
-    for key in ("gain_of_means", "positive_fraction", "mean_relative_gain"):
-        known = key in result
-        cells.append(percent_cell(result[key], result[f"{key}_interval"]) if known else Cell(""))
-    return cells
+def _gains_row(name: str, result: SetResult) -> list[Cell]:
+    mse = cost(result.expected_mse)
+    cells = [Cell(name), Cell(with_error(mse, result.standard_error), mse)]
+    if result.gain_draws is None:  # the reference
+        return [*cells, *[Cell("")] * 3]
+    return [
+        *cells,
+        percent_cell(result.gain_of_means, result.gain_of_means_interval),
+        percent_cell(result.positive_fraction, result.positive_fraction_interval),
+        percent_cell(result.mean_relative_gain, result.mean_relative_gain_interval),
+    ]
 
 
 def _degenerate(subject: Subject) -> list[Text]:
     left_out = [
-        f"{number_of(result['degenerate_draws'], 'draw')} of {name}"
+        f"{number_of(result.degenerate_draws, 'draw')} of {name}"
         for name, result in subject.results.items()
-        if result["degenerate_draws"]
+        if result.degenerate_draws
     ]
     return [Text(f"Degenerate and left out: {', '.join(left_out)}.")] if left_out else []
 
 
 def _broken(subject: Subject) -> Iterator[Text]:
     for name, result in subject.results.items():
-        for constraint in result.get("broken_constraints", ()):
+        for constraint in result.broken_constraints:
             breaks = (
                 f"The times of {name} break" if name in subject.others else "The reference breaks"
             )
@@ -257,31 +262,30 @@ def _details(subject: Subject, name: str) -> Facts:
     """Everything else that the comparison says of a set."""
     result = subject.results[name]
     facts = list[tuple[str, str]]()
-    if "description" in result:
-        facts.append(("what it is", result["description"]))
-    if result.get("particle_loss_limit") is not None:
-        loss = particle_loss_text(result["particle_loss"], result["particle_loss_limit"])
+    if result.description:
+        facts.append(("what it is", result.description))
+    if result.particle_loss is not None and result.particle_loss_limit is not None:
+        loss = particle_loss_text(result.particle_loss, result.particle_loss_limit)
         facts.append(("particles lose", loss))
-    if "mean_relative_gain" in result:
-        interval = result["mean_relative_gain_interval"]
-        gain = percent_with_interval(result["mean_relative_gain"], interval)
+    if result.gain_draws is not None:
+        interval = result.mean_relative_gain_interval
+        gain = percent_with_interval(result.mean_relative_gain, interval)
         facts.append(("mean relative gain", gain))
-        shares = [result["quantiles"].get(share) for share in ("0.25", "0.5", "0.75")]
+        shares = [result.quantiles.get(share) for share in ("0.25", "0.5", "0.75")]
         facts.append(("quartiles of gains", ", ".join(percent(share, 1) for share in shares)))
-        interval = result["mean_log10_ratio_interval"]
-        log10, *ends = with_interval(result["mean_log10_ratio"], *interval)
+        log10, *ends = with_interval(result.mean_log10_ratio, *result.mean_log10_ratio_interval)
         facts.append(("mean log10 of ratio", f"{log10}  (95 %: {range_of(*ends)})"))
-        if result["gains_disagree"]:
+        if result.gains_disagree:
             facts.append(("the two gains differ", _why_gains_disagree(subject)))
-    if "gain_over_itself" in result:
-        interval = result["gain_over_itself_interval"]
-        itself = percent_with_interval(result["gain_over_itself"], interval)
+    if result.gain_over_itself_draws is not None:
+        interval = result.gain_over_itself_interval
+        itself = percent_with_interval(result.gain_over_itself, interval)
         facts.append(("gain over itself", f"{itself}, from filter noise alone"))
     return Facts(facts, f"More about {name}", detail=True)
 
 
 def _why_gains_disagree(subject: Subject) -> str:
-    noise = next(iter(subject.results.values())).get("gain_over_itself")
+    noise = next(iter(subject.results.values())).gain_over_itself
     reason = "a relative gain weighs a draw with a small error as much as a draw with a large error"
     if noise is None:
         return f"{reason}, and the noise of the filters biases its mean low"
@@ -324,16 +328,16 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
 
     about = METHODS[method].description if method in METHODS else method
     cells = [Cell(name), Cell(about.rstrip(".")), Cell(f"{count:,}", count)]
-    result = subject.results.get(name, {})
-    believed = result.get("search_cost")
-    if believed is None:
+    result = subject.results.get(name)
+    if result is None or not result.is_found:
         return [*cells, Cell(""), Cell(""), Cell("")]
-    cells.append(Cell(with_error(believed, result["search_standard_error"]), believed))
+    believed = with_error(result.search_cost, result.search_standard_error)
+    cells.append(Cell(believed, result.search_cost))
     if subject.is_exact:
         return [*cells, Cell(""), Cell("exact")]
-    excess = result.get("search_excess")
-    settings = ", ".join(f"{key} = {value}" for key, value in result["search_estimation"].items())
-    reasons = [result["search_distrust"], result["search_cause"], settings]
+    excess = result.search_excess
+    settings = ", ".join(f"{key} = {value}" for key, value in result.search_estimation.items())
+    reasons = [result.search_distrust, result.search_cause, settings]
     why = "; ".join(filter(None, reasons)) if excess is not None else ""
     why = why.replace(str(subject.run.path), subject.run.path.name)  # the report may be sent
     return [*cells, Cell("" if excess is None else percent(excess, 1), excess), Cell(why)]

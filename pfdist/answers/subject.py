@@ -8,8 +8,8 @@ from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.analysis.exact import names_by_error
 from pfdist.analysis.reference import label
+from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
@@ -34,15 +34,14 @@ class Subject:
     target: float | None = None
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """As of `pfdist.analysis.Run.summary`."""
         return self.run.summary()
 
     @property
-    def results(self) -> dict[str, dict[str, Any]]:
+    def results(self) -> dict[str, SetResult]:
         """Results of each set by name, the reference first."""
-        results: dict[str, dict[str, Any]] = self.summary["results"]
-        return results
+        return self.summary.results
 
     @property
     def problem(self) -> Mapping[str, Any]:
@@ -53,21 +52,20 @@ class Subject:
     @property
     def is_exact(self) -> bool:
         """Whether the engine knows expected errors without draws."""
-        return bool(self.summary["is_exact"])
+        return self.summary.is_exact
 
     @property
     def is_compared(self) -> bool:
         """Whether the comparison has begun."""
-        return any("expected_mse" in result for result in self.results.values())
+        return any(result.is_compared for result in self.results.values())
 
     @property
-    def found(self) -> dict[str, dict[str, Any]]:
+    def found(self) -> dict[str, SetResult]:
         """Results of the sets that the searches have found."""
-        results = self.results.items()
-        return {name: each for name, each in results if each["search_cost"] is not None}
+        return {name: result for name, result in self.results.items() if result.is_found}
 
     @property
-    def others(self) -> dict[str, dict[str, Any]]:
+    def others(self) -> dict[str, SetResult]:
         """Results of all sets but the reference."""
         names = list(self.results)
         return {name: self.results[name] for name in names[1:]}
@@ -80,7 +78,7 @@ class Subject:
     @property
     def by_error(self) -> list[str]:
         """Names of the found sets, the best first; of all sets in a run without a search."""
-        return names_by_error(self.summary)
+        return self.summary.by_error
 
     @property
     def shown(self) -> list[str]:
@@ -104,8 +102,7 @@ class Subject:
     @property
     def reference_times(self) -> list[float]:
         """Measurement times of the reference."""
-        times: list[float] = next(iter(self.results.values()))["measurement_times"]
-        return times
+        return next(iter(self.results.values())).measurement_times
 
     @property
     def reference(self) -> str:
@@ -238,6 +235,6 @@ def sets_table(subject: Subject) -> Table:
     rows = [
         [Cell(name), Cell(str(len(times)), len(times)), Cell(subject.listed(times))]
         for name, result in subject.results.items()
-        for times in (result["measurement_times"],)
+        for times in (result.measurement_times,)
     ]
     return Table("All sets of times", ("times", "number", "t"), rows, detail=True)

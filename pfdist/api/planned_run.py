@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pfdist.analysis import Run
-from pfdist.analysis.exact import names_by_error
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
 from pfdist.filters.cloud import Prior
@@ -95,5 +94,5 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
             f"for instance {list(sets)[-1]}",
             argument="planned",
         )
-    best = names_by_error(run.summary())[0]
+    best = run.summary().by_error[0]
     return best, sets[best]

@@ -76,7 +76,7 @@ def print_run(run: "Run", options: Namespace, target: float | None = None) -> No
     """
     if options.json:
         reached = {} if target is None else {"target": target, "reached": run.reaching(target)}
-        print_json(run.summary() | reached, options)
+        print_json(run.summary().as_json() | reached, options)
         return
     # Not above: commands that print no run need none of these libraries.
     from pfdist.answers.run import answer_of  # noqa: PLC0415

@@ -122,12 +122,12 @@ def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[...
     tolerance = 4 * column.std() / math.sqrt(1000)
     assert column.mean() == pytest.approx(nothing * 4 / 5, abs=tolerance)  # (P - 1) / P of it
     for name in run.names:
-        result = run.summary()["results"][name]
-        assert 0.05 < result["particle_loss"] < result["particle_loss_at_most"]
-        assert "5 particles may be too few" in result["warnings"][0]
+        result = run.summary().results[name]
+        assert 0.05 < result.particle_loss < result.particle_loss_at_most
+        assert "5 particles may be too few" in result.warnings[0]
 
 
 def test_exact_engines_lose_nothing_and_say_nothing(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished("model.name=random_walk", "filter.engine=kalman"))
     assert run.particle_losses() == {}
-    assert not any("particle_loss" in result for result in run.summary()["results"].values())
+    assert not any(result.particle_loss for result in run.summary().results.values())

@@ -466,7 +466,7 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
     bound(walk, LEAST_DRAWS, window=1)
     run = pfdist.open_run(walk)
-    rows, summary = run.bounds(), run.summary()["results"]
+    rows, summary = run.bounds(), run.summary().results
     looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
     assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
     assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
@@ -474,8 +474,8 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
     assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
     for gap in found.gaps:  # the proof of most work
-        assert summary[gap.name]["lower_bound"]["gap"] == gap.gap
-        assert summary[gap.name]["lower_bound"]["window"] == 2
+        assert summary[gap.name].lower_bound["gap"] == gap.gap
+        assert summary[gap.name].lower_bound["window"] == 2
     assert main(["verify", str(walk)]) == 0
 
 

@@ -262,14 +262,14 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
     assert run.names == ["regular", "mine", "every", "random"]
     assert (run.named, run.found) == (["mine", "every"], ["random"])
-    results = run.summary()["results"]
-    assert "search_cause" in results["random"]
-    assert results["mine"]["broken_constraints"] == ["problem.measurement_budget is 4, got 3 times"]
+    results = run.summary().results
+    assert results["random"].search_cause
+    assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]
     assert (tmp_path / "both" / "figures" / "compared.svg").exists()
     page = (tmp_path / "both" / "report.html").read_text()
     assert "How the sets compare" in page
     assert "The times of mine break a constraint of the job." in page
-    assert results["every"]["expected_mse"] < results["random"]["expected_mse"]
+    assert results["every"].expected_mse < results["random"].expected_mse
 
 
 @pytest.mark.parametrize(

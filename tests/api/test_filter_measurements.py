@@ -112,8 +112,8 @@ def test_planned_times_that_are_missing_and_extra_times_are_named(
     found = pfdist.filter_measurements(job, path, planned="regular")  # 0, 4, 8, 12
     assert (found.name, found.measured) == ("regular", (0, 5, 8))
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
-    results = pfdist.open_run(job.parent).summary()["results"]
-    least = min(("genetic", "random"), key=lambda name: results[name]["expected_mse"])
+    results = pfdist.open_run(job.parent).summary().results
+    least = min(("genetic", "random"), key=lambda name: results[name].expected_mse)
     assert pfdist.filter_measurements(job, path).name == least
     nothing = pfdist.filter_measurements(job, _written(path, (), y), planned="regular")
     assert (nothing.missing, nothing.to_come) == ((), (0, 4, 8, 12))

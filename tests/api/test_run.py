@@ -63,13 +63,13 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) 
 
 
 def test_a_search_reports_what_its_own_evaluation_got(small_run: pfdist.Run) -> None:
-    evaluations, results = small_run.evaluations(), small_run.summary()["results"]
+    evaluations, results = small_run.evaluations(), small_run.summary().results
     last = evaluations[(evaluations["phase"] == "genetic") & (evaluations["generation"] == 3)]
     best = last.loc[last["expected_mse"].idxmin()]
-    assert results["genetic"]["search_cost"] == best["expected_mse"]
-    assert results["genetic"]["measurement_times"] == best["measurement_times"].tolist()
-    assert results["regular"]["measurement_times"] == [0, 4, 8, 12]
-    assert results["regular"]["search_cost"] is None
+    assert results["genetic"].search_cost == best["expected_mse"]
+    assert results["genetic"].measurement_times == best["measurement_times"].tolist()
+    assert results["regular"].measurement_times == [0, 4, 8, 12]
+    assert results["regular"].search_cost is None
 
 
 def test_the_first_trajectories_belong_to_the_comparison(small_run: pfdist.Run) -> None:
@@ -211,7 +211,7 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
     grown = pfdist.run(larger, tmp_path / "grown", figures=False)
     assert sum(counted) == (430 - 250) * (3 + 1 + 3 + 4)  # all sets three times
     assert hashes(grown.path) == hashes(at_once.path)
-    assert grown.summary()["draws_compared"] == 430
+    assert grown.summary().draws_compared == 430
     counted.clear()
     assert pfdist.run(larger, grown.path, figures=False).summary() == grown.summary()
     assert counted == []
@@ -312,9 +312,9 @@ def test_between_search_and_comparison_the_found_times_are_told(
     with pytest.raises(KeyboardInterrupt):
         pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
     summary = pfdist.open_run(tmp_path / "run").summary()
-    assert (summary["state"], summary["draws_compared"]) == ("comparing", 0)
-    assert set(summary["results"]) == {"regular", "genetic", "random"}
-    assert len(summary["results"]["genetic"]["measurement_times"]) == 4
+    assert (summary.state, summary.draws_compared) == ("comparing", 0)
+    assert set(summary.results) == {"regular", "genetic", "random"}
+    assert len(summary.results["genetic"].measurement_times) == 4
     assert main(["status", str(tmp_path / "run")]) == 0
     text = capsys.readouterr().out
     assert "genetic: measure at t = " in text

@@ -44,29 +44,29 @@ def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ru
 def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     raced: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result, rows = raced.summary()["results"]["survivors"], raced.evaluations()
-    times = rows["measurement_times"].map(tuple) == tuple(result["measurement_times"])
+    result, rows = raced.summary().results["survivors"], raced.evaluations()
+    times = rows["measurement_times"].map(tuple) == tuple(result.measurement_times)
     own = rows[times & rows["phase"].isin(["survivors", "survivors.polish"]) & (rows["end"] == 12)]
     race = rows[rows["phase"] == "survivors.shortlist"]
     assert len(race) > 1
     polished = own[own["phase"] == "survivors.polish"]
     chosen = polished if len(polished) else own  # on the most draws that it was tried on
     believed = chosen.loc[chosen["draws"].idxmax()]
-    assert result["search_cost"] == believed["expected_mse"]
-    assert result["search_standard_error"] == believed["standard_error"]
+    assert result.search_cost == believed["expected_mse"]
+    assert result.search_standard_error == believed["standard_error"]
     fresh = raced.comparison()["mse_survivors"].mean()
-    assert result["expected_mse"] == pytest.approx(fresh)
-    assert result["search_excess"] == pytest.approx(result["search_cost"] / fresh - 1)
+    assert result.expected_mse == pytest.approx(fresh)
+    assert result.search_excess == pytest.approx(result.search_cost / fresh - 1)
     differs = {"particles": 20, "resampling": "systematic", "estimator": "filter_variance"}
-    assert result["search_estimation"] == differs
+    assert result.search_estimation == differs
     text = _all_that_is_said(raced)
     (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
-    assert row[3].text == with_error(result["search_cost"], result["search_standard_error"])
-    assert row[4].text == f"{100 * result['search_excess']:.1f} %"
+    assert row[3].text == with_error(result.search_cost, result.search_standard_error)
+    assert row[4].text == f"{100 * result.search_excess:.1f} %"
     how = "particles = 20, resampling = systematic, estimator = filter_variance"
-    assert row[5].text == f"{result['search_cause']}; {how}"
+    assert row[5].text == f"{result.search_cause}; {how}"
     for cost in race["expected_mse"]:
-        assert not np.isclose(cost, [result["expected_mse"], result["search_cost"]]).any()
+        assert not np.isclose(cost, [result.expected_mse, result.search_cost]).any()
         assert f"{cost:.3f}" not in re.findall(r"[\d.]+", text)
 
 
@@ -88,11 +88,11 @@ def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
     a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
     assert (a != b).all()  # other noise,
     assert np.corrcoef(a, b)[0, 1] > 4 / np.sqrt(100)  # the same draws
-    result = run.summary()["results"]["regular"]
-    assert result["gain_over_itself"] == pytest.approx(np.mean(-((a - b) ** 2) / (2 * a * b)))
-    assert result["gain_over_itself_draws"] == 100
-    low, high = result["gain_over_itself_interval"]
-    assert low < result["gain_over_itself"] < high
+    result = run.summary().results["regular"]
+    assert result.gain_over_itself == pytest.approx(np.mean(-((a - b) ** 2) / (2 * a * b)))
+    assert result.gain_over_itself_draws == 100
+    low, high = result.gain_over_itself_interval
+    assert low < result.gain_over_itself < high
 
 
 SKEWED = """
@@ -125,16 +125,16 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     required = ["problem.required=[8, 9, 10, 12]", "comparison.reference=[0, 1, 2, 3]"]
     job = pfdist.load_job(small_job.path, [*small, *changes, *required])
     run = pfdist.run(job, tmp_path / "run", figures=False)
-    genetic = run.summary()["results"]["genetic"]
-    assert genetic["mean_relative_gain"] < 0 < genetic["gain_of_means"]
-    assert genetic["gains_disagree"]
+    genetic = run.summary().results["genetic"]
+    assert genetic.mean_relative_gain < 0 < genetic.gain_of_means
+    assert genetic.gains_disagree
     text = _all_that_is_said(run)
     shown = with_interval(
-        *(100 * part for part in (genetic["gain_of_means"], *genetic["gain_of_means_interval"]))
+        *(100 * part for part in (genetic.gain_of_means, *genetic.gain_of_means_interval))
     )
     headline = "lowers the expected error by {} % (95 %: {} to {} %)".format(*shown)
     assert 0 < text.index(headline) < text.index("mean relative gain")
-    noise = run.summary()["results"]["reference"]["gain_over_itself"]
+    noise = run.summary().results["reference"].gain_over_itself
     assert f"of the filters alone gives it a mean of {100 * noise:.2f} %" in text
     assert "the two gains differ a relative gain weighs a draw with a small error as much" in text
     _, told = text.split(headline)
@@ -164,12 +164,12 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     problem = Problem(model, horizon=3, measurement_budget=2, particles=30, engine="numpy")
     sets = {"early": [0, 1], "late": [2, 3]}
     run = pfdist.compare(problem, times=sets, results=tmp_path / "run", draws=400, figures=False)
-    for name, result in run.summary()["results"].items():
+    for name, result in run.summary().results.items():
         mse = np.sort(run.comparison()[f"mse_{name}"])
-        assert result["top_percent_share"] == pytest.approx(mse[-4:].sum() / mse.sum())
-        assert result["top_percent_share"] > 0.5
+        assert result.top_percent_share == pytest.approx(mse[-4:].sum() / mse.sum())
+        assert result.top_percent_share > 0.5
     told = _all_that_is_said(run)
-    share = run.summary()["results"]["late"]["top_percent_share"]
+    share = run.summary().results["late"].top_percent_share
     assert f"Note: 1 % of the draws carry {100 * share:.0f} % of the error of late: " in told
     page = page_of(run).warnings[-1]
     assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in page
@@ -183,7 +183,7 @@ def test_the_papers_model_has_no_heavy_tail(
 ) -> None:
     run = pfdist.open_run(finished())
     summary = run.summary()
-    assert all(0.01 < each["top_percent_share"] < 0.25 for each in summary["results"].values())
+    assert all(0.01 < each.top_percent_share < 0.25 for each in summary.results.values())
     assert "carry" not in _all_that_is_said(run)
 
 
@@ -214,21 +214,21 @@ def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., P
 
 def check_results(run: Run) -> None:
     """Check that there is a result for each row of the curve."""
-    results, table = run.summary()["results"], run.budget().set_index("name")
+    results, table = run.summary().results, run.budget().set_index("name")
     assert list(results) == run.names == table.index.tolist()
     for name, result in results.items():
-        assert result["expected_mse"] == table.loc[name, "expected_mse"]
-        assert ("search_cause" in result) == (result["kind"] == "found")
+        assert result.expected_mse == table.loc[name, "expected_mse"]
+        assert (result.search_cause is not None) == (result.kind == "found")
 
 
 def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
     check_results(budget)
-    results, gains = budget.summary()["results"], budget.gains()
+    results, gains = budget.summary().results, budget.gains()
     assert len(budget.references) == 3
     assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
     for name, reference in budget.references.items():
-        cost, other = (results[each]["expected_mse"] for each in (name, reference))
-        assert results[name]["measurements"] == results[reference]["measurements"]
-        assert results[name]["gain_of_means"] == pytest.approx(1 - cost / other)
+        cost, other = (results[each].expected_mse for each in (name, reference))
+        assert results[name].measurements == results[reference].measurements
+        assert results[name].gain_of_means == pytest.approx(1 - cost / other)
     with pytest.raises(StoreError, match="times of several numbers of measurements"):
         budget.sets_of_one_number()

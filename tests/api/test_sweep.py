@@ -404,7 +404,7 @@ def test_losses_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
         if len(row.measurement_times) != own.problem.measurement_budget:
             assert math.isnan(row.loss)
             continue
-        exact = own.summary()["results"]["exhaustive"]["exact_mse"]
+        exact = own.summary().results["exhaustive"].exact_mse
         assert row.loss == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
         assert row.loss_low == row.loss == row.loss_high
 

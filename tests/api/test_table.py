@@ -38,19 +38,19 @@ def test_each_row_has_the_numbers_of_the_summary(folder: Path) -> None:
     for row in frame.to_dict("records"):
         run = pfdist.open_run(row["path"])
         summary = run.summary()
-        result, regular = (summary["results"][row[name]] for name in ("set", "reference"))
+        result, regular = (summary.results[row[name]] for name in ("set", "reference"))
         assert row["reference"] == "regular"
         for key in ("expected_mse", "standard_error", *GAINS):
-            assert row[key] == result[key]
+            assert row[key] == getattr(result, key)
         for gain in GAINS:
-            assert [row[f"{gain}_low"], row[f"{gain}_high"]] == result[f"{gain}_interval"]
-        assert row["reference_mse"] == regular["expected_mse"]
-        assert row["reference_standard_error"] == regular["standard_error"]
-        assert row["measurement_times"] == tuple(result["measurement_times"])
-        assert row["measurements"] == len(result["measurement_times"])
+            assert [row[f"{gain}_low"], row[f"{gain}_high"]] == getattr(result, f"{gain}_interval")
+        assert row["reference_mse"] == regular.expected_mse
+        assert row["reference_standard_error"] == regular.standard_error
+        assert row["measurement_times"] == tuple(result.measurement_times)
+        assert row["measurements"] == len(result.measurement_times)
         for key in ("state", "evaluations"):
-            assert row[key] == summary[key]
-        assert row["draws"] == summary["draws_compared"] == 60
+            assert row[key] == getattr(summary, key)
+        assert row["draws"] == summary.draws_compared == 60
         assert row["worker_seconds"] == run.timings()["seconds"].sum()
         assert np.isnan([row["bound"], row["bound_gap"], row["bound_gap_at_most"]]).all()
 
@@ -78,15 +78,15 @@ def test_an_exact_engine_has_exact_errors_and_a_proof_has_its_gap(
 ) -> None:
     job = small_job.with_changes([*SHORT, *KALMAN])
     run = pfdist.run(job, tmp_path / "proved", bound_draws=480, figures=False)
-    summary = run.summary()["results"]
+    summary = run.summary().results
     for row in pfdist.table(run).to_dict("records"):
         result = summary[row["set"]]
-        assert (row["expected_mse"], row["standard_error"]) == (result["exact_mse"], 0.0)
-        assert row["gain_of_means"] == result["exact_gain"]
-        assert row["gain_of_means_low"] == row["gain_of_means_high"] == result["exact_gain"]
-        assert row["reference_mse"] == summary["regular"]["exact_mse"]
-        assert row["bound"] == result["lower_bound"]["bound"] <= row["expected_mse"] * (1 + 1e-9)
-        assert row["bound_gap"] == result["lower_bound"]["gap"]
+        assert (row["expected_mse"], row["standard_error"]) == (result.exact_mse, 0.0)
+        assert row["gain_of_means"] == result.exact_gain
+        assert row["gain_of_means_low"] == row["gain_of_means_high"] == result.exact_gain
+        assert row["reference_mse"] == summary["regular"].exact_mse
+        assert row["bound"] == result.lower_bound["bound"] <= row["expected_mse"] * (1 + 1e-9)
+        assert row["bound_gap"] == result.lower_bound["gap"]
 
 
 def test_runs_lists_and_folders_are_the_same_and_count_once(folder: Path) -> None:

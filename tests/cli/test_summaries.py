@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,6 +12,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from pfdist.analysis.summary import SetResult
 from pfdist.answers.budget import budget
 from pfdist.answers.runs import list_page, table_page
 from pfdist.common.rounding import with_error
@@ -47,9 +49,9 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
     assert max(map(len, lines)) <= COLUMNS
     words = lines[0].split() + lines[1].split()
     assert {"run", "seed", "measurement_", "budget", "set", "gain", "seconds"} <= set(words)
-    summary = pfdist.open_run(runs / "b").summary()["results"]["random"]
+    summary = pfdist.open_run(runs / "b").summary().results["random"]
     row = next(line for line in lines if line.startswith("b ") and "random" in line)
-    assert with_error(summary["expected_mse"], summary["standard_error"]) in row
+    assert with_error(summary.expected_mse, summary.standard_error) in row
     assert row.split()[:3] == ["b", "2", "5"]
     assert lines[-1] == "gain %: how far the expected MSE is below that of regular (95 %)"
 
@@ -124,14 +126,20 @@ class Budget:
     is_compared = True
 
     def __init__(self, scale: float = 1.0, reached: Any = None, **changes: Any) -> None:
-        unknown = ("worse_than", "search_excess", "top_percent_share", "bound", "bound_error")
-        self.results = {}
-        for kind, mse, error in (("regular", 34.207, 0.195), ("found", 25.846, 0.187)):
-            limits = {"low": scale * (mse - 2 * error), "high": scale * (mse + 2 * error)}
-            costs = {"expected_mse": scale * mse, "measurements": 16, "kind": kind}
-            times = {"measurement_times": [*range(16)], "bound_low": None}
-            self.results[f"{kind}_16"] = dict.fromkeys(unknown) | costs | limits | times
-        self.results["found_16"] |= changes
+        self.results = {
+            f"{kind}_16": SetResult(
+                kind=kind,
+                measurement_times=[*range(16)],
+                measurements=16,
+                expected_mse=scale * mse,
+                low=scale * (mse - 2 * error),
+                high=scale * (mse + 2 * error),
+                search_cost=None,
+                search_standard_error=None,
+            )
+            for kind, mse, error in (("regular", 34.207, 0.195), ("found", 25.846, 0.187))
+        }
+        self.results["found_16"] = replace(self.results["found_16"], **changes)
         self.target = None if reached is None else 25.0
         nobody = {"measurements": None, "impossible": None}
         answers = {"found": nobody if reached is None else reached}

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -66,16 +67,15 @@ def test_an_exact_gain_is_that_of_evaluate_where_the_tables_hold_it(
     ask: Callable[..., object], run: pfdist.Run, exact: Job, see: See
 ) -> None:
     """The expected MSEs are no means of draws."""
-    assert "exact_gain" not in run.summary()["results"]["genetic"]
+    assert run.summary().results["genetic"].exact_gain is None
     assert "This gain is an average over simulated draws" in _text(run)
     ask(run.path / "job.toml", figures=False)
-    results = run.summary()["results"]
+    results = run.summary().results
     costs = [
-        pfdist.evaluate(exact, result["measurement_times"]).expected_mse
-        for result in results.values()
+        pfdist.evaluate(exact, result.measurement_times).expected_mse for result in results.values()
     ]
-    assert [result["exact_mse"] for result in results.values()] == pytest.approx(costs)
-    gain = results["genetic"]["exact_gain"]
+    assert [result.exact_mse for result in results.values()] == pytest.approx(costs)
+    gain = results["genetic"].exact_gain
     assert gain == pytest.approx(1 - costs[1] / costs[0])
     page = see(run)
     assert f"from {rounded(costs[0])} to {rounded(costs[1])}: the filter knows" in page.text
@@ -86,7 +86,7 @@ def test_an_exact_gain_is_that_of_evaluate_where_the_tables_hold_it(
     )
     assert told is not None
     assert float(told[1]) == pytest.approx(100 * gain, abs=0.006)  # rounded
-    times = ", ".join(map(str, results["genetic"]["measurement_times"]))
+    times = ", ".join(map(str, results["genetic"].measurement_times))
     for words in (
         f"Measure at t = {times}.",
         "What was asked",
@@ -174,7 +174,7 @@ def test_of_many_searches_the_best_sets_have_figures(make: Make, see: See) -> No
     many = ", ".join(f"{{method='random', name='s{k}', evaluations=2}}" for k in range(20))
     run = make(f"search=[{many}]")
     page = see(run)
-    best = sorted(run.summary()["results"].items(), key=lambda each: each[1]["expected_mse"])
+    best = sorted(run.summary().results.items(), key=lambda each: each[1].expected_mse)
     best_sets = [name for name, _ in best if name != "regular"][:4]
     shown = [name for name in run.names if f"the times of {name} err" in page.text]
     assert sorted(shown) == sorted(best_sets)
@@ -310,7 +310,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     random = ", ".join(f"{{method='random', name='s{k}', evaluations=1}}" for k in range(4))
     run = make(f"search=[{random}]", "comparison.draws=2")
     subject = Subject(run)
-    costs = {name: found["search_cost"] for name, found in subject.found.items()}
+    costs = {name: found.search_cost for name, found in subject.found.items()}
     assert subject.by_error == sorted(costs, key=lambda name: costs[name])
     assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
 
@@ -318,8 +318,8 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
 def test_an_estimate_without_standard_error_is_not_called_exact(make: Make) -> None:
     """A search by particles may see the same error in all of its draws."""
     subject = Subject(make("filter.engine=compiled"))
-    for result in subject.found.values():
-        result["search_standard_error"] = 0.0
+    for name, result in subject.found.items():
+        subject.results[name] = replace(result, search_standard_error=0.0)
     assert "exact" not in str(searches(subject))
 
 

@@ -113,9 +113,9 @@ def test_a_sweep_of_one_point_without_keys_has_a_report(
 ) -> None:
     run = pfdist.run(exact, tmp_path / "sweep" / "alone", figures=False)
     page = see(tmp_path / "sweep")
-    result = run.summary()["results"]["random"]
+    result = run.summary().results["random"]
     assert page.rows[1][0] == "alone"
-    assert f"lowest expected MSE is that of alone: {rounded(result['exact_mse'])}" in page.text
+    assert f"lowest expected MSE is that of alone: {rounded(result.exact_mse)}" in page.text
     assert "known exactly" in page.text
 
 

@@ -145,13 +145,13 @@ def test_what_is_shown_at_the_end_is_what_the_summary_says(
     seen: list[Progress] = []
     job = _until(small_job, half_width)
     run = pfdist.run(job, tmp_path / "run", progress=seen.append, figures=False)
-    results = run.summary()["results"]
+    results = run.summary().results
     assert [found.name for found in seen[-1].found] == ["genetic", "random"]
     for found in seen[-1].found:
         result = results[found.name]
-        assert found.mean_relative_gain == result["mean_relative_gain"]
-        assert list(found.interval) == result["mean_relative_gain_interval"]
-        assert found.positive_fraction == result["positive_fraction"]
+        assert found.mean_relative_gain == result.mean_relative_gain
+        assert list(found.interval) == result.mean_relative_gain_interval
+        assert found.positive_fraction == result.positive_fraction
     assert seen[-1].done == seen[-1].total
     assert len({state.found for state in seen}) > 2  # it is shown as it comes
 
@@ -162,11 +162,11 @@ def test_a_kill_in_the_midst_shows_what_was_found_before(
     stopped(small_job, tmp_path / "run", "comparison", 200)
     seen: list[Progress] = []
     known = pfdist.open_run(tmp_path / "run").summary()
-    assert (known["state"], known["draws_compared"]) == ("comparing", 200)
+    assert (known.state, known.draws_compared) == ("comparing", 200)
     pfdist.run(small_job, tmp_path / "run", progress=seen.append, figures=False)
     first = next(state for state in seen if state.found)
     assert first.evaluations == 200
-    assert first.found[0].mean_relative_gain == known["results"]["genetic"]["mean_relative_gain"]
+    assert first.found[0].mean_relative_gain == known.results["genetic"].mean_relative_gain
 
 
 def _tree(run: Path) -> dict[Path, bytes]:

@@ -126,7 +126,7 @@ def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
     named = job.with_changes(["comparison.sets.mine=[0, 1, 2, 3]"])
     run = pfdist.run(named, tmp_path / "run", figures=False)
     assert run.names == ["regular", "mine", "survivors"]
-    summary, draws = run.summary()["online"], online_draws(run)
+    summary, draws = run.summary().online, online_draws(run)
     assert (summary["reference"]["name"], summary["plan"]["name"]) == ("regular", "survivors")
     assert draws.planned_times == run.sets()["survivors"] != run.sets()["mine"]
     kept = draws.rows[~draws.differ]
@@ -169,7 +169,7 @@ def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
     stopped(job, tmp_path / "run", "online", 2)
     part = pfdist.open_run(tmp_path / "run")
     assert (part.state, len(part.online())) == ("comparing", 2)
-    assert part.summary()["online"]["draws"] == 2
+    assert part.summary().online["draws"] == 2
     handed.clear()
     assert pfdist.run(job, tmp_path / "run", figures=False).state == "finished"
     computed = [work.draws for work in handed if work.ids == ("online",)]
@@ -198,7 +198,7 @@ def test_a_table_that_is_lost_is_made_again(job: Job, run: Run, tmp_path: Path) 
     (file,) = folder.glob("tables/online/*.parquet")
     file.unlink()
     assert pfdist.open_run(folder).state == "comparing"
-    assert "online" not in pfdist.open_run(folder).summary()
+    assert pfdist.open_run(folder).summary().online is None
     pfdist.run(job, folder, figures=False)
     assert hashes(folder) == hashes(run.path)
 
@@ -226,14 +226,14 @@ def test_degenerate_draws_are_left_out_and_counted(job: Job, tmp_path: Path) -> 
     assert all(len(times) == 4 for times in rows["measurement_times"])
     sets = [compared["mse_regular"], compared["mse_survivors"], rows["mse"]]
     usable = np.all([column.notna() for column in sets], axis=0)
-    online = run.summary()["online"]
+    online = run.summary().online
     assert (online["draws"], online["degenerate_draws"]) == (usable.sum(), 30 - usable.sum())
     assert online["expected_mse"] == pytest.approx(rows["mse"][usable].mean())
     assert online["plan"]["expected_mse"] == pytest.approx(sets[1][usable].mean())
 
 
 def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Run) -> None:
-    online = run.summary()["online"]
+    online = run.summary().online
     mse = run.online()["mse"].to_numpy()
     for key, name in (("plan", "survivors"), ("reference", "regular")):
         told, other = online[key], run.comparison()[f"mse_{name}"][:6].to_numpy()
@@ -255,7 +255,7 @@ def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Ru
 def test_a_run_without_the_section_has_none() -> None:
     run = pfdist.open_run(ASSETS / "schema-3")
     assert run.online().empty
-    assert "online" not in run.summary()
+    assert run.summary().online is None
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -266,7 +266,7 @@ def test_the_command_prints_a_block_and_takes_draws(
     assert main(command) == 0
     printed = capsys.readouterr().out
     assert main([*command, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["online"] == run.summary()["online"]
+    assert json.loads(capsys.readouterr().out)["online"] == run.summary().online
     assert hashes(tmp_path / "run") == hashes(run.path)
     block = printed[printed.index("Expected error on 6 draws") :].splitlines()
     rows = [line.split()[0] for line in block if "±" in line]
@@ -345,4 +345,4 @@ def test_where_measurements_say_nothing_about_times_the_plan_is_kept(
     run = pfdist.run(path, tmp_path / "run", figures=False)
     plan = run.sets()["exhaustive"]
     assert [tuple(times) for times in run.online()["measurement_times"]] == [plan] * 4
-    assert run.summary()["online"]["differs_from_plan"] == 0.0
+    assert run.summary().online["differs_from_plan"] == 0.0

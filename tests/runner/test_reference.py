@@ -59,13 +59,13 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     assert list(rows) == ["draw", "mse_reference", "mse_genetic", "mse_random"]
     expected = 1 - rows["mse_random"] / rows["mse_reference"]
     np.testing.assert_allclose(run.gains()["gain_random"], expected)
-    reference = run.summary()["results"]["reference"]
-    assert tuple(reference["measurement_times"]) == times
+    reference = run.summary().results["reference"]
+    assert tuple(reference.measurement_times) == times
     broken = [f"problem.measurement_budget is 4, got {len(times)} times"]
-    assert reference["broken_constraints"] == broken
+    assert reference.broken_constraints == broken
     alone = evaluate(job, times, draws=500)
-    error = np.hypot(alone.standard_error, reference["standard_error"])
-    assert abs(alone.expected_mse - reference["expected_mse"]) < 4 * error
+    error = np.hypot(alone.standard_error, reference.standard_error)
+    assert abs(alone.expected_mse - reference.expected_mse) < 4 * error
     assert main(["status", str(run.path)]) == 0
     text = capsys.readouterr().out
     assert f"  breaks                {broken[0]}\n" in text

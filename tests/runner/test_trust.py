@@ -100,11 +100,11 @@ def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
     (line,) = [line for line in said if "cannot be believed" in line]
     assert line.startswith("search survivors: filter_variance of 100 particles cannot be believed")
     assert line.endswith("; searching again by the squared error")
-    result = run.summary()["results"]["survivors"]
-    assert result["search_distrust"] in line
-    assert result["search_estimation"] == {"resampling": "systematic"}  # that it ended with
+    result = run.summary().results["survivors"]
+    assert result.search_distrust in line
+    assert result.search_estimation == {"resampling": "systematic"}  # that it ended with
     (row,) = [row for row in searches(Subject(run)).blocks[0].rows if row[0].text == "survivors"]
-    assert result["search_distrust"] in row[-1].text
+    assert result.search_distrust in row[-1].text
     assert row[-1].text.endswith("its draws chose the set; resampling = systematic")
 
 
@@ -152,7 +152,7 @@ def test_a_search_by_the_squared_error_needs_no_probe(job: Job, tmp_path: Path) 
     run = pfdist.plan(job, tmp_path / "run", "survivors", changes, figures=False)
     phases = {"survivors", "survivors.polish", "survivors.shortlist"}
     assert set(run.evaluations()["phase"]) == phases
-    assert run.summary()["results"]["survivors"]["search_distrust"] is None
+    assert run.summary().results["survivors"].search_distrust is None
 
 
 def test_an_estimator_that_the_user_chose_is_probed_as_well(job: Job, tmp_path: Path) -> None:
@@ -185,9 +185,9 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
     assert set(race["estimator"]) == {"squared_error"}
     (line,) = [line for line in said if "cannot be believed" in line]
     assert "it prefers {" in line
-    found = run.summary()["results"]["survivors"]
+    found = run.summary().results["survivors"]
     again = _rows(run, "survivors.again.shortlist")
-    assert tuple(found["measurement_times"]) in set(map(tuple, again["measurement_times"]))
+    assert tuple(found.measurement_times) in set(map(tuple, again["measurement_times"]))
 
 
 @pytest.mark.slow
