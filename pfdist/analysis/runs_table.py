@@ -1,16 +1,59 @@
 """Many runs as one table: the keys in which they differ, and a row for each set."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from pfdist.analysis.differing_keys import differing_keys
 from pfdist.analysis.stored_run import Run
 from pfdist.analysis.summary import SetResult, Summary
+from pfdist.common.leaves import leaves
 from pfdist.common.percent import cost
+
+_NO_SEARCH = "search"  # the leaf of an empty list; the key search.order says the same
+
+
+def differing_keys(jobs: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """The keys in which jobs differ, each with the value of every job.
+
+    Parameters
+    ----------
+    jobs : iterable of mapping
+        Resolved jobs, as `pfdist.analysis.Run.job`.
+
+    Returns
+    -------
+    dict of str to list
+        The keys are dotted, in the order of the jobs' sections. The names of searches are in
+        ``search.order`` alone. None stands for a key that a job lacks. Lists are tuples.
+
+    Examples
+    --------
+    >>> differing_keys([{"seed": 1, "filter": {"particles": 9}}, {"seed": 2, "filter": {}}])
+    {'seed': [1, 2], 'filter.particles': [9, None]}
+    """
+    flat = [{key: _frozen(value) for key, value in leaves(job)} for job in jobs]
+    keys = dict.fromkeys(key for each in flat for key in each if not _is_repeated(key))
+    columns = {key: [each.get(key) for each in flat] for key in keys}
+    return {key: values for key, values in columns.items() if _are_different(values)}
+
+
+def _is_repeated(key: str) -> bool:
+    """Whether another key says the same."""
+    return key == _NO_SEARCH or (key.startswith("search.") and key.endswith(".name"))
+
+
+def _are_different(values: list[Any]) -> bool:
+    return any(value != values[0] for value in values[1:])
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+# --- the table ------------------------------------------------------------------------------------
 
 _GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction")
 _PROOF = {"bound": "bound", "bound_gap": "gap", "bound_gap_at_most": "gap_at_most"}

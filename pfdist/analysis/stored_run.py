@@ -19,18 +19,19 @@ from pfdist.analysis.pairs import pairs_table, ranks_table
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.reference import references_of, without_number
-from pfdist.analysis.run_card import run_card, title_of
-from pfdist.analysis.run_tables import RunTables
-from pfdist.analysis.summary import Summary, summary_of
-from pfdist.documents.parts import Page
+from pfdist.analysis.summary import SetResult, Summary, summary_of
+from pfdist.common.percent import cost, percent_with_interval
+from pfdist.common.rounding import with_error
+from pfdist.documents.notebook import Shown
+from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.errors import StoreError, shown
 from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
-from pfdist.store import QUESTIONS, check_entries
+from pfdist.store import QUESTIONS, Store, check_entries, schema
 from pfdist.times.measurement_times import Times
 
 
-class Run(RunTables):
+class Run(Shown):
     """A run on disk, finished or not; made by `open_run`.
 
     Attributes
@@ -48,7 +49,93 @@ class Run(RunTables):
 
     def __init__(self, path: Path) -> None:
         self._about, self.job = read_recorded(path)
-        super().__init__(path)
+        self.path = path
+        self._store = Store(path)
+
+    # --- the tables -------------------------------------------------------------------------------
+
+    def evaluations(self) -> pd.DataFrame:
+        """A row for each evaluation: phase, generation, individual, copies, times, expected MSE."""
+        return self._store.read("evaluations")
+
+    def draws(self) -> pd.DataFrame:
+        """Per-draw MSE of every evaluation: evaluation, draw, mse."""
+        return self._store.read("draws")
+
+    def compared(self) -> pd.DataFrame:
+        """A row for each compared set: name, measurement times, cost that its search believed."""
+        return self._store.compared()
+
+    def comparison(self, draws: int | None = None) -> pd.DataFrame:
+        """A row for each draw: draw, and mse_<name> for every compared set.
+
+        Parameters
+        ----------
+        draws : int, optional
+            Read only so many first draws.
+        """
+        return self._store.read("comparison", draws)
+
+    def repeated(self) -> pd.DataFrame:
+        """A row for each of the first draws: the reference's MSE under other filter noise."""
+        return self._store.read("repeated")
+
+    def filter_distance(self) -> pd.DataFrame:
+        """For each of the first draws: half the squared distance of two filters with each set."""
+        return self._store.read("filter_distance")
+
+    def filter_variance(self) -> pd.DataFrame:
+        """For each of the first draws: the variance of particles beside the truth with each set."""
+        return self._store.read("filter_variance")
+
+    def online(self) -> pd.DataFrame:
+        """A row for each of the first draws: times chosen one after another, and their MSE.
+
+        Without such times the table is empty.
+        """
+        if not self.has("online"):
+            return pd.DataFrame(columns=schema("online").names)
+        return self._store.read("online")
+
+    def trajectories(self) -> pd.DataFrame:
+        """z, y and the estimate of every filter over time, for the comparison's first draws."""
+        return self._store.read("trajectories")
+
+    def timings(self) -> pd.DataFrame:
+        """A row for each task: seconds, worker, node, failures."""
+        return self._store.read("timings")
+
+    def bounds(self) -> pd.DataFrame:
+        """A row for each set and each proof of a lower bound: see the columns' descriptions."""
+        return self._store.read("bound")
+
+    def profile(self) -> pd.DataFrame:
+        """A row for each set and instant: expected error, standard error, effective sample size.
+
+        The table is of the last call of ``pfdist why``.
+        """
+        return self._store.read("profile")
+
+    def worth(self) -> pd.DataFrame:
+        """A row for each measurement of each set: the rise of the expected MSE without it.
+
+        The table is of the last call of ``pfdist why``, as is that of `profile`.
+        """
+        return self._store.read("worth")
+
+    def sampling_windows(self) -> pd.DataFrame:
+        """A row for each measurement and instant to which it alone is moved, by ``pfdist why``."""
+        return self._store.read("sampling_windows")
+
+    def jitter(self) -> pd.DataFrame:
+        """A row for each set and level: the loss of random times within the sampling windows."""
+        return self._store.read("jitter")
+
+    def has(self, table: str) -> bool:
+        """Whether the run has rows of a table."""
+        return self._store.has(table)
+
+    # --- what follows from them -------------------------------------------------------------------
 
     def gains(self, draws: int | None = None) -> pd.DataFrame:
         """A row for each draw: draw, and gain_<name> for every set over its reference.
@@ -327,3 +414,36 @@ def open_run(path: str | Path) -> Run:
         raise StoreError(f"a run must be the path of its folder, got {shown(path)}", argument="run")
     check_entries(Path(path))
     return Run(Path(path))
+
+
+def title_of(run: Run) -> str:
+    """A run in a line: its folder, its state and how many draws are compared.
+
+    Parameters
+    ----------
+    run : Run
+    """
+    try:
+        return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
+    except StoreError:
+        return f"run {run.path}: cannot be read"
+
+
+def run_card(run: Run) -> Page:
+    """The sets of a run with their expected MSE and gain."""
+    try:
+        results = run.summary().results
+    except StoreError:
+        return Page("", title_of(run), [])
+    head = ("times", "measurements", "expected MSE", "below the reference")
+    rows = [[Cell(text) for text in _row(name, each)] for name, each in results.items()]
+    return Page("", title_of(run), [Section("", [Table("", head, rows)])])
+
+
+def _row(name: str, result: SetResult) -> tuple[str, ...]:
+    mse = gain = ""
+    if result.is_compared:
+        mse = with_error(cost(result.expected_mse), result.standard_error)
+    if result.gain_draws is not None:
+        gain = percent_with_interval(result.gain_of_means, result.gain_of_means_interval)
+    return name, str(result.measurements), mse, gain

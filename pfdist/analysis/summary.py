@@ -1,4 +1,4 @@
-"""What a run has found, as one record; `pfdist status --json` prints it."""
+"""The results of a run as one record, which `pfdist status --json` prints."""
 
 import math
 from dataclasses import asdict, dataclass, field
@@ -31,7 +31,7 @@ def _unknown() -> Ends:
 
 @dataclass(frozen=True, kw_only=True)
 class SetResult:
-    """What a run knows of one set of times.
+    """The results of one set of times.
 
     None stands for a value that is infinite or unknown, or that such a set does not have. Fractions
     are not in per cent, and intervals hold with 95 %.
@@ -42,7 +42,7 @@ class SetResult:
         As of `pfdist.analysis.Run.budget`, like worse_than, bound, bound_error and bound_low. Only
         the times are known before the comparison has begun, and the next two fields.
     search_cost, search_standard_error : float or None
-        What the search believed of the set that it found.
+        The search that found the set believed this cost of it.
     search_excess, search_estimation, search_cause, search_distrust
         search_cost over expected_mse, less 1; how the search estimated otherwise than the
         comparison; why search_cost is not expected_mse; and why the search was run again by the
@@ -55,7 +55,7 @@ class SetResult:
     gains_disagree : bool
         `GainSummary.disagree`.
     gain_over_itself, gain_over_itself_interval, gain_over_itself_draws
-        Of a reference; see `pfdist.analysis.gains.gain_over_itself`.
+        Known of a reference alone; see `pfdist.analysis.gains.gain_over_itself`.
     particle_loss, particle_loss_error : float or None
         The loss by a finite number of particles, by two filters, as a fraction of expected_mse. It
         is known where the engine has particles and the error is the squared norm.
@@ -67,12 +67,12 @@ class SetResult:
         Columns of `pfdist.analysis.Run.bounds`, of the proof of most compared draws, then of most
         particle-steps.
     exact_mse, exact_gain : float or None
-        What an exact engine knows: the expected MSE, and 1 less its ratio to that of the reference.
-        Those of the reference are known if the job names sets, if a lower bound was proved, or if
+        An exact engine knows the expected MSE, and 1 less its ratio to that of the reference. Those
+        of the reference are known if the job names sets, if a lower bound was proved, or if
         ``pfdist why`` has computed them.
     description, broken_constraints : str and list of str
-        What the reference, or a set that the job names, is; and the constraints of the job that it
-        breaks (see `pfdist.job.problem_section.ProblemSection.broken`).
+        A phrase about the reference, or a set that the job names, and the constraints of the job
+        that it breaks (see `pfdist.job.problem_section.ProblemSection.broken`).
     warnings : list of str
         Sentences.
     """
@@ -157,9 +157,9 @@ class Summary:
     instant_weights : list of float or None
         The weight of each instant's error in the MSE, with mean 1, if there are weights.
     results : dict of str to SetResult
-        By name, the reference first.
+        The results of each set by name, the reference first.
     online : dict or None
-        Of times that were chosen one after another: draws (without the degenerate_draws, which are
+        Results of times that were chosen one after another: draws (without the degenerate_draws, which are
         degenerate with the online times, the plan or the reference), expected_mse and
         standard_error of the online times, and differs_from_plan (share of draws whose times are
         not those of the plan). The plan is the set of the first search. Under ``plan`` and

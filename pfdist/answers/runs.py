@@ -106,7 +106,7 @@ def _result(row: Mapping[Any, Any]) -> str:
 
 
 def foreseen_page(points: pd.DataFrame) -> Page:
-    """The points of a sweep and their work, as `pfdist.api.foreseen.foreseen` gives them."""
+    """The points of a sweep and their work, as `pfdist.api.sweep.foreseen` gives them."""
     billion = 1e9
     rows = [
         [

@@ -1,19 +1,227 @@
 """Compare named sets of times on common draws: hand-made schedules, and the sets of runs."""
 
+import math
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 from pfdist.analysis import Run, read_recorded
 from pfdist.api.following import following
 from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.run import Ending, run_built
 from pfdist.api.run_of_job import finished_run, folder_of
-from pfdist.api.sets_to_compare import SetsToCompare
+from pfdist.errors import JobError, MeasurementTimesError, shown
 from pfdist.job.asked import Asked, as_job
+from pfdist.job.job import Job
+from pfdist.job.problem_section import ProblemSection
+from pfdist.job.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.identity import changed_fingerprints
-from pfdist.times.clock import Time
+from pfdist.times.clock import Clock, Time
+from pfdist.times.measurement_times import REGULAR, Times
+from pfdist.times.written import validated_instants
+
+_STRANGE = re.compile(r"[^a-z0-9]+")
+_SAME = 1e-9  # times that differ by so little are the same
+_LONGEST_PREFIX = 20  # characters of a run's folder in the name of a set
+
+
+class SetsToCompare:
+    """Collects named sets for a job that compares them; the first set is the reference.
+
+    Parameters
+    ----------
+    job : Job
+        Gives the problem.
+
+    Attributes
+    ----------
+    differences : list of str
+        Sentences that say how the problems of other runs differ from that of the job.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self.differences: list[str] = []
+        self._clock = job.problem.clock
+        self._regular: Times = job.problem.feasible.regular()
+        self._written: dict[str, Any] = {}
+        self._instants: dict[str, Times] = {}
+
+    def add_named(self) -> None:
+        """Add the sets that the job gives: a list as comparison.reference, and comparison.sets."""
+        for name, instants in self._job.given_sets.items():
+            if name == REFERENCE or name in self._job.comparison.named:
+                chosen = self._regular if instants is None else instants
+                self._add(name, chosen)
+
+    def add_run(self, run: Run) -> None:
+        """Add the sets of a run, but no set twice.
+
+        A set of the same name and times is the same set. The reference is left out if any set has
+        the same times.
+
+        Parameters
+        ----------
+        run : Run
+
+        Raises
+        ------
+        StoreError
+            The run has times of several numbers of measurements.
+        JobError
+            The run has another clock or a longer horizon than the problem.
+        """
+        sets = run.sets_of_one_number()
+        self._check_clock(run)
+        self.differences += _differences(run, self._job.problem)
+        for position, (name, times) in enumerate(sets.items()):
+            instants = self._clock.instants(times)
+            is_known = self._instants.get(name) == instants
+            if is_known or (position == 0 and instants in self._instants.values()):
+                continue
+            self._add(self._free_name(name, instants, run), instants)
+
+    def add_times(self, times: Mapping[str, Iterable[Time | str] | str]) -> None:
+        """Add sets that a user names.
+
+        Raises
+        ------
+        MeasurementTimesError
+            Times are not those of the clock.
+        JobError
+            A name is used twice.
+        """
+        if not isinstance(times, Mapping):
+            raise JobError(
+                'times must name sets, as {"mine": [0, 6, 12], "paper": "0:60:3"}, got '
+                f"{shown(times)}",
+                argument="times",
+            )
+        for name, written in times.items():
+            if name in self._written:
+                raise JobError(
+                    f"names of times must differ from each other and from the sets of the runs, "
+                    f"{', '.join(self._written)}, got {name!r}",
+                    argument="times",
+                )
+            instants = self._regular
+            if not (isinstance(written, str) and written == REGULAR):
+                instants = self._read(name, written)
+            if name in RESERVED and not (name == REGULAR and instants == self._regular):
+                raise JobError(
+                    f"names of times must not be {', '.join(map(repr, RESERVED))}, got {name!r}; "
+                    f"only the regular times of the problem are called {REGULAR!r}",
+                    argument="times",
+                )
+            self._add(name, instants)
+
+    def _read(self, name: str, written: Iterable[Time | str] | str) -> Times:
+        if not isinstance(written, Iterable):
+            raise JobError(
+                f"times of {name} must be a list of times, or a text as '0:60:3', got "
+                f"{shown(written)}",
+                argument="times",
+            )
+        place = f"times of {name}"
+        try:
+            return validated_instants(written, self._clock, place, place)
+        except MeasurementTimesError as error:
+            error.argument = "times"
+            raise
+
+    def job(self) -> Job:
+        """The job that compares the sets, without a search.
+
+        Raises
+        ------
+        JobError
+            There are fewer than two sets, or a name is not allowed.
+        """
+        if len(self._written) < 2:
+            got = ", ".join(self._written) or "none"
+            raise JobError(
+                f"compare needs at least two sets of times, got {got}: name sets, or give runs",
+                argument="times",
+            )
+        named, (reference, times) = dict(self._written), next(iter(self._written.items()))
+        if reference in (REGULAR, REFERENCE):
+            del named[reference]
+            reference = times
+        comparison = self._job.comparison.model_dump(mode="json")
+        return self._job.with_changes(
+            sections={
+                "search": [],
+                "budget": None,
+                "online": None,
+                "comparison": comparison | {"reference": reference, "sets": named},
+            }
+        )
+
+    def _add(self, name: str, instants: Times) -> None:
+        is_regular = name == REGULAR and instants == self._regular
+        times = [self._clock.time(t) for t in instants]
+        self._written[name] = REGULAR if is_regular else times
+        self._instants[name] = instants
+
+    def _free_name(self, name: str, instants: Times, run: Run) -> str:
+        """A set's name, with that of the run's folder before it if the name is in use."""
+        is_reserved = name == REGULAR and instants != self._regular
+        is_reserved |= name == REFERENCE and bool(self._written)
+        if name not in self._written and not is_reserved:
+            return name
+        folder = _STRANGE.sub("_", run.path.absolute().name.lower()).strip("_")
+        prefix = folder if folder[:1].isalpha() else f"run_{folder}"
+        longer, ending, number = f"{prefix[:_LONGEST_PREFIX]}_{name}", "", 2
+        while (found := longer[: LONGEST_SET_NAME - len(ending)] + ending) in self._written:
+            ending, number = f"_{number}", number + 1
+        return found
+
+    def _check_clock(self, run: Run) -> None:
+        own, first = run.problem.clock, self._clock
+        must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
+        if (own.counts, own.unit) != (first.counts, first.unit):
+            raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
+        for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
+            if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
+                raise JobError(
+                    f"{must} whose instant {t} is {first.formatted(t)}, got a run whose instant "
+                    f"{t} is {own.formatted(t)} ({run.path})"
+                )
+        if own.horizon > first.horizon:
+            raise JobError(
+                f"{must} and ends at {first.formatted(first.horizon)}, got a run that ends at "
+                f"{own.formatted(own.horizon)} ({run.path})"
+            )
+
+
+def _differences(run: Run, first: ProblemSection) -> list[str]:
+    """Say how the problem of a run differs from the first, of the same clock."""
+    own, found = run.problem, []
+    if own.clock.horizon != first.clock.horizon:
+        ends = [each.clock.formatted(each.clock.horizon) for each in (own, first)]
+        found.append(f"its horizon is {ends[0]}, not {ends[1]}")
+    if _weights(own) != _weights(first):
+        found.append("its errors have other weights of instants")
+    if any(getattr(own, key) != getattr(first, key) for key in ("cost", "total_cost")):
+        found.append("its measurements have other costs")
+    return [f"{run.path} has another problem than the first: {each}" for each in found]
+
+
+def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
+    """The weights of instants; None if all are equal."""
+    weights = problem.weights
+    return None if weights is None or len({*weights}) == 1 else weights
+
+
+def _counted(clock: Clock) -> str:
+    if clock.counts:
+        return "counts instants"
+    return f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
+
+
+# --- the comparison -------------------------------------------------------------------------------
 
 Written = Iterable[Time | str] | str
 """Times as a user writes them, for instance [0, 3, 6] or "0:60:3"; "regular": regular times."""

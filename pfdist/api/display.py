@@ -1,6 +1,8 @@
 """The progress of a run: a bar in a terminal, a line in a notebook, else plain lines."""
 
+import sys
 import time
+from html import escape
 from types import TracebackType
 from typing import Any, Self
 
@@ -15,11 +17,56 @@ from rich.progress import (
 )
 from rich.table import Column
 
-from pfdist.api.notebook_cell import notebook_cell
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import one_line
 from pfdist.runner.progress import Found
 from pfdist.runner.progress import Progress as State
+
+
+class NotebookCell:
+    """A line below the cell that runs now.
+
+    Parameters
+    ----------
+    display : callable
+        As of `IPython.display.display`.
+    """
+
+    def __init__(self, display: Any) -> None:
+        self._handle = display(_Line(""), display_id=True)
+
+    def show(self, line: str) -> None:
+        """Write the line anew."""
+        self._handle.update(_Line(line))
+
+    def close(self) -> None:
+        """Remove the line."""
+        self._handle.update(_Line(""))
+
+
+class _Line:
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __repr__(self) -> str:
+        return self._text
+
+    def _repr_html_(self) -> str:
+        return f"<code>{escape(self._text)}</code>" if self._text else ""
+
+
+def notebook_cell() -> NotebookCell | None:
+    """The cell that runs now; None outside a notebook."""
+    ipython = sys.modules.get("IPython")  # a notebook has loaded it
+    shell = None if ipython is None else ipython.get_ipython()
+    if shell is None or not hasattr(shell, "kernel"):
+        return None
+    from IPython.display import display  # noqa: PLC0415
+
+    return NotebookCell(display)
+
+
+# --- the display ----------------------------------------------------------------------------------
 
 WIDE = 110  # columns that a terminal needs for a bar
 LINE_SECONDS = 5.0  # between two lines without a terminal

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from pfdist.analysis import Run, finite
-from pfdist.answers.next import next_page
+from pfdist.answers.filtered import next_page
 from pfdist.api.filter_measurements import IMPROBABLE
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner

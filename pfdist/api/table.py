@@ -1,17 +1,48 @@
-"""Many runs as one table."""
+"""Many runs as one table, also as a file: CSV, Parquet, or a table for LaTeX."""
 
 import os
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pandas as pd
+import pyarrow as pa
 
 from pfdist.analysis import Run, open_run
-from pfdist.analysis.runs_table import runs_table
-from pfdist.api.table_file import table_path, write_table_of_runs
-from pfdist.errors import ArgumentError
-from pfdist.store import holds_run
+from pfdist.analysis.runs_table import RESULTS, runs_table
+from pfdist.analysis.table_cells import (
+    differ_by_keys,
+    formatted_gain,
+    formatted_mse,
+    formatted_value,
+    is_missing,
+    keys_of,
+)
+from pfdist.common.arguments import path_argument
+from pfdist.common.short_names import short_names
+from pfdist.errors import ArgumentError, shown
+from pfdist.store import holds_run, write_file
+from pfdist.store.files import check_replaceable
 from pfdist.store.folder import runs_below
+from pfdist.store.tables import read_schema, write_table
+
+_MARK = b"runs"  # the metadata "table" of a Parquet file
+_COMMENT = "% A table of runs by pfdist. It needs the package booktabs.\n"
+_HEAD = re.compile(rb"run,([^\n]*,)?" + ",".join(RESULTS).encode() + rb"\n")
+_LONGEST_HEAD = 100_000  # bytes of the first line of a CSV file
+_SPECIAL = str.maketrans(
+    {
+        **{character: f"\\{character}" for character in "&%$#_{}"},
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "\\": r"\textbackslash{}",
+        "±": r"$\pm$",
+    }
+)
+_MINUS = re.compile(r"(?<![\w)])-(?=[0-9])")
+_POWER_OF_TEN = re.compile(r"(?<=[0-9)])e([+-][0-9]+)")
+
 
 Runs = Run | str | Path | list["Runs"] | tuple["Runs", ...]
 """A run, its folder, a folder with runs in it, or several of these."""
@@ -89,3 +120,164 @@ def _folders(run: str | Path) -> list[Path]:
     if not isinstance(run, str | Path) or holds_run(Path(run)) or not Path(run).is_dir():
         return [run]  # type: ignore[list-item]  # whatever it is, open_run says what is wrong
     return list(runs_below(Path(run), _DEPTH)) or [Path(run)]
+
+
+# --- the table in a file --------------------------------------------------------------------------
+
+
+def table_path(path: str | Path) -> Path:
+    """The path of a file for a table of runs, after checking its ending.
+
+    Raises
+    ------
+    ArgumentError
+        No table has this ending.
+    """
+    path = path_argument("out", path)
+    if path.suffix.lower() not in _KINDS:
+        allowed = ", ".join(_KINDS)
+        raise ArgumentError(
+            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
+            argument="out",
+        )
+    return path
+
+
+def write_table_of_runs(frame: pd.DataFrame, path: Path) -> None:
+    """Write a table of runs atomically, in the format that the ending of the file names.
+
+    An earlier table of runs is replaced, and no other file.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `pfdist.table` gives it.
+    path : Path
+        As `table_path` gives it.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written, or another file has this name.
+    """
+    kind = _KINDS[path.suffix.lower()]
+    check_replaceable(path, kind.is_earlier)
+    write_file(path, lambda temporary: kind.write(frame, temporary))
+
+
+def tex(frame: pd.DataFrame) -> str:
+    """The main columns of a table of runs as a table for LaTeX.
+
+    The columns are the keys that differ, the set, the expected MSE with its standard error, the
+    gain of means in per cent with its 95 % interval, and the times. Numbers have two significant
+    digits of their errors. If the keys do not tell the runs apart, their names come first.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `pfdist.table` gives it.
+    """
+    keys = keys_of(frame)
+    names = ([] if differ_by_keys(frame, keys) else ["run"]) + keys + ["set"]
+    unit = frame.attrs.get("time_unit", "")
+    short = short_names(names)
+    heads = [*(short[name] for name in names), "expected MSE", "gain of means [%] (95 %)"]
+    heads.append(f"measurement times [{unit}]" if unit else "measurement times")
+    lines = [
+        [
+            *(_in_tex(formatted_value(row[name])) for name in names),
+            *map(_number_in_tex, (formatted_mse(row), formatted_gain(row))),
+            ", ".join(map(formatted_value, row["measurement_times"] or ())),
+        ]
+        for row in frame.to_dict("records")
+    ]
+    numbers = [pd.api.types.is_numeric_dtype(frame[name]) for name in names]
+    places = "".join("r" if number else "l" for number in [*numbers, False, False, False])
+    body = "".join(map(_tex_line, lines))
+    rules = [r"\toprule", _tex_line(map(_in_tex, heads)) + r"\midrule", body + r"\bottomrule"]
+    content = "\n".join(rules)
+    return f"{_COMMENT}\\begin{{tabular}}{{{places}}}\n{content}\n\\end{{tabular}}\n"
+
+
+def _tex_line(cells: Iterable[str]) -> str:
+    return " & ".join(cells) + " \\\\\n"
+
+
+def _in_tex(text: str) -> str:
+    """A text as LaTeX prints it; a line that began with a bracket would be an option."""
+    printable = "".join(each if each.isprintable() else "?" for each in text)
+    return ("{}" if text.startswith("[") else "") + printable.translate(_SPECIAL)
+
+
+def _number_in_tex(text: str) -> str:
+    """A number with its error as LaTeX prints it, with powers of ten for exponents."""
+    return _POWER_OF_TEN.sub(
+        lambda found: rf"$\times 10^{{{int(found[1])}}}$", _MINUS.sub("$-$", _in_tex(text))
+    )
+
+
+def _write_csv(frame: pd.DataFrame, path: Path) -> None:
+    plain = frame.copy()
+    for name in frame.select_dtypes(object):
+        texts = [formatted_value(cell) if isinstance(cell, tuple) else cell for cell in frame[name]]
+        plain[name] = pd.Series(texts, dtype=object)
+    with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+        plain.to_csv(file, index=False, lineterminator="\n")
+
+
+def _write_parquet(frame: pd.DataFrame, path: Path) -> None:
+    columns = {str(name): _arrow(frame[name]) for name in frame}
+    metadata = {"table": _MARK, "time_unit": frame.attrs.get("time_unit", "")}
+    write_table(pa.table(columns).replace_schema_metadata(metadata), path)
+
+
+def _arrow(column: "pd.Series[Any]") -> pa.Array:
+    """A column as Arrow holds it; values of different types become texts."""
+    if pd.api.types.is_float_dtype(column):
+        return pa.array(column.to_numpy(), from_pandas=True)
+    values = [None if is_missing(value) else value for value in column.tolist()]
+    try:
+        return pa.array(values)
+    except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeEncodeError):  # a path need not be UTF-8
+        return pa.array([None if value is None else _in_utf8(value) for value in values])
+
+
+def _in_utf8(value: Any) -> str:
+    return formatted_value(value).encode(errors="replace").decode()
+
+
+def _write_tex(frame: pd.DataFrame, path: Path) -> None:
+    path.write_text(tex(frame), encoding="utf-8", errors="replace")
+
+
+def _is_earlier_parquet(path: Path) -> bool:
+    try:
+        known = read_schema(path).metadata or {}
+    except pa.ArrowException:
+        return False
+    return bool(known.get(b"table") == _MARK)
+
+
+def _is_earlier_csv(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _HEAD.match(file.readline(_LONGEST_HEAD)) is not None
+
+
+def _is_earlier_tex(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(_COMMENT)) == _COMMENT.encode()
+
+
+class _Kind(NamedTuple):
+    """How a table is written, and how an earlier table of this kind is known."""
+
+    write: Callable[[pd.DataFrame, Path], None]
+    is_earlier: Callable[[Path], bool]
+
+
+_KINDS = {
+    ".csv": _Kind(_write_csv, _is_earlier_csv),
+    ".parquet": _Kind(_write_parquet, _is_earlier_parquet),
+    ".tex": _Kind(_write_tex, _is_earlier_tex),
+}
+"""The allowed endings."""

@@ -27,9 +27,8 @@ from pfdist.job.sections import Execution
 from pfdist.plots import draw_figures
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
-from pfdist.runner.jitter import jitter
 from pfdist.runner.progress import Show
-from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
+from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
 from pfdist.store import WHY_PHASE, frame_of, schema
 from pfdist.store.schema import components_in

@@ -1,20 +1,70 @@
-"""The program `pfdist`: parse the arguments, call the command, and say what went wrong."""
+"""The program `pfdist`: parse the arguments, call the command, and say what went wrong.
+
+A user or a batch system ends it by signals.
+"""
 
 import contextlib
 import os
+import signal
 import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
+from types import FrameType
 from typing import Any
 
-from pfdist.cli import signals
 from pfdist.cli.help import welcome
 from pfdist.cli.parser import make_parser
 from pfdist.cli.streams import answers_alone, encode_all_text, flush_output, make_harmless
 from pfdist.errors import EngineWarning, PfdistError, SilenceError, TaskError, one_line
 
+_BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # send these when the time of a job is up
+_received: list[int] = []
+
+
+def end_at_once() -> None:
+    """Let Ctrl-C end the program at once, because no command has begun.
+
+    If Ctrl-C is ignored, as ``nohup`` does, it stays ignored.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+def interrupt_command() -> None:
+    """Let Ctrl-C and the signals of batch systems raise KeyboardInterrupt in the command."""
+    _received.clear()
+    for number in _BATCH_SYSTEMS:
+        signal.signal(number, _preempt)
+    if signal.getsignal(signal.SIGINT) is _leave:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def preempted() -> bool:
+    """Whether a batch system has asked the program to end."""
+    return bool(_received)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os.write(sys.stderr.fileno(), b"pfdist: interrupted\n")
+    os._exit(130)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))  # a second Ctrl-C ends it at once
+    raise KeyboardInterrupt
+
+
+def _preempt(number: int, frame: FrameType | None) -> None:
+    for repeated in _BATCH_SYSTEMS:  # a script may forward the signal that its group received
+        signal.signal(repeated, signal.SIG_IGN)
+    _received.append(number)
+    raise KeyboardInterrupt
+
+
 _DONE, _ERROR, _INTERRUPTED, _AGAIN = 0, 1, 130, 75  # exit codes
+# --- the program ----------------------------------------------------------------------------------
+
 _GOES_ON = "finished work is committed; the same command goes on from there"
 _LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
@@ -39,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
-    signals.end_at_once()
+    end_at_once()
     encode_all_text()
     if not (sys.argv[1:] if arguments is None else arguments):
         print(welcome(), end="")
@@ -48,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = make_parser().parse_args(arguments)
     except PfdistError as error:
         return _failed(str(error))
-    signals.interrupt_command()
+    interrupt_command()
     return _run(options, ends=arguments is None)
 
 
@@ -70,10 +120,10 @@ def _run(options: Namespace, *, ends: bool) -> int:
         code = _AGAIN if isinstance(error, SilenceError) else _ERROR
         return _failed(str(error), f" (--{option})" if option else hint, code)
     except KeyboardInterrupt:
-        cause = "asked to end" if signals.preempted() else "interrupted"
+        cause = "asked to end" if preempted() else "interrupted"
         goes_on = f"; {_GOES_ON}" if options.called.goes_on else ""
         print(f"pfdist: {cause}{goes_on}", file=sys.stderr)
-        return _AGAIN if signals.preempted() else _INTERRUPTED
+        return _AGAIN if preempted() else _INTERRUPTED
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
         return _ERROR

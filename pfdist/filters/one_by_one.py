@@ -15,8 +15,8 @@ two_filters     The mean variance of two filters on the same y, plus the squared
                 cause. So the term of order 1/P is that of squared_error.
 =============== ==================================================================================
 
-The compiled filter sums these estimates at each instant (`pfdist.kernels.moments`). This module
-computes them from the recorded means and variances.
+The compiled filter sums these estimates at each instant (`pfdist.kernels.fused_filter`). This
+module computes them from the recorded means and variances.
 
 Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
 """

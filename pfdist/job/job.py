@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 
@@ -12,15 +13,14 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.arguments import path_argument
 from pfdist.common.explained import explained
-from pfdist.common.nearest import did_you_mean_path
-from pfdist.common.parsing import parse_toml, read_text
+from pfdist.common.nearest import did_you_mean, did_you_mean_path
+from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
 from pfdist.common.section import Section
-from pfdist.errors import JobError, MeasurementTimesError, shown_text
-from pfdist.job.given_sets import check_names, given_sets
+from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.job.online_section import Online, Search
-from pfdist.job.overrides import override, set_values
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import (
+    RESERVED,
     Budget,
     Comparison,
     EvaluationSection,
@@ -31,9 +31,153 @@ from pfdist.job.sections import (
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, Times
+from pfdist.times.written import validated_instants
 
 if TYPE_CHECKING:  # a job is read without Numba
     from pfdist.models import CarriedModel
+
+
+def override(data: dict[str, Any], change: str) -> None:
+    """Change a value in the data of a job file, in place.
+
+    The change is ``key=value``, with a dotted key and a TOML value; see `pfdist.job.job.load_job`.
+    Raises `JobError` if it is no such text, or if the job has no such section or search.
+    """
+    key, equals, text = change.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or not all(path) or "\n" in change:
+        raise JobError(
+            f"changes must be key=value, for instance seed=3, got {shown(change)}", argument="set"
+        )
+    if len(path) > MOST_LEVELS:
+        raise JobError(
+            f"keys of changes must have at most {MOST_LEVELS} parts, got {len(path):,}",
+            argument="set",
+        )
+    value = _value(text.strip(), change)
+    section: Any = data
+    if path[0] == "search" and len(path) > 1:
+        section, path = _search_named(data, path[1], change), path[2:]
+    for part in path[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise JobError(
+                f"change {shown_text(change)}: {shown_text(part)} is no section, so it has no keys",
+                argument="set",
+            )
+    if not path:
+        raise JobError(
+            f"change {shown_text(change)}: name a key of the search, search.NAME.KEY=value",
+            argument="set",
+        )
+    section[path[-1]] = value
+
+
+def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
+    """Set typed values in the data of a job file, in place, and return the changes as text.
+
+    `settings` has a value for each key, or a mapping of keys to values for each section. An empty
+    mapping makes a section. None leaves the value as it is. The texts are for errors.
+    """
+    changes = []
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            section = data.get(name, {})
+            given = {key: each for key, each in value.items() if each is not None}
+            if isinstance(section, dict) and (given or not value):  # others are refused later
+                section = data[name] = dict(section)
+                changes += [f"{name}.{change}" for change in set_values(section, given)]
+        elif value is not None:
+            is_index = isinstance(value, Integral) and not isinstance(value, bool)
+            data[name] = int(value) if is_index else value  # a section takes no NumPy integer
+            changes.append(f"{name}={value if isinstance(value, str) else shown(data[name])}")
+    return changes
+
+
+def _value(text: str, change: str) -> Any:
+    """The TOML value that a text spells, or the text itself if it spells none."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise JobError(f"changes must be UTF-8 text, got {shown(change)}") from error
+    try:
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError as error:
+        if text[:1] in ("[", "{") or text.strip("+-").isdecimal():
+            raise JobError(f"change {shown_text(change)}: {error}") from error
+    return text  # a bare word: filter.resampling=systematic
+
+
+def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any]:
+    searches = data.get("search")
+    searches = searches if isinstance(searches, list) else []
+    searches = [search for search in searches if isinstance(search, dict)]
+    names = [str(search.get("name", search.get("method"))) for search in searches]
+    if name not in names:
+        allowed = ", ".join(names) or "none, there is no [[search]]"
+        raise JobError(
+            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}"
+            f"{did_you_mean(name, names)}",
+            argument="set",
+        )
+    section: dict[str, Any] = searches[names.index(name)]
+    return section
+
+
+def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Times | None]:
+    """Instants of all sets that a job gives, by name, the reference first.
+
+    None stands for the regular times of the problem. The clock of the problem reads the times.
+    Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock, or
+    stands twice; it names the key.
+    """
+    first = comparison.reference_name
+    written = {name: (f"comparison.sets.{name}", times) for name, times in comparison.named.items()}
+    if first not in written:
+        written = {first: ("comparison.reference", comparison.reference), **written}
+    written = {first: written[first], **written}
+    return {
+        name: None if times == REGULAR else validated_instants(times, problem.clock, key, key)
+        for name, (key, times) in written.items()
+    }
+
+
+def check_names(comparison: Comparison, searches: Iterable[str]) -> None:
+    """Check the names of the sets that a job gives, and those of its searches.
+
+    Raises `ValueError` if a name is reserved or stands twice, or if the reference is no set of the
+    job.
+    """
+    names = list(searches)
+    for name in names:
+        if name in RESERVED:
+            raise ValueError(
+                f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
+            )
+        if names.count(name) > 1:
+            raise ValueError(
+                f"search names must be unique, got {name!r} twice: give one of these searches "
+                'another name with name = "..."'
+            )
+        if name in comparison.named:
+            raise ValueError(
+                f"comparison.sets must have other names than the searches, got {name!r} in both"
+            )
+    reference = comparison.reference
+    if isinstance(reference, str) and reference not in (REGULAR, *comparison.named):
+        sets = ", ".join(map(repr, comparison.named)) or "which names none"
+        raise ValueError(
+            f"comparison.reference must be {REGULAR!r}, a list of times, for instance [0, 3, 6], "
+            f"or the name of a set of comparison.sets ({sets}), got {reference!r}"
+        )
+    if not names and not comparison.named:
+        raise ValueError(
+            "search must name at least one search, unless comparison.sets gives sets to compare, "
+            "got none"
+        )
+
+
+# --- the job --------------------------------------------------------------------------------------
 
 ONLINE: Final = "online"
 """Name of the times that are chosen one after another; no search has it."""

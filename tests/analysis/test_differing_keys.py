@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pfdist.analysis.differing_keys import differing_keys
+from pfdist.analysis.runs_table import differing_keys
 from pfdist.common.short_names import short_names
 
 JOB: dict[str, Any] = {

@@ -14,7 +14,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.analysis.judged import times_by_search
-from pfdist.api.foreseen import foreseen
+from pfdist.api.sweep import foreseen
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.evaluation.evaluator import Evaluator

@@ -10,7 +10,7 @@ import pytest
 import pfdist
 from oracles.clocked import times_of, with_clock
 from pfdist import load_job, load_model
-from pfdist.api.foreseen import foreseen
+from pfdist.api.sweep import foreseen
 from pfdist.checks.model import check_model
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation

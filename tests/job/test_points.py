@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pfdist.errors import JobError
-from pfdist.job.overrides import override
+from pfdist.job.job import override
 from pfdist.job.points import MOST_POINTS, points_of, values_in
 
 

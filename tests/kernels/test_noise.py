@@ -10,8 +10,16 @@ from scipy import stats
 
 from pfdist.common.streams import stream_key
 from pfdist.kernels import noise
-from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, variates
-from pfdist.kernels.threefry import threefry4x32
+from pfdist.kernels.noise import (
+    FILL,
+    LANES,
+    TILE,
+    filler,
+    generator,
+    padded,
+    threefry4x32,
+    variates,
+)
 
 KINDS = tuple(FILL)
 DISTRIBUTIONS = {"normal": stats.norm(), "uniform": stats.uniform(), "exponential": stats.expon()}

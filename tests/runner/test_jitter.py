@@ -10,9 +10,9 @@ import pytest
 from oracles.answered import answered
 from pfdist import Job
 from pfdist.filters import kalman
-from pfdist.runner import jitter as module
+from pfdist.runner import sampling_windows as module
 from pfdist.runner.build import build
-from pfdist.runner.jitter import jitter, jittered
+from pfdist.runner.sampling_windows import jitter, jittered
 from pfdist.times.feasible import Feasible
 
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]

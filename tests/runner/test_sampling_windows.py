@@ -13,9 +13,8 @@ from pfdist.filters import kalman
 from pfdist.runner import sampling_windows as module
 from pfdist.runner.build import Built, build
 from pfdist.runner.door import Driver, Session
-from pfdist.runner.jitter import jitter
 from pfdist.runner.progress import Progress
-from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
+from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
 from pfdist.times.measurement_times import Times
 

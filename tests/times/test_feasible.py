@@ -14,10 +14,10 @@ from scipy import stats
 
 from oracles.every_set import every_set
 from pfdist.errors import MeasurementTimesError
+from pfdist.search.exchange import shifts
 from pfdist.times.constraints import Constraints
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times, regular
-from pfdist.times.shifts import shifts
 
 NAMES = "|".join(field.name for field in fields(Constraints))
 quick = settings(

@@ -73,8 +73,7 @@ def sweep_command(options: Namespace) -> None:
     """Run a job at many values of its keys, with the same workers."""
     from pfdist.answers.runs import foreseen_page
     from pfdist.api.display import Display
-    from pfdist.api.foreseen import foreseen
-    from pfdist.api.sweep import sweep
+    from pfdist.api.sweep import foreseen, sweep
     from pfdist.cli.computing import settings
     from pfdist.job.points import values_by_key
 
