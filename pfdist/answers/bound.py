@@ -19,7 +19,7 @@ _MEANING = (
     "the errors above."
 )
 _HEAD = (
-    "times", "expected error", "lower bound", "gap", "limit of the gap", "part: relaxation",
+    "times", "expected error", "lower bound", "gap", "gap at most", "part: relaxation",
     "part: particles", "part: model",
 )  # fmt: skip
 

@@ -11,6 +11,7 @@ COLUMNS = 80
 _NAME = 21  # characters of a fact's name
 _LEAST = 24  # characters of a last column that is cut into lines
 _GAP = "  "
+_GLUED = re.compile(r"(?<=\d) (?=%)|(?<=\(95 %:) ")  # spaces at which no line ends
 _PIECE = re.compile(r"[^_. ]+[_. ]?|[_. ]")
 
 
@@ -35,10 +36,13 @@ def lines_of_blocks(blocks: Iterable[Block], *, verbose: bool = False) -> list[s
 
 
 def wrapped(text: str, name: str = "") -> list[str]:
-    """A paragraph in lines; below a name, if there is one. A no-break space becomes a space."""
+    """A paragraph in lines; below a name, if there is one.
+
+    No line begins with a percent sign or with an interval. A no-break space becomes a space.
+    """
     start, indent = ("", "") if not name else (f"  {name:<{_NAME}} ", " " * (_NAME + 3))
     lines = textwrap.wrap(
-        one_line(text), COLUMNS, initial_indent=start, subsequent_indent=indent,
+        _GLUED.sub("\xa0", one_line(text)), COLUMNS, initial_indent=start, subsequent_indent=indent,
         break_on_hyphens=False,
     )  # fmt: skip
     return [line.replace("\xa0", " ") for line in lines]
@@ -101,7 +105,7 @@ def aligned(table: Table) -> list[str]:
         lines.append(_line([*cells, ends[0]], columns.values()))
         lines += (_line([*[""] * len(cells), more], columns.values()) for more in ends[1:])
     names = ", ".join(one_line(name) for name in left_out)
-    return lines + wrapped(f"There is no room for: {names}; --json has everything.") * bool(names)
+    return lines + wrapped(f"Left out: {names}. See --json.") * bool(names)
 
 
 def _line(cells: Iterable[str], columns: Iterable["_Column"]) -> str:
@@ -116,7 +120,8 @@ class _Column:
     def __init__(self, head: str, cells: Sequence[str], is_number: bool) -> None:
         self.cells, self.is_number = [one_line(cell) for cell in cells], is_number
         pieces = _PIECE.findall(head)
-        most = max(map(len, [*self.cells, *(piece.rstrip() for piece in pieces)]), default=0)
+        longest = max(map(len, [*self.cells, *(piece.rstrip() for piece in pieces)]), default=0)
+        most = max(longest, -(-len(head) // 2))  # so that most heads have two lines or fewer
         lines = [""]
         for piece in pieces:
             if len((lines[-1] + piece).rstrip()) > most and lines[-1]:

@@ -59,7 +59,7 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
 def test_a_table_that_does_not_fit_names_what_it_leaves_out(runs: Path, printed: Printed) -> None:
     lines = printed("table", runs).splitlines()
     assert max(map(len, lines)) <= COLUMNS
-    (told,) = [number for number, line in enumerate(lines) if line.startswith("There is no room")]
+    (told,) = [number for number, line in enumerate(lines) if line.startswith("Left out: ")]
     assert "process_sd" in " ".join(lines[told:])  # which two of the jobs lack
 
 
@@ -162,7 +162,7 @@ def test_the_table_of_a_budget_has_the_bound_and_the_limit_holds_as_it_is_printe
     assert any(line.endswith("  25.437") for line in exact)
     wide = Budget(1e-20, **{key: 1e-20 * value for key, value in bound.items()}).lines
     assert wide[3].endswith("2.585e-19 (2.547e-19 to 2.622e-19)")
-    assert "There is no room for: lower bound" in wide[4]
+    assert "Left out: lower bound" in wide[4]
     assert max(map(len, wide)) <= COLUMNS
     assert not any("bound" in line for line in Budget().lines)
     unproved = Budget(lower_bound={"reason": "a draw is degenerate"}).lines
