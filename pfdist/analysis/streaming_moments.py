@@ -112,7 +112,7 @@ class Pairs:
         return self.ratio_interval_of(CONFIDENCE)
 
     def ratio_interval_of(self, confidence: float) -> Interval:
-        """Interval of mean(x) / mean(y), by Fieller's theorem with Student's t.
+        """Interval of mean(x) / mean(y), by Fieller's theorem with Student's t of D - 1 degrees.
 
         It contains all ratios r for which the mean of x - r y does not differ from 0. It is exact
         for normal means, unlike the delta method. Infinite if the mean of y may be 0; NaN with
@@ -122,6 +122,7 @@ class Pairs:
         if count < 2 or self.y.mean == 0.0:
             return UNKNOWN
         scale = self.y.mean  # so that no square overflows
+        # t^2 / (D (D - 1)): so sums of squares become variances of means
         squared = float(stats.t.isf((1 - confidence) / 2, count - 1)) ** 2 / count / (count - 1)
         x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
         xy, ratio = self.products / scale / scale, self.x.mean / scale

@@ -46,7 +46,8 @@ def _of_block(block: Block) -> str:
         case Table():
             shown = without_empty_columns(block)
             rows = (_cells("td", (cell.text for cell in row)) for row in shown.rows)
-            return f"<p>{escape(block.caption)}</p>" + _table([_cells("th", shown.head), *rows])
+            caption = f"<p>{escape(block.caption)}</p>" if block.caption else ""
+            return caption + _table([_cells("th", shown.head), *rows])
     return ""
 
 

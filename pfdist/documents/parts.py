@@ -1,7 +1,8 @@
 """The parts of an answer: what it says, whatever it looks like.
 
-Each answer is made once, as a `Page` of parts. `documents.terminal` and `documents.html` show it.
-A part that is a detail is for those who ask: terminals show it with ``--verbose``.
+Each answer is made once, as a `Page` of parts. `documents.terminal`, `documents.html` and
+`documents.notebook` show it. A part that is a detail is for those who ask: terminals show it with
+``--verbose``.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,7 @@
 """Figures of a run: how a figure is declared, which a run has, and their files.
 
-A module of `pfdist.plots` declares its figures; nothing else lists them.
+A module of `pfdist.plots` declares its figures. `pfdist plot` and the folder of a run have all of
+them; a report shows those that a chapter of `pfdist.answers` names.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -7,18 +7,20 @@ every number in this way. One loop serves one driver, or the points of a sweep s
 These things happen to a batch, in this order; a kill at each point costs:
 
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
-Nothing is computed yet, so a kill costs nothing. 2. If another run computes an evaluation at this
-moment, the batch waits for it. The id of the evaluation says so. 3. Missing works are cut into
-tasks of about 0.3 s; a slow model has longer tasks at first, and a block of sums is never cut. A
-worker holds a task or two: these are lost with it. 4. Results come back in any order. The batch
-learns each at once, and its rows wait in memory. A kill of the driver costs the rows that wait. 5.
-Waiting rows are committed with the first result after `COMMIT_SECONDS`, and at the end of a batch
-unless more follows. A commit writes a file under a temporary name, flushes it and gives it its
-name: a kill before the last step leaves a temporary file, which the next start removes. The timings
-of the tasks follow in a file of their own: a kill between the two costs these timings. 6. When
-nothing of the batch is missing, the driver goes on. Tables that it publishes with `Session.later`
-are written after the next commit, when the workers have their next tasks. A kill before costs
-nothing: the driver finds all rows committed, and publishes them again.
+   Nothing is computed yet, so a kill costs nothing.
+2. If another run computes an evaluation at this moment, the batch waits for it. The id of the
+   evaluation says so.
+3. Missing works are cut into tasks of about 0.3 s; a slow model has longer tasks at first, and a
+   block of sums is never cut. A worker holds a task or two: these are lost with it.
+4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
+   kill of the driver costs the rows that wait.
+5. Waiting rows are committed with the first result after `COMMIT_SECONDS`, and at the end of a
+   batch unless more follows. A commit writes a file under a temporary name, flushes it and gives it
+   its name: a kill before the last step leaves a temporary file, which the next start removes. The
+   timings of the tasks follow in a file of their own: a kill between the two costs these timings.
+6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
+   `Session.later` are written after the next commit, when the workers have their next tasks. A kill
+   before costs nothing: the driver finds all rows committed, and publishes them again.
 
 A task that fails is done again after all others, as often as the job allows. Then the driver gets a
 `TaskError`, and commits what it has. So every driver may raise `TaskError` (a task failed),

@@ -44,6 +44,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory, finished: Callable[..., Path]
 
 
 @every
+def test_a_chapter_of_the_answers_shows_it(name: str) -> None:
+    chapters = (ROOT.parent / "pfdist" / "answers").glob("*.py")
+    assert any(f'"{name}"' in chapter.read_text() for chapter in chapters)
+
+
+@every
 def test_one_sentence_describes_it(name: str) -> None:
     assert FIGURES[name].description.endswith(".")
 
