@@ -43,19 +43,19 @@ def budget_table(
     rows = []
     for entry in compared.to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
-        known, (low, high) = statistics.mse[name], statistics.mse[name].estimate.interval()
+        moments, (low, high) = statistics.mse[name], statistics.mse[name].estimate.interval()
         rows.append(
             {
                 "kind": _kind(entry, reference if name not in statistics.references else GIVEN),
                 "measurements": len(times),
                 "name": name,
                 "measurement_times": times,
-                "expected_mse": known.mean,
-                "standard_error": known.standard_error,
+                "expected_mse": moments.mean,
+                "standard_error": moments.standard_error,
                 "low": low,
                 "high": high,
-                "draws": known.count,
-                "degenerate_draws": statistics.draws - known.count,
+                "draws": moments.count,
+                "degenerate_draws": statistics.draws - moments.count,
                 "top_percent_share": statistics.top_percent_share(name),
                 "search_cost": float(entry["search_cost"]),
                 "search_standard_error": float(entry["search_standard_error"]),
@@ -67,8 +67,8 @@ def budget_table(
     return table
 
 
-def _kind(entry: Mapping[Any, Any], unless_found: str) -> str:
-    return unless_found if math.isnan(float(entry["search_cost"])) else FOUND
+def _kind(entry: Mapping[Any, Any], kind_without_search: str) -> str:
+    return kind_without_search if math.isnan(float(entry["search_cost"])) else FOUND
 
 
 def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:

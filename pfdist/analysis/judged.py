@@ -62,7 +62,7 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     StoreError
         A table of a run cannot be read.
     """
-    found = [
+    found_sets = [
         FoundSet(point, search, times)
         for point, sets in times_by_search(runs).items()
         for search, times in sets.items()
@@ -72,13 +72,13 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     frame = runs_table(list(judges.values()))
     points = {str(judge.path): point for point, judge in judges.items()}
     smaller = any(judge.filter_is_wrong for judge in judges.values())
-    losses = {point: _losses(judge, found, point, smaller) for point, judge in judges.items()}
+    losses = {point: _losses(judge, found_sets, point, smaller) for point, judge in judges.items()}
     rows = [
         row
         | {"found_at": each.point, "set": each.search}
         | dict(zip(LOSS, losses[points[row["path"]]].get(each.times, UNKNOWN), strict=True))
         for row in frame.to_dict("records")
-        for each in found
+        for each in found_sets
         if each.times == row["measurement_times"]
     ]
     before = list(frame.columns).index("set")
@@ -89,7 +89,9 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     return judged
 
 
-def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) -> dict[Times, Loss]:
+def _losses(
+    judge: Run, found_sets: Sequence[FoundSet], point: str, smaller: bool
+) -> dict[Times, Loss]:
     """The loss with its interval of all times that can be compared at a point.
 
     With money, `smaller` says whether sets can be compared to which a measurement can be added.
@@ -97,9 +99,9 @@ def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) ->
     names = {times: name for name, times in judge.sets().items()}
     results = judge.summary().results
     mse = {times: _mse(results[name]) for times, name in names.items()}
-    own = {each.times for each in found if each.point == point and each.times in names}
+    own = {each.times for each in found_sets if each.point == point and each.times in names}
     best = dict[Times, Times]()  # of those found at the point, for each set of times
-    for times in {each.times for each in found if each.times in names}:
+    for times in {each.times for each in found_sets if each.times in names}:
         comparable = [each for each in own if _are_comparable(judge, times, each, smaller)]
         if comparable:
             best[times] = min(comparable, key=lambda each: (mse[each], each))
@@ -118,8 +120,8 @@ def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) ->
 def _mse(result: SetResult) -> float:
     """The expected MSE of a set; inf if it is unknown."""
     exact = result.exact_mse
-    known = result.expected_mse if exact is None else exact
-    return math.inf if known is None or math.isnan(known) else float(known)
+    mse = result.expected_mse if exact is None else exact
+    return math.inf if mse is None or math.isnan(mse) else float(mse)
 
 
 def _are_comparable(judge: Run, times: Times, own: Times, smaller: bool) -> bool:

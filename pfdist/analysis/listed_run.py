@@ -113,8 +113,8 @@ def _best(run: Run, statistics: ComparisonStatistics) -> tuple[str | None, float
     if run.has_budget or not names:
         return None, math.nan
     exact = exact_costs(run)
-    known = all(name in exact for name in names)
-    errors = exact if known else {name: statistics.mse[name].mean for name in names}
+    are_exact = all(name in exact for name in names)
+    errors = exact if are_exact else {name: statistics.mse[name].mean for name in names}
     best = min(names, key=lambda name: (math.isnan(errors[name]), errors[name]))
     if best in exact and exact.get(run.names[0]):
         return best, 1 - exact[best] / exact[run.names[0]]

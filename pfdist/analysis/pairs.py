@@ -127,8 +127,8 @@ def pairs_table(
     rows = []
     for places, pair in pairs.items():
         first, second = (names[place] for place in places)
-        known = (exact[first], exact[second]) if first in exact and second in exact else None
-        rows.append({"first": first, "second": second} | pair.columns(confidence, known))
+        exact_pair = (exact[first], exact[second]) if first in exact and second in exact else None
+        rows.append({"first": first, "second": second} | pair.columns(confidence, exact_pair))
     return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
 
 

@@ -31,43 +31,43 @@ class RelativeLoss:
     degenerate_draws: int = 0
     kept_degenerate_draws: int = 0
 
-    def add(self, changed: Array, kept: Array) -> None:
+    def add(self, changed_mse: Array, kept_mse: Array) -> None:
         """Add a block of draws; the same blocks in the same order give the same bits.
 
         Parameters
         ----------
-        changed, kept : array of float64, (D,)
+        changed_mse, kept_mse : array of float64, (D,)
             Per-draw MSE of both sets on the same draws; NaN marks a degenerate draw.
         """
-        degenerate, kept_degenerate = np.isnan(changed), np.isnan(kept)
+        degenerate, kept_degenerate = np.isnan(changed_mse), np.isnan(kept_mse)
         self.degenerate_draws += int(degenerate.sum())
         self.kept_degenerate_draws += int(kept_degenerate.sum())
         usable = ~(degenerate | kept_degenerate)
         with np.errstate(invalid="ignore"):  # infinite errors have no difference
-            rise = changed[usable] - kept[usable]
-        self.pairs.add(rise, kept[usable])
+            rise = changed_mse[usable] - kept_mse[usable]
+        self.pairs.add(rise, kept_mse[usable])
 
     @property
     def mean(self) -> float:
         """The loss; NaN if an error is infinite, or if the mean error is not above 0."""
-        if not self._known:
+        if not self._is_known:
             return math.nan
         return self.pairs.x.mean / self.pairs.y.mean
 
     @property
     def standard_error(self) -> float:
         """Standard error of the loss, by the delta method."""
-        return self.pairs.ratio_error if self._known else math.nan
+        return self.pairs.ratio_error if self._is_known else math.nan
 
     @property
     def limits(self) -> Interval:
         """One-sided 95 % lower limit and one-sided 95 % upper limit, Fieller's."""
-        return self.pairs.ratio_interval_of(_TWO_SIDED) if self._known else UNKNOWN
+        return self.pairs.ratio_interval_of(_TWO_SIDED) if self._is_known else UNKNOWN
 
     @property
     def interval(self) -> Interval:
         """95 % interval, Fieller's."""
-        return self.pairs.ratio_interval if self._known else UNKNOWN
+        return self.pairs.ratio_interval if self._is_known else UNKNOWN
 
     def state(self, level: float) -> str:
         """Whether the loss is at most a level, by its one-sided limits.
@@ -81,7 +81,7 @@ class RelativeLoss:
         return OUTSIDE if low > level else OPEN
 
     @property
-    def _known(self) -> bool:
-        rise, kept = self.pairs.x, self.pairs.y
-        moments = (rise.mean, rise.squares, kept.mean, kept.squares)
-        return all(map(math.isfinite, moments)) and kept.mean > 0.0
+    def _is_known(self) -> bool:
+        rise, kept_mse = self.pairs.x, self.pairs.y
+        moments = (rise.mean, rise.squares, kept_mse.mean, kept_mse.squares)
+        return all(map(math.isfinite, moments)) and kept_mse.mean > 0.0

@@ -122,8 +122,8 @@ def _rows(run: Run, summary: Summary) -> Iterator[Row]:
     }
     references = run.references if results else {}
     if not references:
-        known = next(iter(results), None)
-        yield shared | ({} if known is None else _reference(known, results[known]))
+        first = next(iter(results), None)
+        yield shared | ({} if first is None else _reference(first, results[first]))
     for name, reference in references.items():
         result = results[name]
         yield (
@@ -165,14 +165,14 @@ def _error(result: SetResult) -> tuple[float | None, float | None]:
 
 def _gains(result: SetResult, reference: SetResult) -> Row:
     """The gains over the reference with the ends of their intervals."""
-    found = Row()
+    row = Row()
     for gain in _GAINS:
         low, high = getattr(result, f"{gain}_interval")
-        found |= {gain: getattr(result, gain), f"{gain}_low": low, f"{gain}_high": high}
+        row |= {gain: getattr(result, gain), f"{gain}_low": low, f"{gain}_high": high}
     if result.exact_gain is not None:
         names = ("gain_of_means", "gain_of_means_low", "gain_of_means_high")
-        found |= dict.fromkeys(names, result.exact_gain)
-    return found
+        row |= dict.fromkeys(names, result.exact_gain)
+    return row
 
 
 def _seconds(run: Run) -> float | None:
@@ -197,9 +197,9 @@ def _column(name: str, values: list[Any]) -> "pd.Series[Any]":
     """A column whose values keep their types, also beside missing ones."""
     if name in _NUMBERS:
         return pd.Series([math.nan if value is None else value for value in values], dtype=float)
-    known = [value for value in values if value is not None]
-    if known and len(known) < len(values) and all(type(value) is int for value in known):
+    entries = [value for value in values if value is not None]
+    if entries and len(entries) < len(values) and all(type(value) is int for value in entries):
         return pd.Series(values, dtype="Int64")
     column = pd.Series(values, dtype=object)
     # A column of texts stays as it is: a path need not be UTF-8, as the texts of pandas must be.
-    return column if any(isinstance(value, str) for value in known) else column.infer_objects()
+    return column if any(isinstance(value, str) for value in entries) else column.infer_objects()

@@ -81,18 +81,18 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
     for row in sorted(rows, key=lambda row: row["moved_to"]):
         tried.setdefault(row["t"], []).append(row)
     windows = []
-    for t, known in sorted(tried.items()):
+    for t, rows_at_t in sorted(tried.items()):
         states = [
             (
                 row["moved_to"],
                 int(row.get("moved_to_instant", row["moved_to"])),
                 row[f"within_{percent}"],
             )
-            for row in known
+            for row in rows_at_t
         ]
         inside = {to: instant for to, instant, state in states if to == t or state == INSIDE}
         left_open = {to: instant for to, instant, state in states if to != t and state == OPEN}
-        windows.append(SamplingWindow(t, inside, left_open, len(known) > 1))
+        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1))
     return windows
 
 
@@ -163,8 +163,8 @@ def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
 
 def loss_text(row: Mapping[Hashable, Any]) -> str:
     """The loss of a row of the table ``jitter`` with its 95 % interval, in per cent."""
-    known = [None if row[key] is None else float(row[key]) for key in ("loss", "low", "high")]
-    loss, *interval = [None if x is None or math.isnan(x) else x for x in known]
+    values = [None if row[key] is None else float(row[key]) for key in ("loss", "low", "high")]
+    loss, *interval = [None if x is None or math.isnan(x) else x for x in values]
     return percent_with_interval(loss, interval).replace("  (", " (")
 
 
@@ -196,7 +196,7 @@ def _measurements(windows: Sequence[SamplingWindow]) -> list[str]:
         (undecided, "The draws leave open whether these can move within {} %: t = {}."),
     )
     return [
-        said.format(STRICT, spelled({window.t: window.inside[window.t] for window in found}))
-        for found, said in parts
-        if found
+        said.format(STRICT, spelled({window.t: window.inside[window.t] for window in group}))
+        for group, said in parts
+        if group
     ]

@@ -55,8 +55,8 @@ def columns_of(frame: pd.DataFrame) -> list[str]:
 
 def values_of(frame: pd.DataFrame, name: str) -> list[Any]:
     """The different values of a column, in the order that people expect; None comes last."""
-    known = dict.fromkeys(map(plain, frame[name].tolist()))
-    return sorted(known, key=_order)
+    values = dict.fromkeys(map(plain, frame[name].tolist()))
+    return sorted(values, key=_order)
 
 
 def in_order(frame: pd.DataFrame, names: Sequence[str]) -> list[dict[Any, Any]]:
@@ -100,12 +100,12 @@ def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
     names : sequence of str
         Columns of the table.
     """
-    known, found = list(names), list[str]()
+    columns, varying = list(names), list[str]()
     for name in columns_of(frame):
-        if name not in known and not _is_determined(frame, name, known):
-            known.append(name)
-            found.append(name)
-    return found
+        if name not in columns and not _is_determined(frame, name, columns):
+            columns.append(name)
+            varying.append(name)
+    return varying
 
 
 def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Average]:
@@ -125,13 +125,13 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
     list of Average
         In the order in which the combinations come in the table.
     """
-    found = dict[Values, dict[Any, Mapping[Any, Any]]]()
+    groups = dict[Values, dict[Any, Mapping[Any, Any]]]()
     for row in frame.to_dict("records"):
         if not is_missing(row[value]):
             at = tuple(plain(row[name]) for name in names)
-            found.setdefault(at, {}).setdefault(plain(row.get(SEED)), row)
-    has_replicates = any(len(rows) > 1 for rows in found.values())
-    return [_average(at, list(rows.values()), value, has_replicates) for at, rows in found.items()]
+            groups.setdefault(at, {}).setdefault(plain(row.get(SEED)), row)
+    has_replicates = any(len(rows) > 1 for rows in groups.values())
+    return [_average(at, list(rows.values()), value, has_replicates) for at, rows in groups.items()]
 
 
 def formatted_point(
@@ -184,9 +184,9 @@ def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
 
 def _is_determined(frame: pd.DataFrame, name: str, names: Sequence[str]) -> bool:
     """Whether rows with the same values of some columns have the same value of another."""
-    found = dict[Values, Any]()
+    values = dict[Values, Any]()
     rows = ([plain(row[each]) for each in (*names, name)] for row in frame.to_dict("records"))
-    return all(found.setdefault(tuple(at), value) == value for *at, value in rows)
+    return all(values.setdefault(tuple(at), value) == value for *at, value in rows)
 
 
 def plain(value: Any) -> Any:

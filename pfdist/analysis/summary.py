@@ -192,10 +192,10 @@ class Summary:
         Exact errors decide if the engine knows them, and else the errors on the compared draws.
         Sets whose error is unknown or infinite come last. The run has one number of measurements.
         """
-        found = {name: result for name, result in self.results.items() if result.is_found}
+        found_results = {name: result for name, result in self.results.items() if result.is_found}
         errors = {
             name: result.exact_mse if self.is_exact else result.expected_mse
-            for name, result in (found or self.results).items()
+            for name, result in (found_results or self.results).items()
         }
         return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
 

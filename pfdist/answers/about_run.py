@@ -47,23 +47,23 @@ def problem(subject: Subject) -> Section:
 
 
 def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
-    job, asked = subject.run.job, subject.problem
+    job, problem = subject.run.job, subject.problem
     yield "system", _model(job["model"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", _model(job["model"]["filter"])
     yield from _named_components(read_recorded(subject.run.path)[0]["model"])
     yield "instants", _instants(subject)
-    yield from _weights(asked, subject.run.problem)
+    yield from _weights(problem, subject.run.problem)
     yield "measurements", _measurements(job)
     for key, name in (
         ("forbidden", "not measured at"),
         ("required", "always measured at"),
     ):
-        if asked.get(key):
-            yield name, formatted_spelling(asked[key], subject.unit)
-    if asked.get("minimum_spacing"):
+        if problem.get(key):
+            yield name, formatted_spelling(problem[key], subject.unit)
+    if problem.get("minimum_spacing"):
         what = "time" if subject.run.problem.has_clock else "instants"
-        spacing = formatted_spelling(asked["minimum_spacing"], subject.unit)
+        spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
@@ -84,12 +84,12 @@ def _named_components(meaning: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _measurements(job: Mapping[str, Any]) -> str:
-    asked, budget = job["problem"], job.get("budget")
+    problem, budget = job["problem"], job.get("budget")
     if budget:
         return f"every number from {budget['least']} to {budget['most']}"
-    if asked.get("total_cost"):
-        return f"as many as a total cost of {asked['total_cost']:,} allows"
-    return str(asked["measurement_budget"])
+    if problem.get("total_cost"):
+        return f"as many as a total cost of {problem['total_cost']:,} allows"
+    return str(problem["measurement_budget"])
 
 
 def _instants(subject: Subject) -> str:
@@ -105,13 +105,13 @@ def _instants(subject: Subject) -> str:
     return f"{len(clock.times)} instants, {ends}"
 
 
-def _weights(asked: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
+def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
     """Say how the errors of instants are weighted in the MSE, if they are."""
     weights = section.weights
     if weights is None:
         return
     least, most = (f"{weight:.4g}" for weight in (min(weights), max(weights)))
-    if asked.get("instant_weights"):
+    if problem.get("instant_weights"):
         text = f"given by the job, from {least} to {most}; their mean is 1"
     else:
         text = f"by the trapezoidal rule, because the steps differ, from {least} to {most}"

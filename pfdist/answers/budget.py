@@ -25,7 +25,7 @@ def budget(subject: Subject) -> Section | None:
     if not subject.is_compared:
         return None
     results = list(subject.results.values())
-    found = [result for result in results if result.kind == "found"]
+    found_results = [result for result in results if result.kind == "found"]
     blocks: list[Block] = [
         *_answer(subject),
         *_target(subject),
@@ -33,8 +33,8 @@ def budget(subject: Subject) -> Section | None:
         Table("Expected error with its 95 % interval", _HEAD, _rows(results), optional=_HEAD[3:]),
         *([Text(_BOUND, detail=True)] if subject.run.has("bound") else []),
         *_worse(results),
-        *_unproved(found),
-        *_believed(found),
+        *_unproved(found_results),
+        *_believed(found_results),
         sets_table(subject),
     ]
     return Section("How many measurements are enough?", blocks)
@@ -133,13 +133,13 @@ def _worse(results: Sequence[SetResult]) -> Iterator[Text]:
             )
 
 
-def _believed(found: Sequence[SetResult]) -> Iterator[Text]:
+def _believed(results: Sequence[SetResult]) -> Iterator[Text]:
     """The mean distance of what the search believed from the fresh costs (winner's curse)."""
-    excesses = [result.search_excess for result in found if result.search_excess is not None]
-    if not excesses or found[0].search_standard_error == 0.0:  # the search knew exact costs
+    excesses = [result.search_excess for result in results if result.search_excess is not None]
+    if not excesses or results[0].search_standard_error == 0.0:  # the search knew exact costs
         return
-    mean, causes = sum(excesses) / len(excesses), [result.search_cause for result in found]
-    settings = [f"{key} = {value}" for key, value in found[0].search_estimation.items()]
+    mean, causes = sum(excesses) / len(excesses), [result.search_cause for result in results]
+    settings = [f"{key} = {value}" for key, value in results[0].search_estimation.items()]
     reasons = "; ".join(filter(None, [max(causes, key=causes.count), ", ".join(settings)]))
     side = "below" if mean < 0 else "above"
     yield Text(
@@ -147,14 +147,14 @@ def _believed(found: Sequence[SetResult]) -> Iterator[Text]:
         f"({reasons})",
         detail=True,
     )
-    if distrust := found[0].search_distrust:
+    if distrust := results[0].search_distrust:
         yield Text(f"searched again: {distrust}", detail=True)
 
 
-def _unproved(found: Sequence[SetResult]) -> Iterator[Text]:
+def _unproved(results: Sequence[SetResult]) -> Iterator[Text]:
     """Why there is no lower bound, if a proof has failed."""
     numbers = defaultdict[str, list[str]](list)
-    for result in found:
+    for result in results:
         if reason := (result.lower_bound or {}).get("reason"):
             numbers[reason].append(str(result.measurements))
     for reason, every in numbers.items():

@@ -39,7 +39,7 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         sets,
         Text(_EXACT if subject.is_exact else _MEANING, detail=True),
-        Figures(["compared"] if subject.found else ["times", "compared"]),
+        Figures(["compared"] if subject.found_results else ["times", "compared"]),
         Table(
             "Pairs of sets", _PAIRS_HEAD, rows, len(rows) > _MOST_OPEN, optional=_PAIRS_HEAD[:-4:-1]
         ),

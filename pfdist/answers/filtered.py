@@ -111,9 +111,9 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
         )
     if answer["log_evidence"] is not None:
         blocks.append(Text(f"Log evidence of the model: {rounded(answer['log_evidence'])}."))
-    known = table.dropna(subset="effective_sample_size")
-    if len(known):
-        least = known.iloc[known["effective_sample_size"].argmin()]
+    rows = table.dropna(subset="effective_sample_size")
+    if len(rows):
+        least = rows.iloc[rows["effective_sample_size"].argmin()]
         title = (
             f"At t = {formatted_time(least['t'])} the fewest particles count: "
             f"{least['effective_sample_size']:.0f}."
@@ -125,9 +125,9 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
 
 def _instants(table: pd.DataFrame) -> Section:
     quantities = components_in(table, "mean_")
-    alone = len(quantities) == 1
+    is_single = len(quantities) == 1
     names = [
-        f" of {each.label}" if each.label else "" if alone else f" of z{k}"
+        f" of {each.label}" if each.label else "" if is_single else f" of z{k}"
         for k, each in enumerate(quantities)
     ]
     head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
@@ -143,8 +143,8 @@ def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[C
         cells.append(Cell(rounded(mean), mean))
         cells.append(Cell(f"{rounded(low)} to {rounded(high)}", low))
     surprise = row["surprise"]
-    known = surprise is not None and not pd.isna(surprise)
-    return [*cells, Cell(rounded(surprise, _P_DIGITS), surprise) if known else Cell("")]
+    is_known = surprise is not None and not pd.isna(surprise)
+    return [*cells, Cell(rounded(surprise, _P_DIGITS), surprise) if is_known else Cell("")]
 
 
 _SHOWN = 4  # planned times that are named

@@ -12,21 +12,21 @@ _FIGURES = ("online_gain", "online_times", "online_draw")
 
 def online(subject: Subject) -> Section | None:
     """Compare online times with the plan and with the reference."""
-    found = subject.summary.online
-    if found is None:
+    result = subject.summary.online
+    if result is None:
         return None
-    plan, reference = found["plan"], found["reference"]
-    rows = [_row("online", found, {})] + [
+    plan, reference = result["plan"], result["reference"]
+    rows = [_row("online", result, {})] + [
         _row(each["name"], each, each) for each in (plan, reference)
     ]
     table = Table(
-        f"Expected error on {number_of(found['draws'], 'draw')}",
+        f"Expected error on {number_of(result['draws'], 'draw')}",
         ("times", "expected error", "online is lower by, %", "draws where online is lower, %"),
         rows,
     )
     meaning = (
         "Each time is chosen when the measurement before it is known: the rest of the plan is made "
-        f"anew from what the filter then believes. In {percent(found['differs_from_plan'], 0)} of "
+        f"anew from what the filter then believes. In {percent(result['differs_from_plan'], 0)} of "
         f"the draws the times differ from those of {plan['name']}."
     )
     return Section(
@@ -39,8 +39,8 @@ def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:
     mse = cost(costs["expected_mse"])
     cells = [Cell(name), Cell(with_error(mse, costs["standard_error"]), mse)]
     for key in ("gain_of_means", "positive_fraction"):
-        known = key in gain
-        cells.append(percent_cell(gain[key], gain[f"{key}_interval"]) if known else Cell(""))
+        is_known = key in gain
+        cells.append(percent_cell(gain[key], gain[f"{key}_interval"]) if is_known else Cell(""))
     return cells
 
 

@@ -145,20 +145,20 @@ def _warnings(subject: Subject) -> list[str]:
 
 def answer(subject: Subject) -> Section | None:
     """The gain of the best set in sentences, and its times."""
-    if not subject.found:
+    if not subject.found_results:
         return None
-    names = [subject.best] if subject.is_compared else list(subject.found)
+    names = [subject.best] if subject.is_compared else list(subject.found_results)
     blocks = [block for name in names for block in _answer(subject, name)]
     return Section("The answer", [*blocks, Figures(["times"])])
 
 
 def _answer(subject: Subject, name: str) -> Iterator[Block]:
-    result = subject.found[name]
+    result = subject.found_results[name]
     times = result.measurement_times
     if subject.is_compared:
         sentences = [_gain(subject, result), _proof(subject, result), online_sentence(subject)]
         yield Text(" ".join(filter(None, sentences)), prominent=True)
-        others = len(subject.found) - 1
+        others = len(subject.found_results) - 1
         if others:
             best = f"These are the times of the search {name}, the best of {others + 1} sets"
             yield Text(f"{best} {_BY_EXACT_ERRORS if subject.is_exact else _LOOKS_BETTER}")

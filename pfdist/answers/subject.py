@@ -60,7 +60,7 @@ class Subject:
         return any(result.is_compared for result in self.results.values())
 
     @property
-    def found(self) -> dict[str, SetResult]:
+    def found_results(self) -> dict[str, SetResult]:
         """Results of the sets that the searches have found."""
         return {name: result for name, result in self.results.items() if result.is_found}
 
@@ -91,11 +91,13 @@ class Subject:
         others = len(self.others) - len(self.shown)
         if not others:
             return []
-        found = "found " * (len(self.found) < len(self.others) and bool(self.found))
+        adjective = "found " * (
+            len(self.found_results) < len(self.others) and bool(self.found_results)
+        )
         return [
             Text(
-                f"Figures are shown of the {len(self.shown)} {found}sets with the least expected "
-                f"error. Those of the other {others} are in the folder figures of the run."
+                f"Figures are shown of the {len(self.shown)} {adjective}sets with the least "
+                f"expected error. Those of the other {others} are in the folder figures of the run."
             )
         ]
 

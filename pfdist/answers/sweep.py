@@ -64,10 +64,10 @@ def answer(subject: SweepSubject) -> Section | None:
         _best(subject, "expected_mse", "lowest", "expected MSE"),
         _best(subject, GAIN, "highest", "gain of means over the reference"),
     ]
-    found = [text for text in sentences if text]
-    if not found:
+    texts = [text for text in sentences if text]
+    if not texts:
         return None
-    blocks: list[Block] = [Text(" ".join(found), prominent=True)]
+    blocks: list[Block] = [Text(" ".join(texts), prominent=True)]
     if subject.columns:
         blocks.append(Text(_BEST_OF_SEVERAL))
     return Section("The answer", blocks)
@@ -146,10 +146,10 @@ def _best(subject: SweepSubject, value: str, superlative: str, result: str) -> s
     mean = f", the mean of {seeds} seeds" if seeds > 1 else ""
     if seeds == 1 and math.isnan(best.low):
         mean = ", of a single seed"
-    known = f"{number}{sign}{interval}{mean}."
+    estimate = f"{number}{sign}{interval}{mean}."
     if seeds > 1 and not subject.columns:  # the seeds alone differ: there is nothing to choose
-        return f"The {result} is {known}"
-    text = f"The {superlative} {result} is that of {point}: {known}"
+        return f"The {result} is {estimate}"
+    text = f"The {superlative} {result} is that of {point}: {estimate}"
     rivals = sum(_overlap(best, other) for other in others)
     if rivals:
         number = f"{rivals:,} of the {len(others):,}" if rivals < len(others) else f"all {rivals:,}"
@@ -212,10 +212,10 @@ def _against(subject: SweepSubject, key: str) -> Picture:
 
 def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) -> str:
     """Say what the least expected MSE does along a key."""
-    found = averages(selected(subject.frame, held), subject.columns, "expected_mse")
+    points = averages(selected(subject.frame, held), subject.columns, "expected_mse")
     position = subject.columns.index(key)
     least = dict[Any, Average]()
-    for each in found:
+    for each in points:
         value = each.point[position]
         if math.isfinite(each.mean) and (value not in least or each.mean < least[value].mean):
             least[value] = each
@@ -253,8 +253,10 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
     frame, held = subject.held([x, y], 1)
     is_gain = any(map(math.isfinite, frame[GAIN]))
     value, result = (GAIN, "Gain of means") if is_gain else ("expected_mse", "Expected MSE")
-    known = {each.point for each in averages(frame, [x, y], value) if math.isfinite(each.mean)}
-    is_full = len(known) == math.prod(len(values_of(frame, name)) for name in (x, y))
+    filled_cells = {
+        each.point for each in averages(frame, [x, y], value) if math.isfinite(each.mean)
+    }
+    is_full = len(filled_cells) == math.prod(len(values_of(frame, name)) for name in (x, y))
     hatched = "" if is_full else "; hatched cells have no result"
     names = f"{subject.short[x]} and {subject.short[y]}"
     title = f"{result} by {names}{_held_phrase(subject, held)}{hatched}."
@@ -363,11 +365,11 @@ def _losses_of(subject: SweepSubject) -> Iterator[_Losses]:
     """Yield the losses of all times whose losses are known, in the order of the table."""
     for (point, search), rows in subject.judged.groupby(["found_at", "set"], sort=False):
         others = [row for row in rows.to_dict("records") if row["run"] != point]
-        known = [row for row in others if math.isfinite(row["loss"])]
-        if known:
-            worst = max(known, key=lambda row: row["loss"])
-            mean = sum(row["loss"] for row in known) / len(known)
-            yield _Losses(str(point), str(search), len(known), mean, worst)
+        rows_with_loss = [row for row in others if math.isfinite(row["loss"])]
+        if rows_with_loss:
+            worst = max(rows_with_loss, key=lambda row: row["loss"])
+            mean = sum(row["loss"] for row in rows_with_loss) / len(rows_with_loss)
+            yield _Losses(str(point), str(search), len(rows_with_loss), mean, worst)
 
 
 def _values_by_run(subject: SweepSubject) -> dict[str, Row]:

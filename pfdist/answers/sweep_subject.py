@@ -126,11 +126,11 @@ class SweepSubject:
     @cached_property
     def varying(self) -> list[str]:
         """Keys in which the jobs differ, other than the seed and those that change with others."""
-        found = list[str]()
+        keys = list[str]()
         for name in self.keys:
-            if name != SEED and name in still_varying(self.frame, found):
-                found.append(name)
-        return found
+            if name != SEED and name in still_varying(self.frame, keys):
+                keys.append(name)
+        return keys
 
     @cached_property
     def columns(self) -> list[str]:
@@ -153,10 +153,10 @@ class SweepSubject:
 
     def ranked(self, value: str, *, is_best_low: bool) -> list[Average]:
         """The averages over seeds of a result that are known and finite, the best first."""
-        known = [
+        finite_averages = [
             each for each in averages(self.frame, self.columns, value) if math.isfinite(each.mean)
         ]
-        return sorted(known, key=lambda each: each.mean if is_best_low else -each.mean)
+        return sorted(finite_averages, key=lambda each: each.mean if is_best_low else -each.mean)
 
     def best(self) -> dict[str, Any]:
         """The values of the columns with the least expected MSE; if unknown, the first."""
@@ -200,15 +200,15 @@ class SweepSubject:
     def _read_judged(self) -> pd.DataFrame:
         """Read the finished comparisons of finished points; if points were added, the latest."""
         runs = {run.path.name: run for run in self.runs if run.state == FINISHED}
-        found = {times for sets in times_by_search(runs).values() for times in sets.values()}
+        found_sets = {times for sets in times_by_search(runs).values() for times in sets.values()}
         best, most = dict[str, Run](), (0, 0)
         for folder in sorted(self.path.glob(f"{JUDGED}/*/")):
             judges = {name: folder / name for name in runs if holds_run(folder / name)}
             opened = {name: open_run(path) for name, path in judges.items()}
             finished = {name: run for name, run in opened.items() if run.state == FINISHED}
             sets = set(next(iter(finished.values())).sets().values()) if finished else set()
-            if (len(found & sets), len(finished)) > most:
-                best, most = finished, (len(found & sets), len(finished))
+            if (len(found_sets & sets), len(finished)) > most:
+                best, most = finished, (len(found_sets & sets), len(finished))
         return judged_table(runs, best)
 
     def _read(self) -> tuple[list[Run], pd.DataFrame]:

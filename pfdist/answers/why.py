@@ -45,17 +45,17 @@ def worth(subject: Subject) -> Section | None:
     )
 
 
-def why_page(answer: Mapping[str, Any], found: Iterable[str]) -> Page:
+def why_page(answer: Mapping[str, Any], found_names: Iterable[str]) -> Page:
     """The answer of `pfdist.why`.
 
     Parameters
     ----------
     answer : mapping
         As of `pfdist.api.why.Why.as_json`.
-    found : iterable of str
+    found_names : iterable of str
         Names of the sets that searches have found.
     """
-    blocks, names = list[Block](), set(found)
+    blocks, names = list[Block](), set(found_names)
     for name, each in answer["sets"].items():
         mse = with_error(cost(each["expected_mse"]), each["standard_error"])
         blocks.append(Text(f"{name}: expected MSE {mse}", prominent=True))

@@ -13,12 +13,12 @@ from pfdist.api.following import following
 from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
-from pfdist.api.run_of_job import asked_run, finished_run
+from pfdist.api.run_of_job import finished_run, run_and_job
 from pfdist.bounds.gap import Gap
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, JobError, shown
-from pfdist.job.asked import Asked
+from pfdist.job.source import JobSource
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
@@ -84,7 +84,7 @@ class Bound(Shown):
 
 @with_options
 def bound(
-    job: Asked | Run,
+    job: JobSource | Run,
     settings: BoundSettings = _DEFAULT,
     *,
     results: str | Path | None = None,
@@ -131,7 +131,7 @@ def bound(
             f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
         )
     with following(chosen.progress, chosen.say) as (show, tell):
-        proved, built = asked_run(job, results, changes, tell, chosen.execution)
+        proved, built = run_and_job(job, results, changes, tell, chosen.execution)
         if built.evaluator.exact:  # there is nothing to compute in a pool
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)

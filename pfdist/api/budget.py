@@ -10,7 +10,7 @@ from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import number_argument, whole_argument
 from pfdist.errors import ArgumentError, JobError, shown
-from pfdist.job.asked import Asked, as_job
+from pfdist.job.source import JobSource, as_job
 from pfdist.plots import draw_target
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
@@ -21,7 +21,7 @@ MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 @with_options
 def budget(
-    job: Asked,
+    job: JobSource,
     measurements: tuple[int, int] | range | Set[int],
     results: str | Path | None = None,
     draws: int = DRAWS,
@@ -77,10 +77,10 @@ def budget(
     if target is not None:
         number_argument("target", target)
     numbers = _section(measurements)
-    asked = {"budget": numbers, "comparison": {"draws": draws}}
+    fixed_sections = {"budget": numbers, "comparison": {"draws": draws}}
     search = [{"method": DEFAULT_METHOD, "polish": False}]
-    job = as_job(job, changes, sections={"search": search, "online": None, **asked})
-    if job.with_changes(sections=asked) != job:
+    job = as_job(job, changes, sections={"search": search, "online": None, **fixed_sections})
+    if job.with_changes(sections=fixed_sections) != job:
         raise JobError(
             "changes of a budget must leave [budget] and [comparison] as measurements and draws "
             f"say, got {' '.join(changes)}",

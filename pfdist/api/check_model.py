@@ -11,9 +11,9 @@ from pfdist.checks.model import Check, check_object
 from pfdist.checks.model import check_model as check_named
 from pfdist.common.arguments import whole_argument
 from pfdist.errors import ArgumentError, ModelError, shown
-from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job
 from pfdist.job.problem import Problem
+from pfdist.job.source import JobSource, as_job
 from pfdist.models import PYTHON, CarriedModel, StateSpaceModel, carried
 from pfdist.runner.build import models_of
 from pfdist.times.clock import Time
@@ -23,7 +23,7 @@ MOST_INSTANTS, MOST_PARTICLES = 32_000, 10_000_000
 
 
 def check_model(
-    model: StateSpaceModel | Asked, horizon: int | None = None, particles: int | None = None
+    model: StateSpaceModel | JobSource, horizon: int | None = None, particles: int | None = None
 ) -> pd.DataFrame:
     """Check a model in every way, as the command ``pfdist check-model`` does.
 
@@ -55,7 +55,7 @@ def check_model(
 
 
 def checks_of(
-    model: StateSpaceModel | Asked,
+    model: StateSpaceModel | JobSource,
     horizon: int | None = None,
     particles: int | None = None,
     times: Sequence[float] = (),
@@ -92,7 +92,7 @@ def checks_of(
     )
 
 
-def _is_job(model: StateSpaceModel | Asked) -> TypeGuard[Asked]:
+def _is_job(model: StateSpaceModel | JobSource) -> TypeGuard[JobSource]:
     is_file = isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml"))
     return is_file or isinstance(model, Problem | Job)
 

@@ -12,10 +12,10 @@ from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.run import Ending, run_built
 from pfdist.api.run_of_job import finished_run, folder_of
 from pfdist.errors import JobError, MeasurementTimesError, shown
-from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
+from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.identity import changed_fingerprints
 from pfdist.times.clock import Clock, Time
@@ -174,9 +174,9 @@ class SetsToCompare:
         folder = _STRANGE.sub("_", run.path.absolute().name.lower()).strip("_")
         prefix = folder if folder[:1].isalpha() else f"run_{folder}"
         longer, ending, number = f"{prefix[:_LONGEST_PREFIX]}_{name}", "", 2
-        while (found := longer[: LONGEST_SET_NAME - len(ending)] + ending) in self._written:
+        while (free_name := longer[: LONGEST_SET_NAME - len(ending)] + ending) in self._written:
             ending, number = f"_{number}", number + 1
-        return found
+        return free_name
 
     def _check_clock(self, run: Run) -> None:
         own, first = run.problem.clock, self._clock
@@ -198,15 +198,15 @@ class SetsToCompare:
 
 def _differences(run: Run, first: ProblemSection) -> list[str]:
     """Say how the problem of a run differs from the first, of the same clock."""
-    own, found = run.problem, []
+    own, differences = run.problem, []
     if own.clock.horizon != first.clock.horizon:
         ends = [each.clock.formatted(each.clock.horizon) for each in (own, first)]
-        found.append(f"its horizon is {ends[0]}, not {ends[1]}")
+        differences.append(f"its horizon is {ends[0]}, not {ends[1]}")
     if _weights(own) != _weights(first):
-        found.append("its errors have other weights of instants")
+        differences.append("its errors have other weights of instants")
     if any(getattr(own, key) != getattr(first, key) for key in ("cost", "total_cost")):
-        found.append("its measurements have other costs")
-    return [f"{run.path} has another problem than the first: {each}" for each in found]
+        differences.append("its measurements have other costs")
+    return [f"{run.path} has another problem than the first: {each}" for each in differences]
 
 
 def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
@@ -229,7 +229,7 @@ Written = Iterable[Time | str] | str
 
 @with_options
 def compare(
-    job: Asked,
+    job: JobSource,
     *runs: Run | str | Path,
     times: Mapping[str, Written] | None = None,
     results: str | Path | None = None,
@@ -278,15 +278,15 @@ def compare(
     """
     chosen = Chosen(**options)
     settings = {"execution": chosen.execution, "comparison": {"draws": draws}}
-    asked = as_job(job, changes, settings=settings)
-    sets, opened = SetsToCompare(asked), [finished_run(run) for run in runs]
+    job = as_job(job, changes, settings=settings)
+    sets, opened = SetsToCompare(job), [finished_run(run) for run in runs]
     sets.add_named()
     for run in opened:
         sets.add_run(run)
     sets.add_times(times or {})
     compared = sets.job()
     check_pool(compared.execution)
-    path = folder_of(asked, results, "-compare")
+    path = folder_of(job, results, "-compare")
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([compared], tell)
         built = build(compared)
@@ -298,12 +298,12 @@ def compare(
 
 def _other_models(runs: Iterable[Run], built: Built) -> list[str]:
     """Say which runs have other models than the job."""
-    found = []
+    sentences = []
     for run in runs:
         changes = changed_fingerprints(read_recorded(run.path)[0], built)
         if changes:
-            found.append(
+            sentences.append(
                 f"{run.path} has another problem than the first: its model differs in "
                 f"{', '.join(changes)}"
             )
-    return found
+    return sentences

@@ -19,8 +19,8 @@ from rich.table import Column
 
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import one_line
-from pfdist.runner.progress import Found
 from pfdist.runner.progress import Progress as State
+from pfdist.runner.progress import SetGain
 
 
 class NotebookCell:
@@ -186,8 +186,8 @@ def _position(state: State) -> list[str]:
     if state.doing:
         return [state.doing]
     if not state.generations:
-        found = [_gain(found) for found in state.found[:1]]
-        return [state.phase, f"{state.evaluations:,} draws", *found]
+        gains = [_gain(gain) for gain in state.found[:1]]
+        return [state.phase, f"{state.evaluations:,} draws", *gains]
     parts = [state.phase, f"generation {state.generation}/{state.generations}"]
     if state.best is not None:
         parts.append(f"best {rounded(state.best, 4)}")
@@ -196,9 +196,9 @@ def _position(state: State) -> list[str]:
     return parts
 
 
-def _gain(found: Found) -> str:
+def _gain(gain: SetGain) -> str:
     """How much better a set is so far; ± is half of the 95 % interval."""
-    (low, high), (least, most) = found.gain_of_means_interval, found.interval
-    lower = with_error(100 * found.gain_of_means, 50 * (high - low))
-    relative = with_error(100 * found.mean_relative_gain, 50 * (most - least))
-    return f"{found.name}: MSE {lower} % lower, relative gain {relative} %"
+    (low, high), (least, most) = gain.gain_of_means_interval, gain.interval
+    lower = with_error(100 * gain.gain_of_means, 50 * (high - low))
+    relative = with_error(100 * gain.mean_relative_gain, 50 * (most - least))
+    return f"{gain.name}: MSE {lower} % lower, relative gain {relative} %"

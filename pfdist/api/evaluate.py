@@ -12,8 +12,8 @@ from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
-from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job
+from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
@@ -30,7 +30,7 @@ Written = OneSet | Mapping[str, OneSet]
 
 @overload
 def evaluate(
-    job: Asked,
+    job: JobSource,
     measurement_times: Mapping[str, Iterable[Time | str] | str],
     draws: int | None = None,
     particles: int | None = None,
@@ -40,7 +40,7 @@ def evaluate(
 
 @overload
 def evaluate(
-    job: Asked,
+    job: JobSource,
     measurement_times: Iterable[Time] | str,
     draws: int | None = None,
     particles: int | None = None,
@@ -49,7 +49,7 @@ def evaluate(
 
 
 def evaluate(
-    job: Asked,
+    job: JobSource,
     measurement_times: Written,
     draws: int | None = None,
     particles: int | None = None,
@@ -85,7 +85,7 @@ def evaluate(
 
 
 def prepare(
-    job: Asked,
+    job: JobSource,
     measurement_times: Written,
     draws: int | None = None,
     particles: int | None = None,

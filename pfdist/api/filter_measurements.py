@@ -16,14 +16,14 @@ from pfdist.answers.filtered import filtered_answer, filtered_page
 from pfdist.answers.pages import write_page
 from pfdist.api.filter_of import filter_of
 from pfdist.api.planned_run import planned_run
-from pfdist.api.run_of_job import asked_run
+from pfdist.api.run_of_job import run_and_job
 from pfdist.api.user_table import Table, table_argument
 from pfdist.common.arguments import path_argument
 from pfdist.common.component_names import Component
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.filters.cloud import Prior
-from pfdist.job.asked import Asked
+from pfdist.job.source import JobSource
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
@@ -117,15 +117,15 @@ class FilteredMeasurements(Shown):
             **({"time_unit": self.time_unit} if self.time_unit else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }
-        found: dict[str, Any] = finite(answer)
-        return found
+        values: dict[str, Any] = finite(answer)
+        return values
 
     def _page(self) -> Page:
         return filtered_answer(self.as_json())
 
 
 def filter_measurements(
-    job: Asked | Run,
+    job: JobSource | Run,
     measurements: Table,
     *,
     planned: str = "",
@@ -184,7 +184,7 @@ def filter_measurements(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
-    plan = planned_run(asked_run(job, results, changes, say), planned, prior)
+    plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     files = _files(table, out)[: 3 if report else 2]
     quantities = believed.named("z")
@@ -200,7 +200,7 @@ def filter_measurements(
     if problem.has_clock:
         estimates = ClockColumns(clock.times, clock.unit).table(estimates)
     last = max((*rows.t, *rows.missed), default=-1)
-    found = FilteredMeasurements(
+    result = FilteredMeasurements(
         plan.run.path,
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
@@ -216,11 +216,11 @@ def filter_measurements(
     )
     if files:
         write_user_table(files[0], estimates)
-        marked = found.missing, found.extra, found.to_come
-        draw_filtered(files[1], filtered_plot(found.table, marked))
+        marked = result.missing, result.extra, result.to_come
+        draw_filtered(files[1], filtered_plot(result.table, marked))
     for file in files[2:]:
-        write_page(filtered_page(found.as_json(), found.table), file)
-    return found
+        write_page(filtered_page(result.as_json(), result.table), file)
+    return result
 
 
 def _files(measurements: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ...]:

@@ -14,7 +14,7 @@ from pfdist.answers.filtered import next_page
 from pfdist.api.filter_measurements import IMPROBABLE
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
-from pfdist.api.run_of_job import asked_run
+from pfdist.api.run_of_job import run_and_job
 from pfdist.api.user_table import Table, table_argument
 from pfdist.common.formatted_times import formatted_time
 from pfdist.documents.notebook import Shown
@@ -22,7 +22,7 @@ from pfdist.documents.parts import Page
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
-from pfdist.job.asked import Asked
+from pfdist.job.source import JobSource
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
@@ -100,15 +100,15 @@ class NextTime(Shown):
             "is_improbable": self.is_improbable,
             **({"time_unit": self.time_unit} if self.time_unit else {}),
         }
-        found: dict[str, Any] = finite(answer)
-        return found
+        values: dict[str, Any] = finite(answer)
+        return values
 
     def _page(self) -> Page:
         return next_page(self.as_json())
 
 
 def next_time(
-    job: Asked | Run,
+    job: JobSource | Run,
     measurements: Table,
     *,
     now: Time | None = None,
@@ -158,7 +158,7 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
-    plan = planned_run(asked_run(job, results, changes, say), planned, prior)
+    plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
     planner = Planner.of_built(plan.built, clock.times_of(plan.times), plan.prior)

@@ -8,12 +8,12 @@ from pfdist.analysis import Run
 from pfdist.api.options import Options, with_options
 from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
-from pfdist.job.asked import Asked, as_job
+from pfdist.job.source import JobSource, as_job
 
 
 @with_options
 def online(
-    job: Asked,
+    job: JobSource,
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),

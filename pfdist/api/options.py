@@ -87,15 +87,15 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
         )
         for field in fields(Chosen)
     ]
-    known = [each.name for each in (*own, *added)]
+    names = [each.name for each in (*own, *added)]
 
     @wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
         for name in named:
-            if name not in known:
-                nearest = did_you_mean(name, known)
+            if name not in names:
+                nearest = did_you_mean(name, names)
                 raise ArgumentError(
-                    f"{function.__name__} takes {', '.join(known)}, got {name}{nearest}"
+                    f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
                 )
         return function(*arguments, **named)
 

@@ -8,14 +8,14 @@ from pfdist.analysis import Run
 from pfdist.api.options import Options, with_options
 from pfdist.api.run import run
 from pfdist.api.run_of_job import PLANNED, folder_of, searched_by
-from pfdist.job.asked import Asked, as_job
+from pfdist.job.source import JobSource, as_job
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 
 @with_options
 def plan(
-    job: Asked,
+    job: JobSource,
     results: str | Path | None = None,
     search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),

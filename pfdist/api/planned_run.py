@@ -34,13 +34,13 @@ class PlannedRun(NamedTuple):
     prior: Prior | None
 
 
-def planned_run(asked: tuple[Run, Built], planned: str, prior: Any) -> PlannedRun:
+def planned_run(run_and_job: tuple[Run, Built], planned: str, prior: Any) -> PlannedRun:
     """A finished run whose times were planned, and what filters need.
 
     Parameters
     ----------
-    asked : Run, Built
-        As `pfdist.api.run_of_job.asked_run` gives them.
+    run_and_job : Run, Built
+        As `pfdist.api.run_of_job.run_and_job` gives them.
     planned : str
         Name of the compared set that was planned; empty: see `planned_set`.
     prior : str, Path, DataFrame, Cloud or array
@@ -51,13 +51,13 @@ def planned_run(asked: tuple[Run, Built], planned: str, prior: Any) -> PlannedRu
     JobError, PriorError
         As `planned_set` and `read_prior` raise.
     """
-    opened, built = asked
+    opened, built = run_and_job
     name, times = planned_set(opened, planned)
     times = built.job.problem.clock.instants(times)
-    return PlannedRun(opened, name, times, built, _known(prior, built))
+    return PlannedRun(opened, name, times, built, _prior(prior, built))
 
 
-def _known(prior: Any, built: Built) -> Prior | None:
+def _prior(prior: Any, built: Built) -> Prior | None:
     """The knowledge from which a filter starts: a table's, a prior, or None for an empty name."""
     model, clock = built.evaluator.believed, built.job.problem.clock
     if isinstance(prior, str | Path):

@@ -13,7 +13,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
-from pfdist.job.asked import Asked, as_job
+from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build
 from pfdist.runner.searches import planning_of
 from pfdist.search.methods import METHODS
@@ -73,7 +73,7 @@ class Planner:
 
     def __init__(
         self,
-        job: Asked,
+        job: JobSource,
         times: Iterable[Time] | None = None,
         *,
         prior: Prior | ArrayLike | None = None,
@@ -81,8 +81,8 @@ class Planner:
     ) -> None:
         built = build(as_job(job))
         believed, clock = built.evaluator.believed, built.job.problem.clock
-        known = None if prior is None else as_prior(prior, believed, clock)
-        self._begin(built, times, known, draw)
+        first_prior = None if prior is None else as_prior(prior, believed, clock)
+        self._begin(built, times, first_prior, draw)
 
     @classmethod
     def of_built(
@@ -208,10 +208,11 @@ class Planner:
                     f"times that are left must be at least {least}, got {got}"
                 )
         estimation = self._built.comparing
-        found = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
+        evaluations = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
         times: Iterator[Any] = (tuple(self.clock.times_of(plan)) for plan in wanted)
         return [
-            replace(each, measurement_times=plan) for each, plan in zip(found, times, strict=True)
+            replace(each, measurement_times=plan)
+            for each, plan in zip(evaluations, times, strict=True)
         ]
 
     def _begin(

@@ -66,11 +66,11 @@ class PointsAtWork:
     """
 
     def __init__(
-        self, asked: SweepJob, path: Path, bound: BoundSettings | None, show: Show, say: Say
+        self, sweep: SweepJob, path: Path, bound: BoundSettings | None, show: Show, say: Say
     ) -> None:
         self._failed: dict[str, str] = {}
         self._busy: dict[str, str] = {}  # who computes points that this process leaves out
-        self._asked, self._path, self._bound = asked, path, bound
+        self._sweep, self._path, self._bound = sweep, path, bound
         self._show, self._say = show, say
         self._shares: dict[str, _Share] = {}
         self._at_work = self._finished = 0
@@ -81,7 +81,7 @@ class PointsAtWork:
         Points that another process computes are left out, and tried again when all others have
         ended. Several processes may so share a sweep.
         """
-        todo = [*self._asked.jobs]
+        todo = [*self._sweep.jobs]
         while todo:
             for name in todo:
                 self._busy.pop(name, None)  # the others are still left out
@@ -96,17 +96,17 @@ class PointsAtWork:
     def points(self) -> Points:
         """The points when all drivers have ended."""
         left = self._failed | self._busy
-        runs = {name: open_run(self._path / name) for name in self._asked.jobs if name not in left}
+        runs = {name: open_run(self._path / name) for name in self._sweep.jobs if name not in left}
         for name, run in runs.items():
-            run.made_from = self._asked.jobs[name]
+            run.made_from = self._sweep.jobs[name]
         failed = {name: one_line(why) for name, why in self._failed.items()}
         return Points(runs, failed, [*self._busy])
 
     @property
     def at_once(self) -> int:
         """How many points are at work at the same time."""
-        workers = self._asked.execution.workers or usable_cores()
-        return min(len(self._asked.points), workers + _MORE, _MOST)
+        workers = self._sweep.execution.workers or usable_cores()
+        return min(len(self._sweep.points), workers + _MORE, _MOST)
 
     def begun(self) -> list[Store]:
         """The stores of points that were begun before, whose evaluations all points take.
@@ -115,13 +115,13 @@ class PointsAtWork:
         says what is wrong with its folder.
         """
         begun, finished = list[Path](), 0
-        for path in (self._path / name for name in self._asked.jobs):
+        for path in (self._path / name for name in self._sweep.jobs):
             with contextlib.suppress(StoreError, OSError):
                 if holds_run(path):
                     finished += open_run(path).state == FINISHED
                     begun.append(path)
         stores = list[Store]()
-        if finished < len(self._asked.jobs):
+        if finished < len(self._sweep.jobs):
             for path in begun:
                 with contextlib.suppress(StoreError, OSError):
                     stores.append(lender(path))
@@ -139,7 +139,7 @@ class PointsAtWork:
             self._say(f"{name}: {line}")
 
         try:
-            built = build(self._asked.jobs[name])
+            built = build(self._sweep.jobs[name])
             with opened(self._path / name, built, say) as store:
                 yield from compute(Session(built, store, show, say), self._bound)
         except BusyError as error:
@@ -154,10 +154,10 @@ class PointsAtWork:
             self._shares.pop(name, None)
         self._finished += 1
         self._tell()
-        self._say(f"{name}: finished ({self._finished} of {len(self._asked.points)})")
+        self._say(f"{name}: finished ({self._finished} of {len(self._sweep.points)})")
 
     def _tell(self) -> None:
-        total = len(self._asked.points)
+        total = len(self._sweep.points)
         ended = self._finished + len(self._failed)
         phases = [f"{name}: {share.phase}" for name, share in self._shares.items()]
         doing = f"; {', '.join(phases)}" if phases else ""

@@ -14,7 +14,7 @@ from pfdist.api.report import try_report
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import paths_argument
 from pfdist.errors import JobError, ModelError, TaskError
-from pfdist.job.asked import Asked, as_job
+from pfdist.job.source import JobSource, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool, say_model_files
@@ -32,7 +32,7 @@ _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked fo
 
 @with_options
 def run(
-    job: Asked,
+    job: JobSource,
     results: str | Path | None = None,
     *,
     reuse: str | Path | Iterable[str | Path] = (),

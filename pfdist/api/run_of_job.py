@@ -9,8 +9,8 @@ from pfdist.analysis import Run, open_run
 from pfdist.api.following import Say
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, StoreError
-from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job
+from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, say_model_files
 from pfdist.runner.identity import check_same_job, check_same_models
 from pfdist.search.methods import DEFAULT_METHOD
@@ -65,8 +65,8 @@ def finished_run(run: Run | str | Path) -> Run:
     return opened
 
 
-def asked_run(
-    asked: Asked | Run,
+def run_and_job(
+    source: JobSource | Run,
     results: str | Path | None,
     changes: Iterable[str],
     say: Say,
@@ -76,7 +76,7 @@ def asked_run(
 
     Parameters
     ----------
-    asked : Problem, Job, str, Path or Run
+    source : Problem, Job, str, Path or Run
         A problem, a job, or the path of a job file; or a run that this process made of one.
     results : str, Path or None
         Folder of the run. By default it is the folder where `pfdist.run` and `pfdist.plan` put the
@@ -97,22 +97,22 @@ def asked_run(
     ModelError
         A model cannot be loaded.
     """
-    if isinstance(asked, Run):
-        if asked.made_from is None:
+    if isinstance(source, Run):
+        if source.made_from is None:
             raise ArgumentError(
-                f"a run that was opened from its folder holds no model, got {asked.path}: give the "
-                f"job, for instance {str(asked.path / 'job.toml')!r}",
+                f"a run that was opened from its folder holds no model, got {source.path}: give "
+                f"the job, for instance {str(source.path / 'job.toml')!r}",
                 argument="job",
             )
-        results, asked = asked.path if results is None else results, asked.made_from
-    job = as_job(asked)
+        results, source = source.path if results is None else results, source.made_from
+    job = as_job(source)
     path, sections = folder_of(job, results), _AS_DEFAULT
     if not holds_run(path):
         planned = folder_of(job, results, PLANNED)
         if not (job.names_its_searches and holds_run(planned)):
             raise _no_run(job, results)
         path, sections = planned, searched_by(DEFAULT_METHOD)
-    job = as_job(asked, changes, sections, {"execution": execution})
+    job = as_job(source, changes, sections, {"execution": execution})
     run = finished_run(path)
     check_same_job(path, run.job, job)
     say_model_files([job], say)

@@ -8,7 +8,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError
 from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import Draws
-from pfdist.job.asked import Asked, as_job
+from pfdist.job.source import JobSource, as_job
 from pfdist.models import StateSpaceModel
 from pfdist.runner.build import build
 from pfdist.store.schema import LABELS, labels_of
@@ -18,7 +18,7 @@ DRAWS = 100
 MOST_NUMBERS = 50_000_000  # of a table
 
 
-def simulate(problem: Asked, draws: int = DRAWS, seed: int | None = None) -> pd.DataFrame:
+def simulate(problem: JobSource, draws: int = DRAWS, seed: int | None = None) -> pd.DataFrame:
     """Simulate the model of a problem: its states, measurements and quantities of interest.
 
     Parameters

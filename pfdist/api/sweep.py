@@ -16,10 +16,10 @@ from pfdist.api.run import bound_settings
 from pfdist.api.table import table
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, JobError, SweepError
-from pfdist.job.asked import Asked
 from pfdist.job.job import Job
 from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
+from pfdist.job.source import JobSource
 from pfdist.job.sweep import SweepJob, read_sweep
 from pfdist.runner.build import build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import comparison_steps
@@ -83,7 +83,7 @@ class Sweep:
 
 
 def sweep(
-    job: Asked,
+    job: JobSource,
     over: Values = _NOTHING,
     *,
     parallel: Sequence[Values] = (),
@@ -147,47 +147,47 @@ def sweep(
     PfdistError
         The sweep is wrong, or no worker answers. The same call resumes the sweep.
     """
-    asked = asked_sweep(job, over, parallel, points, changes, pool, workers, address)
-    path, judges_points = checked_folder(asked, results, judge)
-    check_pool(asked.execution)
+    sweep_job = sweep_of_job(job, over, parallel, points, changes, pool, workers, address)
+    path, judges_points = checked_folder(sweep_job, results, judge)
+    check_pool(sweep_job.execution)
     bound = bound_settings(bound_draws)
     with following(progress, say) as (show, tell):
-        say_model_files(asked.jobs.values(), tell)
-        searched, refused = PointsAtWork(asked, path, bound, show, tell), None
+        say_model_files(sweep_job.jobs.values(), tell)
+        searched, refused = PointsAtWork(sweep_job, path, bound, show, tell), None
         stages = [searched]
 
         def drivers() -> Iterator[Driver | None]:
             yield from searched.drivers()
-            if judges_points and (judged := _judged(asked, searched.points().runs, tell)):
+            if judges_points and (judged := _judged(sweep_job, searched.points().runs, tell)):
                 folder = path / JUDGED / judged.name
                 stages.append(PointsAtWork(judged, folder, None, show, tell))
                 yield from stages[-1].drivers()
 
-        engines = [each.filter.engine for each in asked.jobs.values()]
-        workers_at_work = at_work(asked.execution, engines, tell)
+        engines = [each.filter.engine for each in sweep_job.jobs.values()]
+        workers_at_work = at_work(sweep_job.execution, engines, tell)
         try:
             Loop(workers_at_work, searched.at_once, searched.begun()).serve(drivers())
         except JobError as error:  # the points are finished, and get their reports
             refused = error
-        found, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
+        searches, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
         if report:
-            _report(found.runs, tell)
+            _report(searches.runs, tell)
             try_sweep_report(path, tell)
     if refused is not None:
         raise refused
-    if failed := found.failed | judges.failed:
+    if failed := searches.failed | judges.failed:
         first = "; ".join(f"{name}: {reason}" for name, reason in [*failed.items()][:_SHOWN])
         more = f"; {len(failed) - _SHOWN} more" * (len(failed) > _SHOWN)
         raise SweepError(
-            f"{len(failed)} of {len(asked.points)} points failed, the others are finished in "
+            f"{len(failed)} of {len(sweep_job.points)} points failed, the others are finished in "
             f"{path}: {first}{more}",
             failed,
         )
-    busy = (*found.busy, *judges.busy)
-    return Sweep(path, found.runs, {} if judges.busy else judges.runs, busy)
+    busy = (*searches.busy, *judges.busy)
+    return Sweep(path, searches.runs, {} if judges.busy else judges.runs, busy)
 
 
-def _judged(asked: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob | None:
+def _judged(sweep_job: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob | None:
     """The sweep that judges the found times; None if not all points are finished.
 
     Raises
@@ -195,11 +195,11 @@ def _judged(asked: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob | No
     JobError
         The found times cannot be judged.
     """
-    if len(runs) < len(asked.points):
+    if len(runs) < len(sweep_job.points):
         say("the found times are not judged, because not all points are finished")
         return None
-    judged = judging(asked, times_by_search(runs))
-    say(f"judges the found times at all {len(asked.points)} points")
+    judged = judging(sweep_job, times_by_search(runs))
+    say(f"judges the found times at all {len(sweep_job.points)} points")
     return judged
 
 
@@ -212,7 +212,7 @@ def _report(runs: Mapping[str, Run], say: Say) -> None:
 
 
 def checked_folder(
-    asked: SweepJob, results: str | Path | None, judge: bool | None
+    sweep_job: SweepJob, results: str | Path | None, judge: bool | None
 ) -> tuple[Path, bool]:
     """The folder of a sweep, and whether it judges.
 
@@ -223,21 +223,23 @@ def checked_folder(
     JobError
         Points that are to be judged have different clocks.
     """
-    path = Path("results") / asked.name if results is None else path_argument("results", results)
+    path = (
+        Path("results") / sweep_job.name if results is None else path_argument("results", results)
+    )
     wrong = "a run" if holds_run(path) else "a file" if path.is_file() else ""
     if wrong:
         raise ArgumentError(
             f"results must be a folder for the runs of the sweep, got {wrong}: {path}",
             argument="results",
         )
-    judges = asked.judge if judge is None else judge
+    judges = sweep_job.judge if judge is None else judge
     if judges:
-        check_comparable(asked)
+        check_comparable(sweep_job)
     return path, judges
 
 
-def asked_sweep(
-    job: Asked,
+def sweep_of_job(
+    job: JobSource,
     over: Values,
     parallel: Sequence[Values],
     points: Sequence[Values],
@@ -252,7 +254,7 @@ def asked_sweep(
 
 
 def foreseen(
-    job: Asked,
+    job: JobSource,
     over: Values = _NOTHING,
     *,
     parallel: Sequence[Values] = (),
@@ -281,19 +283,19 @@ def foreseen(
     PfdistError
         The sweep is wrong, or the model of a point.
     """
-    asked = asked_sweep(job, over, parallel, points, changes)
-    path, judges = checked_folder(asked, results, judge)
-    rows, steps_a_set, found = [], [], 0
-    for point in asked.points:
-        folder, built = path / point.name, build(asked.jobs[point.name])
-        state = _state(folder, asked.jobs[point.name])
+    sweep_job = sweep_of_job(job, over, parallel, points, changes)
+    path, judges = checked_folder(sweep_job, results, judge)
+    rows, steps_a_set, number_of_sets = [], [], 0
+    for point in sweep_job.points:
+        folder, built = path / point.name, build(sweep_job.jobs[point.name])
+        state = _state(folder, sweep_job.jobs[point.name])
         steps = foreseen_steps(built)
         rows.append({"point": point.name, **point.chosen, "state": state, "steps": steps})
         steps_a_set.append(comparison_steps(built) // len(built.names))
-        found += len(built.names) - len(built.study.unsearched)
+        number_of_sets += len(built.names) - len(built.study.unsearched)
     points_of_sweep = pd.DataFrame(rows)
     if judges:
-        points_of_sweep["judging_steps"] = [steps * (found + 1) for steps in steps_a_set]
+        points_of_sweep["judging_steps"] = [steps * (number_of_sets + 1) for steps in steps_a_set]
     return points_of_sweep
 
 

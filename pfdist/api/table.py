@@ -212,7 +212,7 @@ def _in_tex(text: str) -> str:
 def _number_in_tex(text: str) -> str:
     """A number with its error as LaTeX prints it, with powers of ten for exponents."""
     return _POWER_OF_TEN.sub(
-        lambda found: rf"$\times 10^{{{int(found[1])}}}$", _MINUS.sub("$-$", _in_tex(text))
+        lambda match: rf"$\times 10^{{{int(match[1])}}}$", _MINUS.sub("$-$", _in_tex(text))
     )
 
 
@@ -252,10 +252,10 @@ def _write_tex(frame: pd.DataFrame, path: Path) -> None:
 
 def _is_earlier_parquet(path: Path) -> bool:
     try:
-        known = read_schema(path).metadata or {}
+        metadata = read_schema(path).metadata or {}
     except pa.ArrowException:
         return False
-    return bool(known.get(b"table") == _MARK)
+    return bool(metadata.get(b"table") == _MARK)
 
 
 def _is_earlier_csv(path: Path) -> bool:

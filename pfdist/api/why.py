@@ -18,12 +18,12 @@ from pfdist.answers.why import why_page
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
-from pfdist.api.run_of_job import asked_run
+from pfdist.api.run_of_job import run_and_job
 from pfdist.common.arguments import whole_argument
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
-from pfdist.job.asked import Asked
 from pfdist.job.sections import Execution
+from pfdist.job.source import JobSource
 from pfdist.plots import draw_figures
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
@@ -102,8 +102,8 @@ class Why(Shown):
                 for key, frame in parts.items()
             }
             sets[str(name)] = row | {key: frame.to_dict("records") for key, frame in parts.items()}
-        found = {"run": str(self.run), "draws": self.draws, "sets": sets}
-        answer: dict[str, Any] = finite(found | {"figures": list(map(str, self.figures))})
+        values = {"run": str(self.run), "draws": self.draws, "sets": sets}
+        answer: dict[str, Any] = finite(values | {"figures": list(map(str, self.figures))})
         return answer
 
     def _page(self) -> Page:
@@ -111,7 +111,7 @@ class Why(Shown):
 
 
 def why(
-    job: Asked | Run,
+    job: JobSource | Run,
     draws: int = DRAWS,
     *,
     results: str | Path | None = None,
@@ -158,17 +158,17 @@ def why(
     """
     draws = whole_argument("draws", draws, 2, MOST_DRAWS)
     with following(progress, say) as (show, tell):
-        opened, built = asked_run(job, results, changes, tell)
+        opened, built = run_and_job(job, results, changes, tell)
         sets = opened.sets_of_one_number()
         with own_store(opened, built, tell, must_be=False) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))
             driver = _examine(session, opened, sets, draws)
             # It takes less time than the workers of another pool take to start.
-            found: Why = complete(driver, make_pool(Execution(pool="threads")))
+            answer: Why = complete(driver, make_pool(Execution(pool="threads")))
         files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
         renew_report(opened.path, tell)
-    return replace(found, figures=files)
+    return replace(answer, figures=files)
 
 
 def _examine(
@@ -177,17 +177,17 @@ def _examine(
     """Compute the worth of all measurements, and store the tables; no figure is drawn."""
     built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
     answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
-    for position, (name, kept) in enumerate(sets.items()):
+    for position, (name, clock_times) in enumerate(sets.items()):
         session.reporter.note(phase=f"why {name}", done=_STEPS * position)
-        instants = built.job.problem.clock.instants(kept)
+        instants = built.job.problem.clock.instants(clock_times)
         times = validated(instants, built.evaluator.horizon, f"{run.path}: {name}")
-        found = yield from worth_of(session, name, times, draws, _measured(run, times))
+        result = yield from worth_of(session, name, times, draws, _measured(run, times))
         windows = yield from sampling_windows(session, name, times, draws)
         by_percent = windows_by_percent(windows, times)
         jittered = yield from jitter(session, name, times, by_percent, draws)
-        answers.append({"name": name, "measurement_times": list(kept)} | found.summary)
+        answers.append({"name": name, "measurement_times": list(clock_times)} | result.summary)
         about = {"position": position, "name": name, "draws": drawn}
-        parts = (found.profile, found.worth, windows, jittered)
+        parts = (result.profile, result.worth, windows, jittered)
         for part, of_a_part in zip(_PARTS, parts, strict=True):
             rows[part] += [about | row for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}

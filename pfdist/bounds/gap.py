@@ -14,7 +14,7 @@ UNKNOWN, ZERO = Estimate(math.nan, math.nan), Estimate(0.0)
 
 
 @dataclass(frozen=True)
-class SetAlone:
+class GapParts:
     """The expected MSE of a set, and the parts of its gap that no relaxation causes."""
 
     expected_mse: Estimate  # with the job's own filter; NaN if a draw is degenerate or infinite
@@ -61,7 +61,7 @@ class Gap:
 
 
 def gap_of(
-    name: str, times: Times, parts: SetAlone, proof: Proof, place: int, confidence: float
+    name: str, times: Times, parts: GapParts, proof: Proof, place: int, confidence: float
 ) -> Gap:
     """The gap of a feasible set, which is number `place` of the proof's known sets.
 

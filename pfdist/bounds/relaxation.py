@@ -254,8 +254,8 @@ class Relaxation:
 
     def _suffix(self, window: Window) -> int:
         """Index of the longest known end of a window that is not the window itself."""
-        known = (self.index.get(window[begin:]) for begin in range(1, len(window)))
-        return next(number for number in known if number is not None)
+        numbers = (self.index.get(window[begin:]) for begin in range(1, len(window)))
+        return next(number for number in numbers if number is not None)
 
 
 def followers(constraints: Constraints, last: int) -> Iterator[int]:

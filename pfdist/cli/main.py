@@ -15,7 +15,7 @@ from typing import Any
 
 from pfdist.cli.help import welcome
 from pfdist.cli.parser import make_parser
-from pfdist.cli.streams import answers_alone, encode_all_text, flush_output, make_harmless
+from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
 from pfdist.errors import EngineWarning, PfdistError, SilenceError, TaskError, one_line
 
 _BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # send these when the time of a job is up
@@ -109,7 +109,7 @@ def _run(options: Namespace, *, ends: bool) -> int:
     """
     try:
         with _warnings_as_lines():
-            with answers_alone(options, ends=ends):
+            with stdout_for_json(options, ends=ends):
                 options.called.call(options)
             flush_output()
     except PfdistError as error:

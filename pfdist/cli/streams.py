@@ -82,7 +82,7 @@ def flush_output() -> None:
 
 
 @contextlib.contextmanager
-def answers_alone(options: Namespace, *, ends: bool) -> Iterator[None]:
+def stdout_for_json(options: Namespace, *, ends: bool) -> Iterator[None]:
     """Keep standard output for the JSON object of ``--json``, whatever a model prints.
 
     Parameters

@@ -130,17 +130,17 @@ def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str
         `named_times` take a list.
     """
     lists = [name for action in actions if action.type in _LISTS for name in action.option_strings]
-    found: list[str] = []
+    joined_words: list[str] = []
     begins = goes_on = False  # whether a list is expected, or may go on
     for word in words:
         if goes_on and _GOES_ON.fullmatch(word) and not os.path.isdir(word):
-            found[-1] += f" {word}"
+            joined_words[-1] += f" {word}"
             continue
-        found.append(word)
+        joined_words.append(word)
         name, equals, _ = word.partition("=")
         is_list = len(name) > 2 and any(option.startswith(name) for option in lists)
         begins, goes_on = is_list and not equals, begins or (is_list and bool(equals))
-    return found
+    return joined_words
 
 
 def unknown_option(words: Iterable[str], options: Sequence[str]) -> str:

@@ -38,10 +38,10 @@ def named_component(text: str) -> Component:
 
     A ValueError says that a text is no such name.
     """
-    found = _TEXT.fullmatch(text) if isinstance(text, str) and text.isprintable() else None
-    if not found or len(found[1]) > _LONGEST_NAME or len(found[2] or "") > _LONGEST_UNIT:
+    match = _TEXT.fullmatch(text) if isinstance(text, str) and text.isprintable() else None
+    if not match or len(match[1]) > _LONGEST_NAME or len(match[2] or "") > _LONGEST_UNIT:
         raise ValueError(f"a name must be {_ALLOWED}, got {shown(text)}")
-    name, unit = found[1], (found[2] or "").strip()
+    name, unit = match[1], (match[2] or "").strip()
     return Component(re.sub(r"[\W_]+", "_", name.lower()).strip("_"), name, unit)
 
 
@@ -57,14 +57,14 @@ def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
     if len(names) != count:
         raise ValueError(f"must have a name for each of {count} components, got {len(names)}")
     components = tuple(map(named_component, names))
-    known = dict[str, str]()
+    names_by_suffix = dict[str, str]()
     for component in components:
-        if component.suffix in known:
+        if component.suffix in names_by_suffix:
             raise ValueError(
-                f"must give different columns, got {known[component.suffix]!r} and "
+                f"must give different columns, got {names_by_suffix[component.suffix]!r} and "
                 f"{component.name!r}, which both end with _{component.suffix}"
             )
-        known[component.suffix] = component.name
+        names_by_suffix[component.suffix] = component.name
     return components
 
 

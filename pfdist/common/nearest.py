@@ -25,8 +25,8 @@ def nearest_name(word: object, names: Iterable[str]) -> str:
     if not isinstance(word, str) or len(word) > _LONGEST:
         return ""
     by_lower_case = {name.lower(): name for name in names}
-    found = difflib.get_close_matches(word.lower(), by_lower_case, n=1)
-    return by_lower_case[found[0]] if found else ""
+    matches = difflib.get_close_matches(word.lower(), by_lower_case, n=1)
+    return by_lower_case[matches[0]] if matches else ""
 
 
 def did_you_mean(word: object, names: Iterable[str]) -> str:
@@ -45,14 +45,14 @@ def did_you_mean_path(path: Path, folders: Iterable[Path], is_meant: Callable[[P
     A similar name is sought in the folders, among paths of the kind that the user wants
     (`is_meant`).
     """
-    found: dict[str, str] = {}
+    paths_by_name: dict[str, str] = {}
     for folder in folders:
         with contextlib.suppress(OSError):
             for near in islice(folder.iterdir(), _MOST_ENTRIES):
                 if near != path and is_meant(near):
-                    found.setdefault(near.name, str(near))
-    name = nearest_name(path.name, sorted(found))
-    return f"; did you mean {found[name]!r}?" if name else ""
+                    paths_by_name.setdefault(near.name, str(near))
+    name = nearest_name(path.name, sorted(paths_by_name))
+    return f"; did you mean {paths_by_name[name]!r}?" if name else ""
 
 
 def quoted_names(text: str) -> list[str]:

@@ -42,13 +42,14 @@ def ranges(
     those of `whole_numbers`.
     """
     entries = _SEPARATOR.split(text.strip().removesuffix(",").rstrip())
-    found = [_ends(entry, text, number) for entry in entries]
+    ends_of_entries = [_ends(entry, text, number) for entry in entries]
     listed = sum(
-        1 + ((last - first) // (step or 1) if step or by_ones else 0) for first, last, step in found
+        1 + ((last - first) // (step or 1) if step or by_ones else 0)
+        for first, last, step in ends_of_entries
     )
     if listed > MOST_NUMBERS:
         raise ValueError(f"must be at most {MOST_NUMBERS:,} numbers, got more: {shown(text)}")
-    return found
+    return ends_of_entries
 
 
 def _ends(entry: str, text: str, number: Callable[[str], Any]) -> tuple[Any, Any, Any]:

@@ -39,8 +39,8 @@ def read_text(path: Path) -> str:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """The data of a TOML text, within the limits of this module."""
-    found: dict[str, Any] = _parsed(tomllib.loads, text)
-    return found
+    data: dict[str, Any] = _parsed(tomllib.loads, text)
+    return data
 
 
 def parse_json(text: str) -> Any:

@@ -59,13 +59,15 @@ def with_interval(value: float | None, low: float | None, high: float | None) ->
     >>> with_interval(17.6321, 16.2, 19.04)
     ('17.6', '16.2', '19.0')
     """
-    known = [part for part in (value, low, high) if part is not None and math.isfinite(part)]
-    if len(known) < 3:
+    finite_values = [
+        part for part in (value, low, high) if part is not None and math.isfinite(part)
+    ]
+    if len(finite_values) < 3:
         return rounded(value, _DIGITS_OF_UNKNOWN), rounded(low), rounded(high)
-    half = (known[2] - known[1]) / 2
+    half = (finite_values[2] - finite_values[1]) / 2
     place = _last_place(half) if half > 0.0 else 0
-    if half > 0.0 and max(map(_exponent, known)) - place < _MOST_DIGITS:
-        return tuple(_text(part, place) for part in known)
+    if half > 0.0 and max(map(_exponent, finite_values)) - place < _MOST_DIGITS:
+        return tuple(_text(part, place) for part in finite_values)
     return rounded(value), rounded(low), rounded(high)
 
 

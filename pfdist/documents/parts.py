@@ -117,9 +117,9 @@ def without_empty_columns(table: Table) -> Table:
     >>> without_empty_columns(table).head
     ['search']
     """
-    kept = [any(row[column].text for row in table.rows) for column in range(len(table.head))]
-    rows = [list(compress(row, kept)) for row in table.rows]
-    return replace(table, head=list(compress(table.head, kept)), rows=rows)
+    has_text = [any(row[column].text for row in table.rows) for column in range(len(table.head))]
+    rows = [list(compress(row, has_text)) for row in table.rows]
+    return replace(table, head=list(compress(table.head, has_text)), rows=rows)
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ class Evaluation(Shown):
         return top_percent_share(self._usable, self._usable.size, self.expected_mse)
 
     @property
-    def known_errors(self) -> NDArray[np.float64]:
+    def errors_of_instants(self) -> NDArray[np.float64]:
         """`errors`, of an evaluation that has them; a ValueError otherwise."""
         if self.errors is None:
             raise ValueError("the errors of each instant were not asked for")

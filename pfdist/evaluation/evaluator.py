@@ -21,7 +21,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.interface import validated_from, weighed
-from pfdist.filters.matrices import known_matrices
+from pfdist.filters.matrices import cached_matrices
 from pfdist.filters.particle_filter import (
     KERNEL_VERSION,
     filter_checked_draws,
@@ -80,7 +80,7 @@ class Evaluator:
                 raise ModelError(
                     f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
                 )
-            known_matrices(self.model, self.horizon)
+            cached_matrices(self.model, self.horizon)
         elif isinstance(self.prior, Gaussian):
             raise PriorError(
                 "particles must start from particles, got a normal distribution; it is for the "

@@ -12,7 +12,7 @@ from pfdist.kernels.noise import FILTER_INITIAL, TRUTH_INITIAL, variates
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-_KEPT = 2  # results in the cache: an estimator has two filters at most
+_CACHE_SIZE = 2  # results in the cache: an estimator has two filters at most
 _ROUNDING = 1e-12  # relative, of a sum of weights
 
 
@@ -138,7 +138,7 @@ class Cloud:
         arguments = particles, draws, stream, None if truths is None else truths.tobytes()
         chosen = self._chosen.get(arguments)  # a search asks for the same particles again and again
         if chosen is None:
-            if len(self._chosen) == _KEPT:
+            if len(self._chosen) == _CACHE_SIZE:
                 self._chosen.clear()  # another thread may clear it, too
             chosen = self._chosen[arguments] = self._choose_for_filters(
                 particles, draws, stream, truths
@@ -157,9 +157,9 @@ class Cloud:
         order, ends, first, after = self._by_state
         first, after = first[truths][:, None], after[truths][:, None]
         below, above = np.r_[0.0, ends][first], np.r_[0.0, ends][after]
-        alone = above - below > 1 - _ROUNDING  # there is no other state
-        first, after = np.where(alone, len(ends), first), np.where(alone, 0, after)
-        left_out = np.where(alone, 0.0, above - below)
+        is_only_state = above - below > 1 - _ROUNDING  # there is no other state
+        first, after = np.where(is_only_state, len(ends), first), np.where(is_only_state, 0, after)
+        left_out = np.where(is_only_state, 0.0, above - below)
         points = points * (ends[-1] - left_out)
         place = _at(ends, np.where(points < below, points, points + left_out))
         return order[

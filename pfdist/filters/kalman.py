@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from, weighed
-from pfdist.filters.matrices import Affine, LinearGaussian, known_matrices, matrices_of
+from pfdist.filters.matrices import Affine, LinearGaussian, cached_matrices, matrices_of
 from pfdist.filters.one_by_one import one_by_one
 from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel
@@ -56,7 +56,7 @@ def expected_errors(
     With a prior of x(s), the instants are s..T. Errors are raised as by `expected_mse`.
     """
     start = 0 if prior is None else prior.t
-    matrices = known_matrices(model, horizon).since(start)
+    matrices = cached_matrices(model, horizon).since(start)
     instants = horizon + 1 - start
     measured = np.zeros((len(sets), instants), np.bool_)
     for row, times in zip(measured, sets, strict=True):

@@ -61,7 +61,7 @@ class _SameModel:
 
 
 @lru_cache(maxsize=8)
-def _known(key: _SameModel, horizon: int) -> LinearGaussian:
+def _cached(key: _SameModel, horizon: int) -> LinearGaussian:
     """The cached matrices for t = 0..horizon: a search needs them again and again."""
     return matrices_of(key.model, horizon)
 
@@ -134,6 +134,6 @@ def _check_declared(model: StateSpaceModel) -> None:
         )
 
 
-def known_matrices(model: StateSpaceModel, horizon: int) -> LinearGaussian:
+def cached_matrices(model: StateSpaceModel, horizon: int) -> LinearGaussian:
     """The matrices for t = 0..horizon, computed once for each model; raises as `matrices_of`."""
-    return _known(_SameModel(model), horizon)
+    return _cached(_SameModel(model), horizon)

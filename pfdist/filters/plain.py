@@ -99,14 +99,14 @@ def _filter(
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     if isinstance(settings.prior, Cloud):
         chosen = settings.prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
-        x = _kept(_flat(tuple(settings.prior.x[:, chosen])), cloud, dtype)
+        x = _rounded(_flat(tuple(settings.prior.x[:, chosen])), cloud, dtype)
     else:
         noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-        x = _kept(model.initial(_flat(noise), model.p), cloud, dtype)
+        x = _rounded(model.initial(_flat(noise), model.p), cloud, dtype)
     for k, t in enumerate(draws.instants):
         if k > 0:
             w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
-            x = _kept(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
+            x = _rounded(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
@@ -168,7 +168,7 @@ def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
     return _like(value, (math.prod(cloud),)).reshape(cloud)
 
 
-def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
+def _rounded(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
     """States (D, particles), rounded to the dtype in which they are stored."""
     return tuple(_of_cloud(component, shape).astype(dtype).astype(np.float64) for component in x)
 

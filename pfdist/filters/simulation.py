@@ -11,7 +11,7 @@ from pfdist.filters import plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.kernels.components import naming, reader, writer
-from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.formulas import compiled_formulas, formula
 from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
@@ -111,7 +111,7 @@ def _compile(
                     following = transition(read_x(x, begin + i, k), t, read_w(noise, i), p)
                     write_x(x, begin + i, k + 1, following)
 
-    compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
+    compiled = cached_on_disk(simulate_draws, functions, noise, components, parameters)
 
     def with_scratch(*arguments: Any) -> None:
         *given, drawn, at = arguments

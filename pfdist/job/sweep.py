@@ -11,10 +11,10 @@ from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.explained import explained
 from pfdist.common.section import Section
 from pfdist.errors import JobError, shown_text
-from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
 from pfdist.job.sections import Execution
+from pfdist.job.source import JobSource, as_job
 from pfdist.store import folder_of_run
 
 
@@ -49,14 +49,14 @@ class SweepJob:
 
 
 def read_sweep(
-    source: Asked,
+    source: JobSource,
     over: Values,
     parallel: Sequence[Values],
     points: Sequence[Values],
     changes: Iterable[str],
     settings: Mapping[str, Any],
 ) -> SweepJob:
-    """The sweep of a sweep file, or of a job as for `pfdist.job.asked.as_job`.
+    """The sweep of a sweep file, or of a job as for `pfdist.job.source.as_job`.
 
     `over`, `parallel` and `points` are as for `pfdist.job.points.points_of`; those of a sweep file
     come first. The changes ``key=value`` and the settings, as for `pfdist.load_job`, apply at all

@@ -39,7 +39,7 @@ _DIGEST_BYTES = 16
 _PACKAGE = Path(__file__).parents[1]
 
 
-def kept_on_disk(
+def cached_on_disk(
     compiled: Any, formulas: Sequence[Callable[..., Any]], *settings: Any
 ) -> Callable[..., None]:
     """Connect a compiled function, which was not called yet, to the cache on disk, and return it.

@@ -25,7 +25,7 @@ NOT_COMPILED = (errors.NumbaError, errors.UnsupportedBytecodeError)
 """Errors that Numba raises if it cannot compile a function."""
 
 _NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|models/(base|seeing)\.py|filters/))")
-_TOLD = re.compile(
+_REASON_LINE = re.compile(
     r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
     r"|Invalid use|Use of unsupported|NameError).*$",
     re.MULTILINE,
@@ -61,33 +61,33 @@ def reason_of(error: BaseException) -> str:
 
 
 def _reason(text: str) -> str:
-    for pattern, told in _REASONS:
-        if found := pattern.search(text):
-            return told(found, text)
-    lines = _TOLD.findall(text) or [
+    for pattern, describe in _REASONS:
+        if match := pattern.search(text):
+            return describe(match, text)
+    lines = _REASON_LINE.findall(text) or [
         line for line in text.splitlines() if line.strip() and "nopython mode" not in line
     ]
     return _plain(lines[0]) if lines else "it does not say why"
 
 
-def _no_opcode(found: re.Match[str], _: str) -> str:
-    return _OPCODES.get(found[1], f"it knows no {found[1]} of Python's bytecode")
+def _no_opcode(match: re.Match[str], _: str) -> str:
+    return _OPCODES.get(match[1], f"it knows no {match[1]} of Python's bytecode")
 
 
-def _no_global(found: re.Match[str], _: str) -> str:
-    reason = _RECURSION if "function" in found[2] else _plain(found[2])
-    return f"it cannot use {found[1]}, {reason}"
+def _no_global(match: re.Match[str], _: str) -> str:
+    reason = _RECURSION if "function" in match[2] else _plain(match[2])
+    return f"it cannot use {match[1]}, {reason}"
 
 
-def _no_function(found: re.Match[str], text: str) -> str:
+def _no_function(match: re.Match[str], text: str) -> str:
     kinds = _SIGNATURE.search(text)
-    arguments = "" if found[1] == "exception_match" or kinds is None else f" of ({kinds[1]})"
-    return f"it has no {_OURS.get(found[1], found[1])}{arguments}"
+    arguments = "" if match[1] == "exception_match" or kinds is None else f" of ({kinds[1]})"
+    return f"it has no {_OURS.get(match[1], match[1])}{arguments}"
 
 
-def _no_attribute(found: re.Match[str], _: str) -> str:
-    module = "np" if found[2] == "numpy" else found[2].replace("numpy.", "np.")
-    return f"it has no {module}.{found[1]}{_PLAIN_NUMPY.get(found[1], '')}"
+def _no_attribute(match: re.Match[str], _: str) -> str:
+    module = "np" if match[2] == "numpy" else match[2].replace("numpy.", "np.")
+    return f"it has no {module}.{match[1]}{_PLAIN_NUMPY.get(match[1], '')}"
 
 
 _REASONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], str], str]], ...] = (

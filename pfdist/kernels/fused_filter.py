@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pfdist.kernels.arithmetic import row_sum
 from pfdist.kernels.cloud import Prior, cloud_steps, copy_ancestors, copy_cloud
 from pfdist.kernels.components import naming, reader, tuple_of, writer
-from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
@@ -207,7 +207,7 @@ def fused_filter(
     """
     states, _, quantities = components
     noise_rows = max(1, *map(len, noise_kinds))
-    compiled = kept_on_disk(
+    compiled = cached_on_disk(
         _filter_draws(functions, noise_kinds, components, parameters, resampling),
         functions, noise_kinds, components, parameters, resampling, dtype,
     )  # fmt: skip
@@ -280,7 +280,7 @@ def _filter_draw(
         weights, saved, first_means = request.weights, scratch.saved, scratch.first_means
         measured, begins, ends, sources, stops, slots = plan
         by_error = weights.squared_error != 0.0
-        by_error_alone = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
+        only_by_error = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
         goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # its last cloud counts
         source = sources[s] if begins[s] > 0 else np.int64(-1)
         here, stop, error = np.int64(0), begins[s], begin(at, request, p, scratch, source)
@@ -303,16 +303,16 @@ def _filter_draw(
                     return _end(saved.errors, slots, s, t, np.nan)  # degenerate
                 fill_terms(cloud, here, instant, p, weight, row, terms)
                 mean = mean_of(terms, total)
-                if not by_error_alone:
+                if not only_by_error:
                     fill_squares(cloud, here, instant, p, weight, row, mean, terms)
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
                     variance = error_by_variance(
                         weights, first_means, filter_number, s, t, mean, variances, truth, instant
                     )
-                    known = _weighed(variance, request.instant_weights[t])
-                    error += known
-                    _add(results.errors, s, t, known)
+                    weighed_variance = _weighed(variance, request.instant_weights[t])
+                    error += weighed_variance
+                    _add(results.errors, s, t, weighed_variance)
                 z = read_z(request.z, d, t)
                 squared = error_of(z, mean, instant, truth) if by_error else 0.0
                 squared = _weighed(squared, request.instant_weights[t] * weights.squared_error)
@@ -367,12 +367,12 @@ def _save(cloud, here, saved, slot, error):
 
 
 @melted
-def _keep(cloud, here, kept, d):
+def _keep(cloud, here, result, d):
     """Copy the particles of a draw into the results, if they are wanted."""
-    if kept.size > 0:
-        for component in range(kept.shape[1]):
-            for i in range(kept.shape[2]):
-                kept[d, component, i] = cloud[here, component, i]
+    if result.size > 0:
+        for component in range(result.shape[1]):
+            for i in range(result.shape[2]):
+                result[d, component, i] = cloud[here, component, i]
 
 
 @melted

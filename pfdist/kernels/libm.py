@@ -34,11 +34,11 @@ def libm_functions(compiled: Any) -> tuple[str, ...]:
     They are in alphabetical order, and empty if its bytes are the same on every processor. The
     function was called before, so that it is compiled or loaded from disk.
     """
-    found = set()
+    names = set()
     for module in modules_of(compiled):
         declared = (str(each).strip() for each in module.functions if each.is_declaration)
-        found |= named_in("\n".join(declared))
-    return tuple(sorted(found))
+        names |= named_in("\n".join(declared))
+    return tuple(sorted(names))
 
 
 def makes_arrays(compiled: Any) -> bool:

@@ -27,18 +27,18 @@ def plain_ancestors(
     return np.array(rows, np.intp).reshape(weight.shape)
 
 
-def _found(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+def _ancestors(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
     """Ancestors of points in (0, 1); arbitrary if all weights are 0."""
     cumulative = np.cumsum(weight)
     shares = np.floor(cumulative * (SHARES / max(cumulative[-1], LEAST_TOTAL)))
-    found = np.searchsorted(shares, np.floor(points * SHARES), side="right")
-    return np.minimum(found, weight.size - 1)
+    places = np.searchsorted(shares, np.floor(points * SHARES), side="right")
+    return np.minimum(places, weight.size - 1)
 
 
-def _found_exactly(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+def _exact_ancestors(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
     cumulative = np.cumsum(weight)
-    found = np.searchsorted(cumulative, points * cumulative[-1], side="right")
-    return np.minimum(found, weight.size - 1)
+    places = np.searchsorted(cumulative, points * cumulative[-1], side="right")
+    return np.minimum(places, weight.size - 1)
 
 
 def _plain_ascending(count: int, stream: int, draw: int, t: int) -> NDArray[np.float64]:
@@ -47,22 +47,22 @@ def _plain_ascending(count: int, stream: int, draw: int, t: int) -> NDArray[np.f
 
 
 def _plain_multinomial(weight, stream, draw, t):
-    return _found(weight, _plain_ascending(weight.size, stream, draw, t))
+    return _ancestors(weight, _plain_ascending(weight.size, stream, draw, t))
 
 
 def _plain_conditional(weight, stream, draw, t):
-    others = _found(weight, _plain_ascending(weight.size - 1, stream, draw, t))
+    others = _ancestors(weight, _plain_ascending(weight.size - 1, stream, draw, t))
     return np.concatenate([[0], others])
 
 
 def _plain_stratified(weight, stream, draw, t):
     places = variates("uniform", weight.size, stream, draw, t, RESAMPLING, 0)
-    return _found(weight, (np.arange(weight.size) + places) / weight.size)
+    return _ancestors(weight, (np.arange(weight.size) + places) / weight.size)
 
 
 def _plain_systematic(weight, stream, draw, t):
     place = variates("uniform", 1, stream, draw, t, RESAMPLING, 0)
-    return _found_exactly(weight, (np.arange(weight.size) + place) / weight.size)
+    return _exact_ancestors(weight, (np.arange(weight.size) + place) / weight.size)
 
 
 def _plain_residual(weight, stream, draw, t):
@@ -70,7 +70,7 @@ def _plain_residual(weight, stream, draw, t):
     children = np.floor(expected).astype(np.intp)
     sure = np.repeat(np.arange(weight.size), children)
     rest = _plain_ascending(weight.size - sure.size, stream, draw, t)
-    return np.concatenate([sure, _found(expected - children, rest)])
+    return np.concatenate([sure, _ancestors(expected - children, rest)])
 
 
 _PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {

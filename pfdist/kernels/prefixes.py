@@ -60,8 +60,8 @@ def plan(
     `instants` is T + 1. `ends` has, for each set, the instant after the last instant whose error
     counts, by default T + 1. All of the set's times must lie before it.
 
-    >>> found, places, rows = plan(((0, 2), (1, 2), (0, 1)), 3)
-    >>> places, found.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
+    >>> filter_plan, places, rows = plan(((0, 2), (1, 2), (0, 1)), 3)
+    >>> places, filter_plan.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
     (array([1, 0, 2]), array([0, 0, 1]))
     >>> rows[2]  # the error of (0, 1) at t = 0 is that of (0, 2)
     array([1, 2, 2])
@@ -75,12 +75,12 @@ def plan(
         row[list(times)] = True
     ends_ = np.array([end for _, end in order])
     begins, givers = _shared(measured, ends_)
-    stops, slots, sources = _kept(begins, givers, ends_, instants)
-    found = Plan(measured, begins, ends_, sources, stops, slots)
+    stops, slots, sources = _slot_plan(begins, givers, ends_, instants)
+    filter_plan = Plan(measured, begins, ends_, sources, stops, slots)
     rows = np.repeat(np.arange(len(order))[:, None], instants, axis=1)
     for row, giver, begin in zip(rows, givers, begins, strict=True):
         row[:begin] = rows[giver, :begin]
-    return Planned(found, np.array([index[k] for k in zip(sets, wanted, strict=True)]), rows)
+    return Planned(filter_plan, np.array([index[k] for k in zip(sets, wanted, strict=True)]), rows)
 
 
 def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
@@ -117,7 +117,7 @@ def _shared(
     return begins, givers
 
 
-def _kept(
+def _slot_plan(
     begins: NDArray[np.int64], givers: Sequence[int], ends: NDArray[np.int64], instants: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """For each set: the instants before which it saves clouds, their slots, and its source's slot.

@@ -77,11 +77,11 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     A `ModelError` names what a formula uses that has no fingerprint.
     """
     walk = _Walk(model.name, model.formulas)
-    found = walk.fingerprint()
-    found[FORMULAS] = digest([found[FORMULAS], *(repr(getattr(model, k)) for k in _SETTINGS)])
+    entries = walk.fingerprint()
+    entries[FORMULAS] = digest([entries[FORMULAS], *(repr(getattr(model, k)) for k in _SETTINGS)])
     names = {name: ", ".join(given) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
-    fingerprint = found | names | files | parameters_of(model.parameters)
+    fingerprint = entries | names | files | parameters_of(model.parameters)
     return Inspection(fingerprint, walk.modules, walk.texts)
 
 
@@ -241,12 +241,14 @@ class _Walk:
     def _refuse_dynamic(self, function: types.FunctionType, label: str) -> None:
         code = function.__code__
         names = _globals_of(code) - function.__globals__.keys()
-        found = sorted(_DYNAMIC & names) + sorted(_HIDDEN & set(_names_of(code)))
+        dynamic_names = sorted(_DYNAMIC & names) + sorted(_HIDDEN & set(_names_of(code)))
         imported = next(_steps(code, "IMPORT_NAME"), None)
         if imported is not None:
             self._refuse(label, f"imports {imported} when it is called: import it above")
-        if found:
-            self._refuse(label, f"uses {found[0]}, which may reach anything: name the value")
+        if dynamic_names:
+            self._refuse(
+                label, f"uses {dynamic_names[0]}, which may reach anything: name the value"
+            )
 
     def _refuse(self, label: str, what: str) -> NoReturn:
         raise ModelError(
@@ -300,18 +302,18 @@ def _library_of(value: Any) -> str | None:
     """The name of the module of a library's function or class; None for any other value."""
     if isinstance(value, np.ufunc):
         homes = (np, sys.modules.get("scipy.special"))
-        known = (home for home in homes if getattr(home, value.__name__, None) is value)
-        return getattr(next(known, None), "__name__", None)
+        modules = (home for home in homes if getattr(home, value.__name__, None) is value)
+        return getattr(next(modules, None), "__name__", None)
     if not _is_function(value) and not isinstance(value, type):
         return None
     home = getattr(value, "__module__", None) or "builtins"
     module = sys.modules.get(home)
     if module is None or is_users_module(module):
         return None
-    found: Any = module
+    member: Any = module
     for part in getattr(value, "__qualname__", "").split("."):
-        found = getattr(found, part, None)
-    return home if found is value else None
+        member = getattr(member, part, None)
+    return home if member is value else None
 
 
 def _is_function(value: Any) -> bool:
@@ -355,7 +357,7 @@ def _version_of(top: str) -> str:
 def _chains(node: ast.AST, name: str) -> set[tuple[str, ...]]:
     """``("a", "b")`` for each ``name.a.b`` in a function, and ``()`` for the bare name."""
     inner = {id(each.value) for each in ast.walk(node) if isinstance(each, ast.Attribute)}
-    found = set()
+    chains = set()
     for outermost in ast.walk(node):
         if id(outermost) in inner:
             continue
@@ -364,8 +366,8 @@ def _chains(node: ast.AST, name: str) -> set[tuple[str, ...]]:
             attributes.insert(0, each.attr)
             each = each.value
         if isinstance(each, ast.Name) and each.id == name:
-            found.add(tuple(attributes))
-    return found
+            chains.add(tuple(attributes))
+    return chains
 
 
 def _globals_of(code: types.CodeType) -> set[str]:

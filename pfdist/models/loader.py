@@ -236,11 +236,13 @@ def _errors_in_one_line(fails: str) -> Iterator[None]:
 def _model_of(module: types.ModuleType, attribute: str, file: Path) -> StateSpaceModel:
     model = vars(module).get(attribute)
     if not isinstance(model, StateSpaceModel):
-        found = [name for name, value in vars(module).items() if isinstance(value, StateSpaceModel)]
+        models = [
+            name for name, value in vars(module).items() if isinstance(value, StateSpaceModel)
+        ]
         raise ModelError(
             f"{file} must contain a StateSpaceModel named {attribute!r}, "
             f"got {'nothing' if model is None else type(model).__name__} of that name; "
-            f"models in this file: {', '.join(found) or 'none'}{did_you_mean(attribute, found)}"
+            f"models in this file: {', '.join(models) or 'none'}{did_you_mean(attribute, models)}"
         )
     return model
 

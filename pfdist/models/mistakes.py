@@ -143,10 +143,10 @@ _INSTEAD = {
 def remedy(error: BaseException) -> str:
     """Advice what to write instead, as ``; remedy``; empty if there is no advice."""
     text = text_of(error)
-    found = next((cure for words, cure in _REMEDIES.items() if words in text), "")
-    if found is _ONE_NUMBER:
-        found = f"a component may be an array: {_of_one_number(_called(error))}"
-    return f"; {found}" if found else ""
+    advice = next((cure for words, cure in _REMEDIES.items() if words in text), "")
+    if advice is _ONE_NUMBER:
+        advice = f"a component may be an array: {_of_one_number(_called(error))}"
+    return f"; {advice}" if advice else ""
 
 
 def _of_one_number(name: str) -> str:
@@ -171,6 +171,6 @@ def _called(error: BaseException) -> str:
     """Name of the function whose call in a model's source raised an error; empty if unknown."""
     for call in reversed(traceback.extract_tb(error.__traceback__)):
         if is_a_models(call.filename):
-            found = _CALLED.match(linecache.getline(call.filename, call.lineno or 0)[call.colno :])
-            return found[1] if found else ""
+            match = _CALLED.match(linecache.getline(call.filename, call.lineno or 0)[call.colno :])
+            return match[1] if match else ""
     return ""

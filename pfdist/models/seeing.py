@@ -61,8 +61,8 @@ def seeing(
             if id(value) not in copies:
                 copies[id(value)] = copy = types.ModuleType(value.__name__)
                 own = vars(value)
-                kept = (names | _PLACE) & own.keys()
-                copy.__dict__.update({key: seen(own[key]) for key in kept})
+                keys = (names | _PLACE) & own.keys()
+                copy.__dict__.update({key: seen(own[key]) for key in keys})
             return copies[id(value)]
         return instead(value)
 
@@ -126,11 +126,11 @@ def _in_python(
 
     def instead(value: Any) -> Any:
         nonlocal changed
-        found = value.py_func if is_jitted(value) else value
-        if isinstance(found, types.FunctionType):
-            if is_library(_home(found)) or found in called_by:
-                return found
-            found, inside = _in_python(found, called_by, copies)
+        replacement = value.py_func if is_jitted(value) else value
+        if isinstance(replacement, types.FunctionType):
+            if is_library(_home(replacement)) or replacement in called_by:
+                return replacement
+            replacement, inside = _in_python(replacement, called_by, copies)
             changed |= inside or is_jitted(value)
         elif type(value).__module__.startswith("numba."):
             raise ModelError(
@@ -138,7 +138,7 @@ def _in_python(
                 f"{getattr(value, '__name__', value)!r}, a {type(value).__name__}"
                 f"{place_of_function(function)}"
             )
-        return found
+        return replacement
 
     same = seeing(function, instead)
     copies[function] = same, changed

@@ -153,10 +153,10 @@ def _does_nothing(node: Any) -> bool:
 
 def imported_by(text: str) -> set[str]:
     """The top-level modules that a source imports; SyntaxError or ValueError if it is no source."""
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            found |= {alias.name.partition(".")[0] for alias in node.names}
+            modules |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            found.add(node.module.partition(".")[0])
-    return found
+            modules.add(node.module.partition(".")[0])
+    return modules

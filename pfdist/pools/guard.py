@@ -128,12 +128,12 @@ def main(arguments: Any = None) -> None:
     end_marked(_NAME, mark, quiet, _MOST_SECONDS, marked_processes)
 
 
-def marked(name: str, value: str, known: Collection[Process] = ()) -> list[Process]:
+def marked(name: str, value: str, earlier: Collection[Process] = ()) -> list[Process]:
     """The processes that began with a variable of this value, and all processes below them.
 
     Children inherit such a mark, even if another process adopts them. But Ray's agents overwrite
     their environment with their titles, so they are found below the server that started them. This
-    server may have ended meanwhile: therefore `known` has the processes of an earlier call.
+    server may have ended meanwhile: therefore `earlier` has the processes of an earlier call.
     """
     mark = f"{name}={value}".encode()
     everyone = [
@@ -141,7 +141,7 @@ def marked(name: str, value: str, known: Collection[Process] = ()) -> list[Proce
         for process in psutil.process_iter(["ppid", "status"])
         if process.info["status"] != psutil.STATUS_ZOMBIE
     ]
-    belonging = [process for process in everyone if process in known or _has_mark(process, mark)]
+    belonging = [process for process in everyone if process in earlier or _has_mark(process, mark)]
     for process in belonging:  # the list grows while it is walked
         children = (child for child in everyone if child.info["ppid"] == process.pid)
         belonging += [child for child in children if child not in belonging]
@@ -156,7 +156,7 @@ def end(processes: Iterable[Process]) -> None:
 
 
 def end_marked(
-    name: str, value: str, quiet: float, most: float, known: Collection[Process] = ()
+    name: str, value: str, quiet: float, most: float, processes: Collection[Process] = ()
 ) -> None:
     """End all processes with a mark, and those that begin meanwhile; see `marked`.
 
@@ -165,9 +165,9 @@ def end_marked(
     """
     start = last = time.monotonic()
     while (now := time.monotonic()) - start <= most:
-        if known := marked(name, value, known):
+        if processes := marked(name, value, processes):
             last = now
-            end(known)
+            end(processes)
         elif now - last >= quiet:
             return
         time.sleep(_PAUSE_SECONDS)

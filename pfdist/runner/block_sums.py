@@ -21,7 +21,7 @@ from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Learn, Session
-from pfdist.runner.kept import BLOCK_OF_SUMS
+from pfdist.runner.row_formats import BLOCK_OF_SUMS
 from pfdist.search.base import Candidate
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, Store

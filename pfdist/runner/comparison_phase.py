@@ -18,8 +18,8 @@ from pfdist.evaluation.work import Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TABLES
-from pfdist.runner.kept import RowsByDraw
-from pfdist.runner.progress import Found
+from pfdist.runner.progress import SetGain
+from pfdist.runner.row_formats import RowsByDraw
 from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema
 from pfdist.times.measurement_times import Times, validated
 
@@ -117,10 +117,10 @@ class InterimGains:
         self._waiting: dict[int, _Block] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
 
-    def so_far(self) -> tuple[Found, ...]:
+    def so_far(self) -> tuple[SetGain, ...]:
         """The gain of each set over its reference so far."""
         return tuple(
-            Found(
+            SetGain(
                 name,
                 gain.relative.mean,
                 gain.interval,

@@ -15,7 +15,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TRAJECTORIES
-from pfdist.runner.kept import RowsByDraw
+from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.runner.searches import planning_of

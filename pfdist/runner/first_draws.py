@@ -16,7 +16,7 @@ from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.kept import RowsByDraw
+from pfdist.runner.row_formats import RowsByDraw
 from pfdist.store import (
     Store,
     distance_schema,

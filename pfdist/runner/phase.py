@@ -22,7 +22,7 @@ from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.kept import PER_DRAW
+from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.search_tables import (
     commit_generation,
     committed_generations,

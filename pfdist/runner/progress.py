@@ -6,7 +6,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Found:
+class SetGain:
     """The gain of a set of times over the reference, from the draws compared so far.
 
     Parameters
@@ -49,7 +49,7 @@ class Progress:
         Cost of the set that the search would return now.
     mean : float or None
         Mean cost of the last finished generation.
-    found : tuple of Found
+    found : tuple of SetGain
         The comparison's gains: for each set but the reference.
     doing : str
         In a sweep: how many points are finished, and what the others do.
@@ -63,7 +63,7 @@ class Progress:
     generations: int = 0
     best: float | None = None
     mean: float | None = None
-    found: tuple[Found, ...] = ()
+    found: tuple[SetGain, ...] = ()
     doing: str = ""
 
 

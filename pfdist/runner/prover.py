@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from pfdist.analysis import Run
 from pfdist.bounds.first_windows import relaxation_for
-from pfdist.bounds.gap import Gap, SetAlone, consistent, gap_of
+from pfdist.bounds.gap import Gap, GapParts, consistent, gap_of
 from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.common.estimate import CONFIDENCE
@@ -23,7 +23,7 @@ from pfdist.runner.block_sums import GROUPS, BlockSums, Counted, grown
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.sets_alone import sets_alone, steps_of_sets
+from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.constraints import Constraints
@@ -115,7 +115,7 @@ class Prover:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets()))
-        parts = yield from sets_alone(session, run, sets, self._estimation)
+        parts = yield from gap_parts(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
@@ -159,7 +159,7 @@ class Prover:
             paths=_PATHS,
             rounds=_ROUNDS,
             sought=tuple(sorted(spent)),
-            known=sets,
+            known_sets=sets,
             gap=_GROWN if self.particles else _GROWN_EXACTLY,
             start=self.relaxation,
             most_grown=self._settings.most_windows,
@@ -175,7 +175,7 @@ class Prover:
         return 2.0 * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
-        self, sets: Mapping[str, Times], parts: Mapping[str, SetAlone], sums: Sums
+        self, sets: Mapping[str, Times], parts: Mapping[str, GapParts], sums: Sums
     ) -> dict[str, Gap]:
         """The gaps of feasible sets that follow from sums of errors."""
         times_of_sets = tuple(sets.values())

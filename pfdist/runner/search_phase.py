@@ -111,7 +111,7 @@ class _Runner:
         )
         phase = _probing(self._built, search, tuple(sought))
         probe = yield from run_phase(phase, self._session)
-        if probe and not judged(*probe).known:
+        if probe and not judged(*probe).is_known:
             estimator = search.settings.estimation.estimator
             self._session.say(
                 f"search {search.name}: {estimator} could not be checked: {unchecked_probe(*probe)}"

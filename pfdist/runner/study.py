@@ -12,7 +12,7 @@ from pfdist.bounds.first_windows import relaxation_within
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.job.job import Job
-from pfdist.runner.progress import Found
+from pfdist.runner.progress import SetGain
 from pfdist.search import Optimiser, StateSpaceRelaxation
 from pfdist.search.methods import METHODS
 from pfdist.search.section import SearchSection
@@ -123,7 +123,7 @@ class Study:
             best.setdefault(self._name(search, len(times)), times)
         return {name: best[name] for name in self.names(search) if name in best}
 
-    def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
+    def shown(self, gains: Callable[[], tuple[SetGain, ...]]) -> tuple[SetGain, ...]:
         """Gains that the progress of the comparison shows; none with several references."""
         return gains() if len(self.references) == 1 else ()
 

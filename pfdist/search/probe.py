@@ -87,7 +87,9 @@ class Probe:
         if failed:  # report a whole set if there is any: readers understand it more easily
             reported = min(failed, key=lambda index: pairs[index][0].end is not None)
             return replace(state, undecided=(), failed=pairs[reported])
-        unknown = [pair for pair, verdict in zip(pairs, verdicts, strict=True) if not verdict.known]
+        unknown = [
+            pair for pair, verdict in zip(pairs, verdicts, strict=True) if not verdict.is_known
+        ]
         undecided = [index for index in order if verdicts[index].open]
         if 2 * state.draws > _MOST_DRAWS:
             undecided = []

@@ -117,7 +117,7 @@ class StateSpaceRelaxation:
     sought : tuple of int, optional
         Numbers of measurements, or sums of money, whose best sets are sought. By default those of
         the feasible sets.
-    known : tuple of tuples of int
+    known_sets : tuple of tuples of int
         Good sets to begin with; by default regular times, and the empty set if it is feasible.
     gap : float
         The search ends when the relaxed costs lie below those of the best sets by at most this
@@ -134,7 +134,7 @@ class StateSpaceRelaxation:
     rounds: Count = 1
     screened: Count = 96
     sought: tuple[int, ...] = ()
-    known: tuple[Times, ...] = ()
+    known_sets: tuple[Times, ...] = ()
     gap: float = _ROUNDING
     start: Relaxation | None = None
     most_grown: int = 20_000
@@ -158,7 +158,7 @@ class StateSpaceRelaxation:
     def init(self) -> RelaxationState:
         """The state before the first generation."""
         nothing = ((),) if self.feasible.accepts(()) else ()
-        first_sets = self.known or (self.feasible.regular(), *nothing)
+        first_sets = self.known_sets or (self.feasible.regular(), *nothing)
         return RelaxationState(
             self._start, level=0 if self.draws else len(_SCREENING), sets=first_sets
         )
@@ -273,7 +273,7 @@ def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation])
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
     for number, evaluation in zip(lacking, evaluations, strict=False):
         first, end = relaxation.first[number], relaxation.ends[number]
-        errors[relaxation.windows[number]] = evaluation.known_errors[first : end + 1]
+        errors[relaxation.windows[number]] = evaluation.errors_of_instants[first : end + 1]
     whole = (*state.whole, *evaluations[len(lacking) :])
     updated = replace(state, errors=errors, whole=whole, sets=())
     return replace(updated, relaxation=relaxation.without(updated.degenerate))

@@ -30,7 +30,7 @@ class Verdict(NamedTuple):
     excess: float
     fails: bool
     open: bool  # whether more draws may change the result
-    known: bool = True  # whether there were enough usable draws for a result
+    is_known: bool = True  # whether there were enough usable draws for a result
 
 
 def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
@@ -41,7 +41,7 @@ def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
     """
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     if np.sum(usable) < 2:
-        return Verdict(-math.inf, fails=False, open=False, known=False)
+        return Verdict(-math.inf, fails=False, open=False, is_known=False)
     estimates, errors = estimated.mse[usable], squared.mse[usable]
     excess = _standard_scores((1 - BELOW) * errors - estimates)
     below = _standard_scores(errors - estimates)

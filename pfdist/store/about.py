@@ -126,7 +126,7 @@ def write_run(path: Path, run: dict[str, Any], key: str) -> None:
     The key goes into the manifest first. If the process dies in between, the key stands there
     without a run.json, and the next start of the same job finds its own key.
     """
-    Manifest(path).keep_key(key)
+    Manifest(path).record_key(key)
     _write(path / "run.json", json.dumps(run, indent=2) + "\n")
 
 
@@ -143,7 +143,7 @@ def confirm(path: Path, key: str) -> None:
     A kill between the renaming of a file and the line ``now`` may have prevented this before.
     """
     manifest = Manifest(path)
-    manifest.keep_key(key)
+    manifest.record_key(key)
     for name in ABOUT:
         manifest.confirm(path / name)
 
@@ -169,7 +169,7 @@ def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
 
 def has_key(path: Path, key: str) -> bool:
     """Whether the run in a folder was started with this key."""
-    return key in (Manifest(path).kept_key(), own_key(path))
+    return key in (Manifest(path).recorded_key(), own_key(path))
 
 
 def own_key(path: Path) -> str | None:
@@ -191,7 +191,7 @@ def check_key(path: Path, run: dict[str, Any], job: dict[str, Any]) -> None:
     They are if the manifest has other contents for them, and another key: then these two files came
     here from another run.
     """
-    key = Manifest(path).kept_key()
+    key = Manifest(path).recorded_key()
     if key and _key_of_content(run, job) not in (None, key) and own_key(path) is None:
         raise StoreError(
             f"{path}: job.toml and run.json are not those of the run whose key {MANIFEST} holds; "
@@ -218,7 +218,7 @@ def run_key(path: Path) -> str | None:
     if manifest.exists() and not is_plain_file(path / MANIFEST):
         check_version_of(path)  # up to version 2 the manifest was a folder
         return None  # a strange entry, which `check_entries` names before any file is read
-    key, own = manifest.kept_key(), own_key(path)
+    key, own = manifest.recorded_key(), own_key(path)
     if key is not None and own in (None, key):
         return key
     if key is None:

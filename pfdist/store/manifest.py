@@ -57,14 +57,14 @@ class Manifest:
         """Whether the folder has a manifest; a folder without a run has none."""
         return os.path.lexists(self.folder / MANIFEST)
 
-    def kept_key(self) -> str | None:
+    def recorded_key(self) -> str | None:
         """The key of the run, by the last such line; None if the manifest has none."""
         keys = [key for *_, key in self._lines() if key]
         return keys[-1] if keys else None
 
-    def keep_key(self, key: str) -> None:
+    def record_key(self, key: str) -> None:
         """Record the key of the run, if the manifest does not have it."""
-        if self.kept_key() != key:
+        if self.recorded_key() != key:
             self._add([f"run {key}"])
 
     def give_name(self, prepared: files.Prepared, path: Path) -> None:

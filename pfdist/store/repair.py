@@ -65,11 +65,11 @@ def _with_own_key(path: Path) -> Iterator[str]:
     try:
         run_key(path)
     except StoreError:
-        old_key = manifest.kept_key() or "no key"
+        old_key = manifest.recorded_key() or "no key"
     else:
         return
     if own is not None:
-        manifest.keep_key(own)
+        manifest.record_key(own)
         yield f"manifest held {old_key}: it holds {own} now, which job.toml and run.json give"
         return
     yield f"manifest holds {old_key}, and job.toml and run.json do not say which is the run's own"

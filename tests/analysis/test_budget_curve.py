@@ -10,7 +10,7 @@ from scipy import stats
 
 from pfdist.analysis import ComparisonStatistics, reaching
 from pfdist.analysis.budget_curve import BOUND_DEGREES, budget_table, with_bounds
-from pfdist.bounds.gap import Gap, SetAlone, gap_of
+from pfdist.bounds.gap import Gap, GapParts, gap_of
 from pfdist.bounds.proof import Proof
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.runner.block_sums import GROUPS
@@ -99,7 +99,7 @@ def _proof(bound: float, cost: float, errors: tuple[float, float, float]) -> Gap
     """The gap of a set, with the errors of its parts."""
     relaxation, estimate, wrong = (Estimate((cost - bound) / 3, error) for error in errors)
     both = Estimate(2 * (cost - bound) / 3, math.hypot(errors[1], errors[2]))
-    alone = SetAlone(Estimate(cost, 0.05), estimate, wrong, both)
+    alone = GapParts(Estimate(cost, 0.05), estimate, wrong, both)
     proof = Proof([Estimate(bound, 0.04)], [(0,)], [0], [relaxation])
     return gap_of("relaxation_2", (0,), alone, proof, 0, CONFIDENCE)
 

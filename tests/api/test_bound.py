@@ -26,9 +26,9 @@ from pfdist.models import installed_models
 from pfdist.pools.base import SerialPool
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.build import build
+from pfdist.runner.gap_parts import SET_DRAWS
 from pfdist.runner.progress import Progress
 from pfdist.runner.prover import Prover
-from pfdist.runner.sets_alone import SET_DRAWS
 
 JOBS = Path(__file__).parents[2] / "jobs"
 SHARP = Path(__file__).parents[1] / "oracles" / "sharp_sensor.toml"

@@ -28,7 +28,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
 from pfdist.runner.block_sums import GROUPS
-from pfdist.runner.sets_alone import parts_of
+from pfdist.runner.gap_parts import parts_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 

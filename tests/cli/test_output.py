@@ -12,7 +12,7 @@ from rich.console import Console
 
 from pfdist.api.display import Display
 from pfdist.cli.main import main
-from pfdist.runner.progress import Found, Progress
+from pfdist.runner.progress import Progress, SetGain
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
 ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
@@ -31,7 +31,7 @@ except OSError as error:
     code = 3 + ("standard output cannot be written" in str(error))
 sys.exit(code if first > 2 else 9)
 """
-_FOUND = Found("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
+_FOUND = SetGain("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from oracles.file_layer import Ended, FileLayer
 from oracles.manifest_lines import change
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
-from pfdist.runner import door, first_draws, sets_alone
+from pfdist.runner import door, first_draws, gap_parts
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.pace import Pace
 from pfdist.store import parquet
@@ -166,7 +166,7 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     record_property: Callable[[str, object], None],
 ) -> None:
     """A bound of 480 draws that grows to 960, in files of 8 blocks."""
-    monkeypatch.setattr(sets_alone, "SET_DRAWS", 60)
+    monkeypatch.setattr(gap_parts, "SET_DRAWS", 60)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 10**9)  # a task for each work
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "error_sums", 8)
     job = small_job.with_changes([*CHANGES, "model.name=random_walk", "problem.horizon=6"])

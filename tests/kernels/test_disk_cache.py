@@ -14,7 +14,7 @@ from numba.core.event import install_recorder
 
 from pfdist.errors import EngineWarning
 from pfdist.kernels import disk_cache
-from pfdist.kernels.disk_cache import FOLDER_VARIABLE, kept_on_disk
+from pfdist.kernels.disk_cache import FOLDER_VARIABLE, cached_on_disk
 
 
 def kept(factor, *more):
@@ -29,7 +29,7 @@ def kept(factor, *more):
     def one_more(x):
         return compiled(x) + 1
 
-    return kept_on_disk(one_more, [scaled], *more)
+    return cached_on_disk(one_more, [scaled], *more)
 
 
 def called(function, *arguments):
@@ -74,7 +74,7 @@ def test_what_cannot_be_told_is_compiled_in_each_process(folder):
     for _ in range(2):
         scope: dict[str, Any] = {"compiled": njit(lambda x: 2.0 * x, forceinline=True)}
         exec("def one_more(x): return compiled(x) + 1", scope)  # its source is not known
-        assert called(kept_on_disk(njit(scope["one_more"]), [scope["one_more"]]), 5.0) == (
+        assert called(cached_on_disk(njit(scope["one_more"]), [scope["one_more"]]), 5.0) == (
             11.0,
             True,
         )
@@ -89,7 +89,7 @@ def fibonacci(n):
 def test_what_is_not_all_inlined_is_compiled_in_each_process(folder):
     # The symbols of what is left standing are told apart by a count, which is a process's own.
     for _ in range(2):
-        assert called(kept_on_disk(njit(lambda n: fibonacci(n) + 1), []), 7) == (14, True)
+        assert called(cached_on_disk(njit(lambda n: fibonacci(n) + 1), []), 7) == (14, True)
     assert not list(folder.iterdir())
 
 

@@ -310,7 +310,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     random = ", ".join(f"{{method='random', name='s{k}', evaluations=1}}" for k in range(4))
     run = make(f"search=[{random}]", "comparison.draws=2")
     subject = Subject(run)
-    costs = {name: found.search_cost for name, found in subject.found.items()}
+    costs = {name: found.search_cost for name, found in subject.found_results.items()}
     assert subject.by_error == sorted(costs, key=lambda name: costs[name])
     assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
 
@@ -318,7 +318,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
 def test_an_estimate_without_standard_error_is_not_called_exact(make: Make) -> None:
     """A search by particles may see the same error in all of its draws."""
     subject = Subject(make("filter.engine=compiled"))
-    for name, result in subject.found.items():
+    for name, result in subject.found_results.items():
         subject.results[name] = replace(result, search_standard_error=0.0)
     assert "exact" not in str(searches(subject))
 

@@ -119,7 +119,7 @@ def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
     assert [each.measurement_times for each in windows] == list(SETS)
     expected = _expected(built, (0, 2 * BLOCK), phase.stream())
     for window, errors in zip(windows, expected, strict=True):
-        np.testing.assert_allclose(window.known_errors, errors, rtol=1e-12)
+        np.testing.assert_allclose(window.errors_of_instants, errors, rtol=1e-12)
         assert window.cost == pytest.approx(errors.sum() / (HORIZON + 1), rel=1e-12)
     assert whole.errors is None
     assert windows[3].cost == pytest.approx(whole.cost, rel=1e-9)
@@ -134,5 +134,5 @@ def test_an_exact_engine_tells_errors_without_draws(
     completed(run_phase(phase, Session(exact, Store(tmp_path / "run"))))
     assert not handed
     errors = np.where(COUNTS, exact.evaluator.expected_errors(SETS), 0.0)
-    found = [evaluation.known_errors for evaluation in search.told[1:]]
+    found = [evaluation.errors_of_instants for evaluation in search.told[1:]]
     np.testing.assert_allclose(found, errors, rtol=1e-12)

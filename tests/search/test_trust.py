@@ -65,7 +65,7 @@ def test_an_estimator_that_no_draws_can_check_is_said_to_be_unchecked(usable: in
             errors[usable:] = np.nan
         return errors
 
-    assert not judged(*_pair(np.ones(PROBE_DRAWS), error(Candidate((4, 5, 6))))).known
+    assert not judged(*_pair(np.ones(PROBE_DRAWS), error(Candidate((4, 5, 6))))).is_known
     state, _ = _probe(lambda candidate: 1.0, error)
     pair = Probe(FEASIBLE).finalists(state)
     assert not state.failed

@@ -60,12 +60,12 @@ def test_a_line_that_was_cut_short_means_nothing_and_spoils_no_other(manifest: M
     for size in range(len(line)):
         path.write_text(f"{whole}\n{line[:size]}")
         assert manifest.expected() == {FILE: {A: True}}
-        assert manifest.kept_key() == KEY
+        assert manifest.recorded_key() == KEY
         _add(manifest, f"gone {FILE} {A}")
         assert manifest.expected() == {}
     for size in range(len(KEY)):
         path.write_text(f"{whole}\nrun {'f' * size}")
-        assert manifest.kept_key() == KEY
+        assert manifest.recorded_key() == KEY
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def bound_command(options: Namespace) -> None:
 
     settings = {field.name: getattr(options, field.name) for field in fields(BoundSettings)}
     with Display() as display:
-        found = bound(
+        result = bound(
             options.job,
             BoundSettings(**settings),
             results=options.results,
@@ -90,7 +90,7 @@ def bound_command(options: Namespace) -> None:
             progress=display.show,
             say=display.say,
         )
-    answer = found.as_json()
+    answer = result.as_json()
     if options.json:
         print_json(answer, options)
     else:

@@ -78,16 +78,16 @@ def sweep_command(options: Namespace) -> None:
     from pfdist.job.points import values_by_key
 
     over = values_by_key(options.over)
-    asked = {"results": options.results, "changes": options.set}
+    shared_options = {"results": options.results, "changes": options.set}
     if options.dry_run:
-        points = foreseen(options.job, over, **asked, judge=options.judge)
+        points = foreseen(options.job, over, **shared_options, judge=options.judge)
         if options.json:
             print_records("points", points, options)
         else:
             print_page(foreseen_page(points), options)
         return
     with Display() as display:
-        chosen = {**settings(options, display), **asked}
+        chosen = {**settings(options, display), **shared_options}
         chosen |= {"bound_draws": options.bound_draws, "judge": options.judge}
         finished = sweep(options.job, over, **chosen)
     _print_sweep(finished, options)

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run
 from pfdist.analysis.particle_loss import less
-from pfdist.bounds.gap import UNKNOWN, ZERO, SetAlone
+from pfdist.bounds.gap import UNKNOWN, ZERO, GapParts
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.kept import PER_DRAW
+from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import BOUND_PHASE
 from pfdist.times.measurement_times import Times
 
@@ -29,7 +29,7 @@ SET_DRAWS = 20_000
 
 Array = NDArray[np.float64]
 
-_DEGENERATE = SetAlone(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
+_DEGENERATE = GapParts(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
     return sum(instants * kind.estimation.steps_an_instant for kind in kinds)
 
 
-def sets_alone(
+def gap_parts(
     session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation
-) -> Generator[Batch, None, dict[str, SetAlone]]:
+) -> Generator[Batch, None, dict[str, GapParts]]:
     """The expected MSE of each compared set alone, and the parts of its gap.
 
     The run must be finished. The estimation uses the variance of the particles.
@@ -65,7 +65,7 @@ def sets_alone(
     built = session.built
     if built.evaluator.exact:
         costs = built.evaluator.expected_mse(list(sets.values())).tolist()
-        return {name: SetAlone(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
+        return {name: GapParts(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
     draws = _draws(built, run.draws_compared)
     kinds = _kinds(built, estimation, run.draws_compared)
     seed = built.job.seed
@@ -149,7 +149,7 @@ def _per_draw(
     return {name: errors[id_] for name, id_ in ids.items()}
 
 
-def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> SetAlone:
+def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> GapParts:
     """The parts for one set, from errors of the same D draws.
 
     `squared` and `by_truth` are the squared errors with the filter's model and with the true model,
@@ -160,8 +160,8 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
         return _DEGENERATE
     if by_truth is squared:
         both = less(whole, squared, variance)
-        return SetAlone(whole.estimate, both, ZERO, both)
-    return SetAlone(
+        return GapParts(whole.estimate, both, ZERO, both)
+    return GapParts(
         whole.estimate,
         _paired(by_truth, variance),
         less(whole, squared, by_truth),

@@ -10,13 +10,13 @@ from pfdist.errors import JobError, shown
 from pfdist.job.job import Job, load_job
 from pfdist.job.problem import Problem
 
-Asked = Problem | Job | str | Path
+JobSource = Problem | Job | str | Path
 """A problem, a job, or the path of a job file."""
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 def as_job(
-    source: Asked,
+    source: JobSource,
     overrides: Iterable[str] = (),
     sections: Mapping[str, Any] = _NOTHING,
     settings: Mapping[str, Any] = _NOTHING,
