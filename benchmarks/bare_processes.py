@@ -9,8 +9,8 @@ from multiprocessing.synchronize import Barrier
 from time import perf_counter
 
 from pfdist import load_model
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Work
 from pfdist.times.measurement_times import regular
 
 

@@ -17,7 +17,7 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist import StateSpaceModel, linear_gaussian, load_model
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 from pfdist.runner.bound_settings import BoundSettings

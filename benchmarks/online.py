@@ -22,7 +22,7 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.api.planner import Planner
 from pfdist.common.streams import stream_key
-from pfdist.evaluation.work import Work
+from pfdist.filters.work import Work
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, RED
 from pfdist.runner.build import Built, build
 from pfdist.times.measurement_times import Times

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from benchmarks.measure import Say
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.work import Estimation, Work
 from pfdist.pools.base import Task
 from pfdist.pools.ray_pool import RayPool
 from pfdist.times.measurement_times import regular

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pfdist import Job
 from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.work import Work
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import Work
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
 from pfdist.runner.door import Session, complete

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from pfdist import plots
 from pfdist.cli.command import COMMANDS, Command
-from pfdist.evaluation.engines import AUTO, ENGINES
+from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import ESTIMATORS, Estimator
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.plots.figure import FIGURES

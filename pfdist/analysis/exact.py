@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from pfdist.evaluation.engines import is_exact
+from pfdist.filters.engines import is_exact
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run

@@ -19,7 +19,7 @@ from scipy import stats
 
 from pfdist.analysis.streaming_moments import Array, Moments, Pairs
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
-from pfdist.evaluation.estimate import top_percent_share
+from pfdist.filters.estimate import top_percent_share
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN = 0.001

@@ -15,7 +15,7 @@ from pfdist.analysis.gains import gain_over_itself
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.particle_loss import hardly_measured
 from pfdist.analysis.reference import described, without_number
-from pfdist.evaluation.engines import is_exact
+from pfdist.filters.engines import is_exact
 from pfdist.times.clock import Time
 
 if TYPE_CHECKING:

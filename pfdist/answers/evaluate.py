@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Cell, Page, Section, Table
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 
 _HEAD = ("times", "number", "expected MSE", "draws", "degenerate")
 

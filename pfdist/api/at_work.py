@@ -7,7 +7,7 @@ from time import perf_counter
 
 from pfdist.api.following import Say
 from pfdist.errors import SilenceError
-from pfdist.evaluation.engines import COMPILED, ENGINES
+from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.job.sections import Execution
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS

@@ -9,9 +9,9 @@ import numpy as np
 
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import build

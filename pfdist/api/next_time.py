@@ -20,8 +20,8 @@ from pfdist.common.formatted_times import formatted_time
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
+from pfdist.filters.estimate import Evaluation
 from pfdist.job.source import JobSource
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.times.clock import Clock, Time

@@ -11,8 +11,8 @@ from pfdist.common.arguments import whole_argument
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
+from pfdist.filters.estimate import Evaluation
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build
 from pfdist.runner.searches import planning_of

@@ -6,8 +6,8 @@ import pandas as pd
 from pfdist.common.arguments import whole_argument
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError
-from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES
 from pfdist.job.source import JobSource, as_job
 from pfdist.models import StateSpaceModel
 from pfdist.runner.build import build

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.rounding import with_error
-from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of_function

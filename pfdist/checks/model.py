@@ -18,11 +18,11 @@ from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
 from pfdist.errors import CompileError, ModelError
-from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work, with_truth
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES, NUMPY_TIMES_SLOWER
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.matrices import matrices_of
+from pfdist.filters.work import Estimation, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, carried_model, squared_error
 from pfdist.models.parameters import check_lengths

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel
 from pfdist.models.seeing import names_in
 from pfdist.models.syntax import node_of

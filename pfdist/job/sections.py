@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pfdist.common.section import Section
 from pfdist.errors import shown
-from pfdist.evaluation.engines import AUTO, ENGINES
+from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling

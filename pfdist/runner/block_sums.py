@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.common.streams import stream_of
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import BLOCK, Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Learn, Session
 from pfdist.runner.row_formats import BLOCK_OF_SUMS

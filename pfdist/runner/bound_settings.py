@@ -5,7 +5,7 @@ from numbers import Integral, Real
 
 from pfdist.bounds.first_windows import WINDOW
 from pfdist.errors import JobError, shown
-from pfdist.evaluation.work import BLOCK
+from pfdist.filters.work import BLOCK
 from pfdist.runner.block_sums import GROUPS
 
 LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920

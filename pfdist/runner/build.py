@@ -9,10 +9,10 @@ from typing import Any
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.component_names import Component
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
-from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
-from pfdist.evaluation.evaluator import Evaluator, carried_evaluator
-from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.filters.evaluator import Evaluator, carried_evaluator
+from pfdist.filters.work import Estimation
 from pfdist.job.job import ONLINE, Job
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models

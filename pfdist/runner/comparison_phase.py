@@ -14,7 +14,7 @@ from pfdist.analysis import BLOCK, ComparisonStatistics
 from pfdist.analysis.reference import references_of
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
-from pfdist.evaluation.work import Result, Work, cut
+from pfdist.filters.work import Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TABLES

@@ -46,7 +46,7 @@ import pyarrow as pa
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
-from pfdist.evaluation.work import Result, Work
+from pfdist.filters.work import Result, Work
 from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles

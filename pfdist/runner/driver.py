@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
-from pfdist.evaluation.work import Result, Work, cut
+from pfdist.filters.work import Result, Work, cut
 from pfdist.job.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison

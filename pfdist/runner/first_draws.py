@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.common.streams import stream_of
-from pfdist.evaluation.work import Estimation, Result, Work, with_truth
+from pfdist.filters.work import Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.runner.build import Built

@@ -17,7 +17,7 @@ from pfdist.analysis.particle_loss import less
 from pfdist.bounds.gap import UNKNOWN, ZERO, GapParts
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_key, stream_of
-from pfdist.evaluation.work import Estimation, Result, Work
+from pfdist.filters.work import Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.row_formats import PER_DRAW

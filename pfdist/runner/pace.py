@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from pfdist.evaluation.work import Work
+from pfdist.filters.work import Work
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
@@ -64,7 +64,7 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundl
     `size` gives the particle-steps of the next bundle from those that remain. A bundle has about
     that size, but at least one draw. Sums over draws are never cut.
 
-    >>> from pfdist.evaluation.work import Estimation
+    >>> from pfdist.filters.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
     >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), ten) for draws in (5, 2)]
     >>> for bundle in bundles(works, lambda remaining: 400):

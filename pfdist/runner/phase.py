@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.streams import CHOOSING, stream_of
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built

@@ -16,7 +16,7 @@ from typing import Any
 from llvmlite import binding
 
 from pfdist.errors import StoreError
-from pfdist.evaluation.engines import COMPILED
+from pfdist.filters.engines import COMPILED
 from pfdist.runner.build import Built, folder_of_models
 from pfdist.store import Store, add_to_provenance, read_run
 

@@ -17,7 +17,7 @@ from pfdist.bounds.relaxation import Relaxation
 from pfdist.common.estimate import CONFIDENCE
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
-from pfdist.evaluation.work import BLOCK, Estimation, Result, Work, with_truth
+from pfdist.filters.work import BLOCK, Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted, grown
 from pfdist.runner.bound_settings import BoundSettings

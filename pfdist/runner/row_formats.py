@@ -14,8 +14,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.analysis import BLOCK
-from pfdist.evaluation.work import BLOCK as SUMMED
-from pfdist.evaluation.work import Result, Work, cut
+from pfdist.filters.work import BLOCK as SUMMED
+from pfdist.filters.work import Result, Work, cut
 from pfdist.runner.door import StoredResults
 from pfdist.store import Store, schema
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase

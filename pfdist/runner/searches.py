@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import psutil
 
 from pfdist.errors import JobError
-from pfdist.evaluation.engines import is_exact
-from pfdist.evaluation.work import Estimation, in_blocks
+from pfdist.filters.engines import is_exact
+from pfdist.filters.work import Estimation, in_blocks
 from pfdist.job.job import Job
 from pfdist.job.online_section import Online
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR

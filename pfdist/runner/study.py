@@ -10,7 +10,7 @@ from functools import cached_property
 
 from pfdist.bounds.first_windows import relaxation_within
 from pfdist.errors import JobError
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.job.job import Job
 from pfdist.runner.progress import SetGain
 from pfdist.search import Optimiser, StateSpaceRelaxation

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pfdist.analysis import Moments
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError
-from pfdist.evaluation.work import Result, Work
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.work import Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS

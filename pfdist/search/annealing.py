@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Fraction

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.times.measurement_times import Times
 
 

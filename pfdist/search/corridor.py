@@ -18,7 +18,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Positive

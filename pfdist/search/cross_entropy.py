@@ -20,7 +20,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Fraction

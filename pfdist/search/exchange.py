@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.times.feasible import Feasible

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate
 from pfdist.search.methods import method
 from pfdist.search.section import Count, EvaluationSettings, Even, Flag, Positive, Probability

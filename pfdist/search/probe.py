@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate
 from pfdist.search.trust import judged
 from pfdist.times.feasible import Feasible

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.search.base import Candidate
 from pfdist.times.measurement_times import Times
 

@@ -27,7 +27,7 @@ from pfdist.bounds.first_windows import relaxation_within
 from pfdist.bounds.growth import longer, near_optimal
 from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import Relaxation, Window
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import CommonNoiseSettings, Count

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
-from pfdist.evaluation.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.times.measurement_times import Times
 
 BELOW = 0.15

@@ -20,9 +20,9 @@ from pfdist.errors import (
     PriorError,
     shown,
 )
-from pfdist.evaluation.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
+from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.matrices import matrices_of
 from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.models import StateSpaceModel, load_model

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import MeasurementsError
-from pfdist.evaluation.engines import COMPILED, ENGINES
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.parameters import check_lengths

@@ -14,11 +14,11 @@ import numpy as np
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
-from pfdist.evaluation.estimate import Evaluation, difference
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
+from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.noise import generator
 from pfdist.search.base import Candidate, Optimiser

@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from pfdist.errors import MeasurementsError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Result, Work
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.work import Result, Work
 from pfdist.sequential.one_filter import begin
 from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible

@@ -12,9 +12,9 @@ from oracles.systems import scalar
 from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, hardly_measured, less, particle_loss
 from pfdist.common.estimate import Estimate
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work, with_truth
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
+from pfdist.filters.work import Estimation, Work, with_truth
 from pfdist.models import StateSpaceModel
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)

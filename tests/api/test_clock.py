@@ -17,8 +17,8 @@ import pfdist
 from pfdist.api.why import Why
 from pfdist.cli.main import main
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistError, PriorError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
 from pfdist.sequential.measurements import read_measurements

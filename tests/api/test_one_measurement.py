@@ -7,7 +7,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.evaluation.evaluator import Evaluator
+from pfdist.filters.evaluator import Evaluator
 from pfdist.search.methods import METHODS
 
 ONE = ["problem.measurement_budget=1", "comparison.draws=40"]

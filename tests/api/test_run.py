@@ -15,8 +15,8 @@ from oracles.counted import A_DRAW, count_draws
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, SearchError, TaskError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner import door
 from pfdist.runner.build import build

@@ -17,8 +17,8 @@ from pfdist.analysis.judged import times_by_search
 from pfdist.api.sweep import foreseen
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Result, Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Result, Work
 from pfdist.job.judging import judged_sets
 from pfdist.runner.progress import Progress
 from pfdist.store import held

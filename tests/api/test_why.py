@@ -19,8 +19,8 @@ from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import RunMismatchError
-from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
+from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
 from pfdist.runner.worth import CHANGES

@@ -22,11 +22,11 @@ from pfdist.bounds.gap import consistent, gap_of
 from pfdist.bounds.programme import least
 from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work, with_truth
 from pfdist.filters.draws import Draws
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation, Work, with_truth
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.gap_parts import parts_of
 from pfdist.times.feasible import Feasible

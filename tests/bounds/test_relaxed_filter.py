@@ -15,8 +15,8 @@ from oracles.windows import counted, relaxed_errors
 from pfdist import load_job, load_model
 from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work, with_truth
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work, with_truth
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 

@@ -18,7 +18,7 @@ from oracles.windows import Array, counted
 from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import least
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate, StateSpaceRelaxation
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times

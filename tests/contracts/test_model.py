@@ -12,11 +12,11 @@ from oracles.clocked import times_of, with_clock
 from pfdist import load_job, load_model
 from pfdist.api.sweep import foreseen
 from pfdist.checks.model import check_model
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation
 from pfdist.filters import plain
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.models import installed_models
 from pfdist.plots import figure as figures
 from pfdist.times.measurement_times import regular

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.kalman import TRACKING, believed_errors
-from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters import kalman
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate
 from pfdist.search.base import FINALISTS, Optimiser
 from pfdist.search.methods import METHODS

@@ -17,8 +17,8 @@ import matplotlib.pyplot as plt
 
 from pfdist import load_job
 from pfdist.cli.main import main
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work
 from pfdist.plots import figure as figures
 from pfdist.runner.build import build
 

@@ -15,7 +15,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_key
-from pfdist.evaluation.evaluator import Evaluator
+from pfdist.filters.evaluator import Evaluator
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.runner import first_draws
 

@@ -21,8 +21,8 @@ from crash.runs import finish, running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work
 
 JOB = """
 seed = 5

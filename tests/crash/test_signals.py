@@ -26,7 +26,7 @@ Record = Callable[[str, object], None]
 SLOW_TO_LEAVE = """
 import signal, sys, time
 from pfdist.cli.main import main
-from pfdist.evaluation.evaluator import Evaluator
+from pfdist.filters.evaluator import Evaluator
 from pfdist.pools.base import SerialPool
 
 def leave(*_):

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from pfdist.evaluation.engines import ENGINES
+from pfdist.filters.engines import ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.plots.figure import FIGURES

@@ -10,12 +10,12 @@ from scipy import stats
 import oracles.kalman
 from pfdist import StateSpaceModel
 from pfdist.errors import MeasurementTimesError, PriorError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation
 from pfdist.filters import kalman, particle_filter, plain, simulation
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import SCHEMES
 
 HORIZON, TIMES = 20, (0, 3, 6, 9, 12, 15, 18)

@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.systems import scalar
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work, with_truth
 from pfdist.filters import plain
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.particle_filter import filter_checked_sets
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Work, with_truth
 from pfdist.models import StateSpaceModel
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)

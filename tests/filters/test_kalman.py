@@ -16,9 +16,9 @@ from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.moments import assert_mean
 from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
 from pfdist.errors import ModelError
-from pfdist.evaluation.evaluator import Evaluator
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
 

@@ -11,13 +11,13 @@ import pytest
 from oracles.kalman import TRACKING, riccati_cost
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.errors import ModelError
-from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_draws, filter_sets
 from pfdist.filters.settings import FilterSettings, filter_streams
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pfdist.errors import JobError
-from pfdist.evaluation.estimate import DEGENERATE_POLICIES
+from pfdist.filters.estimate import DEGENERATE_POLICIES
 from pfdist.job.job import job_toml, load_job
 from pfdist.job.sections import EvaluationSection
 from pfdist.search.methods import METHODS

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pfdist import StateSpaceModel
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
 from pfdist.search import Candidate, Optimiser
 from pfdist.times.feasible import Feasible

@@ -11,8 +11,8 @@ import pytest
 
 from pfdist import StateSpaceModel
 from pfdist.errors import SilenceError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Work
 from pfdist.pools import base
 from pfdist.pools.base import Task
 from pfdist.pools.threads import ThreadPool

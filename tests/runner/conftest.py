@@ -10,8 +10,8 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.errors import TaskError
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.work import Work
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import Work
 from pfdist.job.sections import Execution
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.build import Built, build, make_pool

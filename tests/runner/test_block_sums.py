@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pfdist import Job
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Result, Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Result, Work
 from pfdist.pools.base import SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
 from pfdist.runner.build import Built, build

@@ -13,7 +13,7 @@ from oracles.every_set import every_set
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
-from pfdist.evaluation.work import Estimation
+from pfdist.filters.work import Estimation
 from pfdist.kernels import disk_cache
 from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import build

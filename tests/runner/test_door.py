@@ -12,8 +12,8 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import SweepError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Work
 from pfdist.runner.door import Batch, Driver, Session, complete
 
 WORK = Work(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))

@@ -15,7 +15,7 @@ from oracles.counted import A_DRAW, SETS, count_draws
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError, StoreError
-from pfdist.evaluation.evaluator import Evaluator
+from pfdist.filters.evaluator import Evaluator
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress

@@ -13,7 +13,7 @@ from pfdist import Job
 from pfdist.api.why import why
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
-from pfdist.evaluation.work import Estimation
+from pfdist.filters.work import Estimation
 from pfdist.runner.build import build
 
 MODEL = """

@@ -19,7 +19,7 @@ from pfdist.analysis.online import online_draws
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.work import Estimation, Work
 from pfdist.plots.figure import FIGURES, Tables, drawn
 from pfdist.runner.build import build
 from pfdist.runner.pace import Pace

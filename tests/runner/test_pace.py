@@ -6,7 +6,7 @@ The reporter alone adds up how far a run is.
 import numpy as np
 import pytest
 
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.work import Estimation, Work
 from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
 from pfdist.runner.progress import Progress, Reporter
 

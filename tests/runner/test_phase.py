@@ -16,8 +16,8 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import MeasurementTimesError
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import run_comparison

@@ -12,8 +12,8 @@ import pfdist
 from pfdist import Job
 from pfdist.api.why import why
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Work
 from pfdist.runner.build import build
 from pfdist.runner.door import Batch
 from pfdist.runner.phase import Phase

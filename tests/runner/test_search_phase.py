@@ -10,7 +10,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.runner.search_phase import _uncontradicted
 from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.times.measurement_times import Times

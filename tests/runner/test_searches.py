@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pfdist.evaluation.work import Estimation
+from pfdist.filters.work import Estimation
 from pfdist.job.job import Job, load_job
 from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool

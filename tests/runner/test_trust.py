@@ -16,7 +16,7 @@ from pfdist.analysis import Run
 from pfdist.answers.run import searches
 from pfdist.answers.subject import Subject
 from pfdist.common.streams import stream_of
-from pfdist.evaluation.work import Work
+from pfdist.filters.work import Work
 from pfdist.plots import costs
 from pfdist.plots.figure import Tables
 from pfdist.runner.build import build

@@ -9,7 +9,7 @@ import pytest
 from oracles.searched import last
 from pfdist import load_job
 from pfdist.errors import JobError
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.runner.build import build
 from pfdist.search import Exhaustive, GreedyBackward, GreedyForward, RandomTrials
 from pfdist.search.base import FINALISTS

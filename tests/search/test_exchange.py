@@ -8,7 +8,7 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.searched import last
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate, Exchange
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times, regular

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.base import Candidate
 from pfdist.search.genetic import (

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.evaluation.estimate import Evaluation, difference
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.search import Candidate, Race
 from pfdist.times.measurement_times import Times
 

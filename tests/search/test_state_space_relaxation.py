@@ -12,7 +12,7 @@ from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.bounds.first_windows import relaxation_with
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_mse
 from pfdist.search import Candidate, StateSpaceRelaxation
 from pfdist.search.state_space_relaxation import RelaxationState

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, prefix_costs, riccati_cost
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate, Survivors
 from pfdist.search.corridor import Corridor
 from pfdist.search.methods import METHODS

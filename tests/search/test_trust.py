@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import CLEAR_ERRORS
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate
 from pfdist.search.probe import PROBE_DRAWS, Probe, ProbeState, new_leaders
 from pfdist.search.trust import BELOW, judged, misordered, unchecked_probe

@@ -18,9 +18,9 @@ from pfdist.errors import (
     PfdistError,
     PriorError,
 )
-from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES
 from pfdist.filters.interface import Filtered
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate

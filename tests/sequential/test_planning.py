@@ -9,12 +9,12 @@ import oracles.kalman
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Cloud
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.job.online_section import PLANNING
 from pfdist.search.methods import METHODS
 from pfdist.sequential.one_filter import begin

@@ -136,7 +136,7 @@ ESTIMATORS["half_of_each"] = Estimator(
 MEAN_OF_BOTH = """
 import numpy as np
 from pfdist import load_model
-from pfdist.evaluation.engines import ENGINES
+from pfdist.filters.engines import ENGINES
 from pfdist.filters.simulation import simulate
 from pfdist.filters.settings import FilterSettings
 

@@ -11,7 +11,7 @@ from pfdist.cli.words import add_named_times, sets_by_name
 from pfdist.common.number_list import SPELLING
 
 if TYPE_CHECKING:  # a command that evaluates nothing needs no NumPy
-    from pfdist.evaluation.estimate import Evaluation
+    from pfdist.filters.estimate import Evaluation
 
 
 def _add_times(parser: ArgumentParser) -> None:

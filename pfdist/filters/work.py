@@ -15,7 +15,7 @@ from pfdist.kernels.schemes import CONDITIONAL
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
-    from pfdist.evaluation.evaluator import Evaluator
+    from pfdist.filters.evaluator import Evaluator
 
 BLOCK = 24
 """Draws over which errors are added up.

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PriorError
-from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
-from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
+from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.matrices import cached_matrices
 from pfdist.filters.particle_filter import (
@@ -30,6 +29,7 @@ from pfdist.filters.particle_filter import (
 )
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
+from pfdist.filters.work import Estimation, Result, Work, columns, cut
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.models import CarriedModel, StateSpaceModel

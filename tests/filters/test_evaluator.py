@@ -9,9 +9,9 @@ import pytest
 
 from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
-from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work, cut
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Work, cut
 from pfdist.times.measurement_times import Times
 
 
