@@ -21,7 +21,7 @@ from scipy import stats
 from pfdist.analysis.streaming_moments import Array, Moments, Pairs
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 
-_ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles are smaller
+_ROUNDING = 1e-12  # relative difference of two exact expected MSEs that counts as none
 PAIR_COLUMNS = (
     "first", "second", "draws", "difference", "low", "high", "simultaneous_low",
     "simultaneous_high", "clear", "gain_of_means", "gain_of_means_low", "gain_of_means_high",
@@ -34,7 +34,9 @@ RANK_COLUMNS = (
 
 @dataclass
 class Pair:
-    """The errors of two sets on the draws added so far that are degenerate with neither.
+    """Statistics of the errors of two sets on the same draws, which are added block by block.
+
+    Draws that are degenerate with one of the sets are left out.
 
     Parameters
     ----------
@@ -71,9 +73,11 @@ class Pair:
         Parameters
         ----------
         confidence : float
-            Confidence of the simultaneous interval, which all pairs share.
+            Confidence of the columns ``simultaneous_low`` and ``simultaneous_high``: so high that
+            the intervals of all pairs hold together with 95 %.
         exact : (float, float) or None
-            Both expected MSEs, if they are known without draws.
+            Both expected MSEs, if an engine computes them without draws. Then the difference and
+            the gain of means are exact, and their limits are equal.
         """
         apart = self.difference.estimate
         difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
@@ -117,7 +121,7 @@ def pairs_table(
     blocks : iterable of arrays of float64, (D, S)
         Per-draw MSE of each set, block by block; NaN marks a degenerate draw.
     exact : mapping of str to float
-        Expected MSEs that are known without draws, by name.
+        Expected MSEs that an engine computes without draws, by the name of the set.
     """
     pairs = {places: Pair() for places in combinations(range(len(names)), 2)}
     for block in blocks:
@@ -135,17 +139,17 @@ def pairs_table(
 def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
     """A row for each set, the lowest expected MSE first, with its interval of ranks.
 
-    A set is clearly better than another if the simultaneous interval of their difference lies on
-    the same side of 0. The best rank of a set is 1 plus the number of sets that are clearly better;
-    the worst rank is the number of all sets less those that are clearly worse, or known to be
-    equal. The true rank is 1 plus the number of sets with a lower expected MSE. All simultaneous
-    intervals hold together with 95 %, so the true ranks of all sets lie within these ranks with at
-    least 95 %.
+    Two sets are clearly different if the simultaneous interval of their difference does not
+    contain 0. The best rank of a set is 1 plus the number of sets that are clearly better. The
+    worst rank is the number of all sets less those that are clearly worse, and less those that are
+    exactly equal. The true rank is 1 plus the number of sets with a lower expected MSE. All
+    simultaneous intervals hold together with 95 %, so the true ranks of all sets lie within these
+    ranks with at least 95 %.
 
     Parameters
     ----------
     pairs : DataFrame
-        As of `pairs_table`.
+        The result of `pairs_table`.
     costs : mapping of str to (float, float)
         Expected MSE and standard error of each set by name.
 
@@ -155,7 +159,9 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
         The columns of `pfdist.analysis.Run.ranks`.
     """
     order = sorted(costs, key=lambda name: (math.isnan(costs[name][0]), costs[name][0]))
-    better, worse = dict.fromkeys(costs, 0), dict.fromkeys(costs, 0)  # worse, or equal
+    # For each set, the number of sets that are clearly better; and of those that are clearly worse
+    # or exactly equal.
+    better, worse = dict.fromkeys(costs, 0), dict.fromkeys(costs, 0)
     to_best = {order[0]: (0.0, 0.0, 0.0)}
     for pair in pairs.to_dict("records"):
         first, second = pair["first"], pair["second"]
@@ -163,7 +169,7 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
             winner, loser = (first, second) if pair["difference"] < 0 else (second, first)
             better[loser] += 1
             worse[winner] += 1
-        elif pair["simultaneous_low"] == pair["simultaneous_high"] == 0.0:  # equal
+        elif pair["simultaneous_low"] == pair["simultaneous_high"] == 0.0:  # exactly equal
             worse[first] += 1
             worse[second] += 1
         if second == order[0]:

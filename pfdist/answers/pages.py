@@ -1,4 +1,4 @@
-"""Reports as files: one self-contained HTML file, made from tables alone."""
+"""Pages as files: each report or answer is one self-contained HTML file."""
 
 from pathlib import Path
 
@@ -10,12 +10,18 @@ from pfdist.store.folder import REPORT, check_page_replaceable
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Write a page to a file.
+    """Write a page to an HTML file, atomically.
+
+    Parameters
+    ----------
+    page : Page
+    path : Path
+        The file. An earlier page of pfdist is replaced, and nothing else.
 
     Raises
     ------
     StoreError
-        The file cannot be written, or another file than an earlier report has this name.
+        The file cannot be written, or a file of another kind has this name.
     """
     check_page_replaceable(path)
     html = as_html(page)
@@ -23,12 +29,20 @@ def write_page(page: Page, path: Path) -> None:
 
 
 def remove_report(path: Path) -> None:
-    """Remove the report of the run in a folder, if there is an earlier report.
+    """Remove the report of the run in a folder, if there is one.
+
+    A run writes its report only if the folder has none. So an old report must be removed before
+    the run goes on; otherwise it would stay for ever.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run. A file of the user with the report's name is not touched.
 
     Raises
     ------
     StoreError
-        The report cannot be removed. If it stayed, nobody would make a new one.
+        The report cannot be removed.
     """
     try:
         check_page_replaceable(path / REPORT)

@@ -40,10 +40,11 @@ def budget(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file. The searches and the measurement budget of the
-        job are left aside.
+        A problem, a job, or the path of a job file. The job's searches, its measurement budget, its
+        number of compared draws and its section [online] are ignored.
     measurements : (int, int), range or set of int
-        Least and largest number of measurements, or a range or a set of all numbers.
+        The least and the largest number of measurements as a pair; or all numbers, as a range or a
+        set.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>-budget``.
     draws : int
@@ -99,7 +100,7 @@ def budget(
 def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]:
     """The section [budget] of a job.
 
-    It is the same, and so the run is the same, however numbers without a gap are given.
+    Numbers without a gap give the same section as a pair, a range or a set, and so the same run.
     """
     is_pair = isinstance(measurements, tuple | list) and len(measurements) == 2
     if not is_pair and not isinstance(measurements, range | Set):

@@ -1,4 +1,4 @@
-"""The checks of a model as a table."""
+"""The checks of a model: all in a table, or one after another while they run."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -33,16 +33,17 @@ def check_model(
         A model or the name of a model; or a problem, a job, or the path of a job file ``*.toml``,
         whose models are checked with their parameters.
     horizon : int, optional
-        T of the draws that are simulated; by default that of the problem, or 60.
+        T of the draws that are simulated; by default that of the problem, or 60. With a clock, T
+        is at most that of the clock.
     particles : int, optional
         Number of particles of the filter that is timed; by default that of the problem, or 500.
 
     Returns
     -------
     DataFrame
-        A row for each check: check, state and text. The state is "ok"; "note" for what is worth
-        knowing; or "wrong" for what makes every figure wrong or ends a run. The checks of a
-        filter's model begin with "filter: ".
+        A row for each check: check (its name), state and text. The state is "ok"; "note" for
+        something worth knowing; or "wrong" for a mistake that makes all results wrong or ends a
+        run. If the filter has a model of its own, the names of its checks begin with "filter: ".
 
     Raises
     ------
@@ -60,14 +61,20 @@ def checks_of(
     particles: int | None = None,
     times: Sequence[float] = (),
 ) -> Iterator[Check]:
-    """Check a model, or the models of a job, and give each result when it is known.
+    """Check a model, or the models of a job, and yield the result of each check as it ends.
 
     Parameters
     ----------
     model, horizon, particles
         As for `check_model`.
-    times : sequence of float, (T+1,)
-        The clock of a model that is given by its name; a job has its own.
+    times : sequence of float, (T+1,), optional
+        The clock for a model that is given by its name. A job has a clock of its own, and a
+        StateSpaceModel ignores these times: use its ``on_clock``.
+
+    Raises
+    ------
+    JobError, ArgumentError
+        As `check_model` raises; and if times are given with a job.
     """
     job = as_job(model) if _is_job(model) else None
     own = (HORIZON, PARTICLES)

@@ -48,8 +48,9 @@ class Why(Shown):
     Parameters
     ----------
     run : Path
+        Folder of the run.
     draws : int
-        0 if the engine is exact and needs no draws.
+        Number of draws; 0 if the engine is exact and needs no draws.
     sets : DataFrame
         A row for each set: name, measurement_times, expected_mse, standard_error and
         degenerate_draws.
@@ -66,7 +67,8 @@ class Why(Shown):
         later. NaN if another measurement is made at that instant, or if the job does not allow the
         instant. The standard errors are removed_error, earlier_error and later_error.
     sampling_windows : DataFrame
-        A row for each set, measurement and instant to which it alone is moved: position, name, t,
+        A row for each set, measurement and instant to which it alone is moved (also its own
+        instant, where nothing moves): position, name, t,
         moved_to (the instant, or on a clock its time), moved_to_instant (its number), draws, loss
         (the expected MSE over that of the kept set, less 1), loss_error (its standard error),
         degenerate_draws, lower_limit and upper_limit (one-sided, 95 %). The states
@@ -76,9 +78,10 @@ class Why(Shown):
     jitter : DataFrame
         A row for each set and level: position, name, percent (1 or 5), draws, and the loss when
         each draw moves all measurements at random within their windows of this level: loss,
-        loss_error, degenerate_draws, low and high (95 % interval). No draws: nothing can move.
+        loss_error, degenerate_draws, low and high (95 % interval). If nothing can move, draws is 0.
     figures : list of Path
-        Two figures for each search, and that of the filters if they have particles.
+        The PNG and SVG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
+        reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
     """
 
     run: Path
@@ -91,7 +94,7 @@ class Why(Shown):
     figures: list[Path]
 
     def as_json(self) -> dict[str, Any]:
-        """The whole result as JSON values; an unknown value is None."""
+        """The whole result as JSON values; a value that is not finite is None."""
         sets = {}
         frames: dict[str, pd.DataFrame] = {part: getattr(self, part) for part in _PARTS}
         for row in self.sets.to_dict("records"):
@@ -132,7 +135,8 @@ def why(
         A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
         process made.
     draws : int
-        Number of draws, computed in this process; memory does not grow with them.
+        Number of draws, at least 2. They are computed in this process, and memory does not grow
+        with their number. An exact engine uses it only for ``jitter``.
     results : str or Path, optional
         Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
     changes : iterable of str, optional
@@ -152,7 +156,8 @@ def why(
     Raises
     ------
     StoreError
-        There is no finished run of the job, or the run is of another job or of other models.
+        There is no finished run of the job; the run is of another job or of other models; or it has
+        sets of several numbers of measurements.
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
@@ -164,7 +169,7 @@ def why(
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))
             driver = _examine(session, opened, sets, draws)
-            # It takes less time than the workers of another pool take to start.
+            # The threads are done before the workers of another pool would have started.
             answer: Why = complete(driver, make_pool(Execution(pool="threads")))
         files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
         renew_report(opened.path, tell)
@@ -174,7 +179,7 @@ def why(
 def _examine(
     session: Session, run: Run, sets: dict[str, Times], draws: int
 ) -> Generator[Batch, None, Why]:
-    """Compute the worth of all measurements, and store the tables; no figure is drawn."""
+    """Driver that computes all tables and publishes them at the end; it draws no figure."""
     built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
     answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
     for position, (name, clock_times) in enumerate(sets.items()):
@@ -198,7 +203,7 @@ def _examine(
 
 
 def _measured(run: Run, times: Times) -> list[NDArray[np.float64]]:
-    """For each draw with a trajectory, what would be measured at these times, (N, m)."""
+    """The measurements at N times of each draw that has a trajectory, (N, m) each."""
     rows = run.trajectories()
     columns = [f"y_{component.suffix}" for component in components_in(rows, "y_")]
     return [draw[columns].to_numpy()[list(times)] for _, draw in rows.groupby("draw")]

@@ -1,6 +1,6 @@
 """The program `pfdist`: parse the arguments, call the command, and say what went wrong.
 
-A user or a batch system ends it by signals.
+A signal of the user or of a batch system ends a command as an error would, so that it cleans up.
 """
 
 import contextlib
@@ -18,8 +18,8 @@ from pfdist.cli.parser import make_parser
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
 from pfdist.errors import EngineWarning, PfdistError, SilenceError, TaskError, one_line
 
-_BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # send these when the time of a job is up
-_received: list[int] = []
+_BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # batch systems send these when time is up
+_received: list[int] = []  # signals of a batch system since the command began
 
 
 def end_at_once() -> None:
@@ -62,9 +62,10 @@ def _preempt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-_DONE, _ERROR, _INTERRUPTED, _AGAIN = 0, 1, 130, 75  # exit codes
 # --- the program ----------------------------------------------------------------------------------
 
+# Exit codes. 75 is EX_TEMPFAIL: a batch script may start the same command again.
+_DONE, _ERROR, _INTERRUPTED, _AGAIN = 0, 1, 130, 75
 _GOES_ON = "finished work is committed; the same command goes on from there"
 _LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
@@ -80,7 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code.
+        The exit code: 0; 1 after an error; 130 after Ctrl-C; or 75 if the same command may be
+        started again, because a batch system ended it or its workers no longer answered.
 
     Raises
     ------
@@ -105,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: Namespace, *, ends: bool) -> int:
     """Call the command; turn the errors that a user can cause into a line and an exit code.
 
-    ends says whether the process ends afterwards.
+    `ends` says whether the process ends afterwards.
     """
     try:
         with _warnings_as_lines():
@@ -135,6 +137,7 @@ def _run(options: Namespace, *, ends: bool) -> int:
 
 
 def _failed(reason: str, hint: str = "", code: int = _ERROR) -> int:
+    """Print an error as one line, and return the exit code."""
     line = one_line(" ".join(reason.split()))
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"

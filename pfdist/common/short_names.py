@@ -6,7 +6,9 @@ _VAGUE = {"name", "order", "method", "draws"}  # words that need the word before
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:
-    """Each dotted key with its short name, which lacks as many of the first words as possible.
+    """The short name of each dotted key: as few of its last words as identify it.
+
+    No other key ends with the same words. A vague word, such as ``name``, has the word before it.
 
     >>> short_names(["seed", "model.name", "filter.particles"])
     {'seed': 'seed', 'model.name': 'model.name', 'filter.particles': 'particles'}

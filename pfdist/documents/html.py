@@ -17,11 +17,15 @@ _FOLDER = files("pfdist.documents")
 
 
 def as_html(page: Page) -> str:
-    """A page as an HTML document that loads nothing.
+    """A page as the text of an HTML document that loads nothing.
 
     Parameters
     ----------
     page : Page
+
+    Returns
+    -------
+    str
     """
     environment = Environment(
         autoescape=True,
@@ -32,6 +36,7 @@ def as_html(page: Page) -> str:
     )
     environment.filters["words"] = _words
     style, script = (_text(name) for name in ("style.css", "sort.js"))
+    # The page's security policy allows the script with this hash, and no other.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return environment.from_string(_text("page.html")).render(
         page=page, style=style, script=script, digest=digest
@@ -39,12 +44,15 @@ def as_html(page: Page) -> str:
 
 
 def _unbroken(value: object) -> object:
-    """Keep a number and its sign of per cent on one line."""
+    """Keep a number and its per cent sign on one line.
+
+    Markup is a subclass of str, and is left as it is.
+    """
     return value.replace(" %", "\xa0%") if type(value) is str else value
 
 
 def _words(name: str) -> list[str]:
-    """Split a name after each point and underscore, where a line may break."""
+    """Split a name after each dot and underscore, where a line may break."""
     return re.split(r"(?<=[._])(?=\S)", name)
 
 

@@ -15,28 +15,28 @@ from pfdist.models.mistakes import place_of, place_of_function
 
 @dataclass(frozen=True)
 class Draws:
-    """D realisations of a model, which is the truth, at T+1 instants from `start` on."""
+    """D realisations of the true model at K successive instants, the first of which is `start`."""
 
     model: StateSpaceModel
     index: range  # indices of the draws in their stream
-    x: NDArray[np.float64]  # (D, T+1, n): states
-    # (D, T+1, m): measurements at all instants, also at those that are not measurement times
+    x: NDArray[np.float64]  # (D, K, n): states
+    # (D, K, m): measurements at all instants, also at those that are not measurement times
     y: NDArray[np.float64]
-    z: NDArray[np.float64]  # (D, T+1, q): quantities of interest
+    z: NDArray[np.float64]  # (D, K, q): quantities of interest
     start: int = 0
-    # (D,): the particle of a cloud from which each draw started, if it did
+    # (D,): the particle of the prior from which each draw started; None without a prior
     origin: Indices | None = None
-    # (T+1,): weight of each instant's error in the MSE, with mean 1; by default all are 1
+    # (K,): weight of each instant's error in the MSE, with mean 1 over start..T; None: all are 1
     weights: NDArray[np.float64] | None = None
 
     @property
     def instant_weights(self) -> NDArray[np.float64]:
-        """Weight of each instant's error in the MSE, (T+1,)."""
+        """Weight of each instant's error in the MSE, (K,)."""
         return np.ones(self.z.shape[1]) if self.weights is None else self.weights
 
     @property
     def instants(self) -> range:
-        """The instants of the arrays."""
+        """The K instants of the arrays."""
         return range(self.start, self.start + self.z.shape[1])
 
     def __getitem__(self, which: slice) -> "Draws":
@@ -46,7 +46,7 @@ class Draws:
         return replace(self, index=self.index[which], x=x, y=y, z=z, origin=origin)
 
     def upto(self, end: int) -> "Draws":
-        """The same draws up to an instant."""
+        """The same draws up to an instant, which is included."""
         t = slice(end + 1 - self.start)
         weights = None if self.weights is None else self.weights[t]
         return replace(self, x=self.x[:, t], y=self.y[:, t], z=self.z[:, t], weights=weights)
@@ -67,9 +67,10 @@ def check_prior(prior: Prior, model: StateSpaceModel, horizon: int) -> None:
 def begun(
     model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None
 ) -> Draws:
-    """Draws whose arrays have arbitrary values, but for the states that a prior gives.
+    """Draws to be simulated: the values of the arrays are arbitrary, but for x(s) of a prior.
 
-    A `PriorError` says that the prior does not fit the model or the horizon.
+    The arguments are those of `pfdist.filters.simulation.simulate`. A `PriorError` says that the
+    prior does not fit the model or the horizon.
     """
     if index.step != 1:
         raise ValueError(f"index must be a range with step 1, got {index}")
@@ -86,9 +87,10 @@ def begun(
 
 
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
-    """Raise a `ModelError` about the first value that is not finite, and the formula that gave it.
+    """Raise a `ModelError` if a value is not finite; it names the formula that gave the value.
 
-    `stream` is the key of the noise with which the draws were simulated.
+    States are checked first, then measurements, then quantities of interest. The first draw and
+    instant are named. `stream` is the key of the noise with which the draws were simulated.
     """
     for name in "xyz":
         values = getattr(draws, name)
@@ -103,9 +105,9 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
 def not_finite(
     model: StateSpaceModel, formula: str, arguments: tuple[Any, ...], got: str, t: int
 ) -> str:
-    """The message about a formula that gave a value that is not finite, with operation and line.
+    """The error message for a value that is not finite, with the operation and the line.
 
-    `arguments` are those with which the formula gave the value, and `got` is the value, as
+    `arguments` are those with which the formula gave the value. `got` names the value, for instance
     ``x[0] = nan``.
     """
     function = getattr(model, formula)
@@ -126,7 +128,7 @@ def not_finite(
 def _given(
     model: StateSpaceModel, name: str, draw: Draws, k: int, stream: int
 ) -> tuple[str, tuple[Any, ...]]:
-    """The formula that gives x, y or z of a draw at its instant number k, with its arguments."""
+    """The formula that gave x, y or z of a single draw at the instant k of K, and its arguments."""
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
         index = np.array(draw.index)

@@ -20,7 +20,7 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import flat_parameters, parameter_names
 
 _FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
-_TOGETHER = 64  # draws that are simulated side by side, with a few vectors of noise
+_TOGETHER = 64  # draws that are simulated side by side: their noise fits into a few vectors
 
 
 def simulate(
@@ -28,16 +28,38 @@ def simulate(
 ) -> Draws:
     """Simulate consecutive draws of a stream, up to t = horizon.
 
-    `index` holds the draws' indices, and `stream` is the 64-bit key of their noise. A draw does not
-    depend on the other draws. With a prior of x(s), draws start at s in the place of `initial`. A
-    ModelError says that a formula cannot be compiled, failed, or gave a value that is not finite; a
-    PriorError, that the prior does not fit.
+    A draw does not depend on the other draws.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    horizon : int
+        T, the last instant of the draws.
+    index : range
+        Indices of the draws in their stream, with step 1.
+    stream : int
+        Key of the draws' noise, 64 bits.
+    prior : Cloud, optional
+        Particles of x(s). Then each draw starts at t = s from one of them, and `initial` is not
+        called. By default s = 0, and `initial` gives x(0).
+
+    Returns
+    -------
+    Draws
+        x, y and z at the instants s..T.
+
+    Raises
+    ------
+    ModelError
+        A formula cannot be compiled, failed, or gave a value that is not finite.
+    PriorError
+        The prior does not fit the model or the horizon.
     """
     draws = begun(model, horizon, index, stream, prior)
     flat, at = flat_parameters(model.parameters, horizon + 1), np.zeros(1, np.int64)
 
     def again() -> str:
-        """Simulate the failed draws in NumPy."""
+        """Simulate the failed draws in NumPy, where the error has a traceback; say which."""
         first = index[at[0] : at[0] + _TOGETHER]
         plain.simulate(model, horizon, first, stream, prior)
         return f"the simulation of draws {first.start} to {first.stop - 1}"
@@ -79,6 +101,7 @@ def _compile(
     components: tuple[int, int, int],
     parameters: tuple[str, ...],
 ) -> WithScratch:
+    """Compile the simulation; models with the same formulas and parameter names share the code."""
     initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
     fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
     read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)

@@ -1,4 +1,4 @@
-"""The points of a sweep: the changes of a job that each run of the sweep makes, and its name."""
+"""The points of a sweep: for each of its runs, the changes of the job, and the run's name."""
 
 import hashlib
 import itertools
@@ -17,18 +17,18 @@ from pfdist.errors import JobError, shown, shown_text
 
 MOST_POINTS = 10_000
 _LONGEST_VALUE, _LONGEST_NAME = 40, 150  # characters; a folder's name has at most 255
-_STRANGE = re.compile(r"[^A-Za-z0-9.+-]+")  # characters that no value in a folder's name has
+_STRANGE = re.compile(r"[^A-Za-z0-9.+-]+")  # characters that are replaced in a folder's name
 _RANGE = re.compile(r"[-+0-9:,\s]*:[-+0-9:,\s]*")
 
 Values = Mapping[str, Any]
-"""A value for each key of a job; keys have dots, as in ``problem.measurement_budget``."""
+"""A value, or a list of values, by the dotted key of a job, as ``problem.measurement_budget``."""
 
 
 class Point(NamedTuple):
     """A point of a sweep."""
 
     name: str  # of the run's folder, made of the values: ``seed=1,measurement_budget=10``
-    chosen: Values  # of the keys that differ between points
+    chosen: Values  # a value for each key that the sweep varies
 
     @property
     def changes(self) -> list[str]:
@@ -41,12 +41,25 @@ def points_of(
 ) -> tuple[Point, ...]:
     """The points of a sweep, in the order in which they are computed.
 
-    `over` has the values of each key. Every combination is a point; the last key changes fastest.
-    `parallel` has groups of keys with equally many values, which change together. Each group is
-    combined with all other keys. `points` are further points, with a value for each key. Raises
-    `JobError` if values are no list, if lists which change together have different lengths, if a
-    point or a key stands twice, or if there are no points or too many.
+    Parameters
+    ----------
+    over : mapping of str to list
+        The values of each key; a text such as ``"1:10"`` is a list of whole numbers. Every
+        combination is a point, and the last key changes fastest.
+    parallel : sequence of mappings of str to list
+        Groups of keys whose values change together, so all lists of a group have the same length.
+        Each group is combined with all other keys.
+    points : sequence of mappings of str to value
+        Further points, each with one value for each of its keys.
 
+    Raises
+    ------
+    JobError
+        Values are no list, lists that change together differ in length, a point or a key stands
+        twice, or there are no points or more than 10,000.
+
+    Examples
+    --------
     >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
     ['seed=1,particles=50', 'seed=2,particles=50']
     """
@@ -71,7 +84,7 @@ def points_of(
 def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
     """The values of each key from texts such as ``seed=1:10``; see `values_in`.
 
-    Raises `JobError` if a text is no key with values, or if a key stands twice.
+    Raises `JobError` if a text is not ``KEY=VALUES``, or if a key stands twice.
     """
     pairs = [values_in(text) for text in texts]
     _check_keys([key for key, _ in pairs])
@@ -81,7 +94,7 @@ def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
 def values_in(text: str) -> tuple[str, list[Any]]:
     """The key and the values of ``seed=1:10`` or ``problem.measurement_budget=10,15,21``.
 
-    Raises `JobError` if the text is no key with values.
+    Raises `JobError` if the text is not ``KEY=VALUES``.
     """
     key, equals, values = text.partition("=")
     if not equals or not key.strip() or not values.strip():
@@ -111,7 +124,7 @@ def _numbers(key: str, text: str) -> list[int]:
 
 
 def dotted(values: Values, before: str = "") -> dict[str, Any]:
-    """Values by dotted keys: TOML reads ``filter.particles`` as a section with a key.
+    """Values by dotted keys, from nested mappings: TOML reads ``filter.particles`` as a section.
 
     >>> dotted({"seed": 1, "filter": {"particles": 100}})
     {'seed': 1, 'filter.particles': 100}
@@ -123,10 +136,11 @@ def dotted(values: Values, before: str = "") -> dict[str, Any]:
         )
     joined: dict[str, Any] = {}
     for key, value in values.items():
-        if isinstance(value, Mapping):
-            joined |= dotted(value, f"{before}{key}.")
-        else:
-            joined[f"{before}{key}"] = value
+        is_section = isinstance(value, Mapping)
+        added = dotted(value, f"{before}{key}.") if is_section else {f"{before}{key}": value}
+        if twice := joined.keys() & added.keys():
+            raise JobError(f"a key of a sweep must stand once, got {shown(min(twice))} twice")
+        joined |= added
     return joined
 
 
@@ -140,7 +154,7 @@ def _length(group: Values) -> int:
 
 
 def _together(group: Values) -> list[list[tuple[str, Any]]]:
-    """The choices of keys that change together: the pairs of key and value of each."""
+    """The choices for keys that change together; each choice is a list of pairs (key, value)."""
     return [
         [(key, _values(key, values)[position]) for key, values in group.items()]
         for position in range(_length(group))
@@ -171,20 +185,22 @@ def _check_keys(keys: Sequence[str]) -> None:
 
 
 def _named(chosen: Sequence[Values]) -> Iterator[Point]:
-    """Yield the points with their names, in which keys are as short as they can be."""
+    """Yield the points with their names, which have the short names of the keys."""
     keys = list(dict.fromkeys(key for values in chosen for key in values))
     short = short_names(keys)
-    texts_by_name = dict[str, Values]()
+    names, seen = set[str](), set[tuple[tuple[str, str], ...]]()
     for values in chosen:
         _check_keys(list(values))
         texts = {key: _text(key, value) for key, value in values.items()}
-        if texts in texts_by_name.values():
+        content = tuple(sorted(texts.items()))
+        if content in seen:
             twice = shown_text(", ".join(f"{key}={value}" for key, value in texts.items()))
             raise JobError(f"a point of a sweep must stand once, got {twice} twice")
         name = ",".join(f"{short[key]}={_slug(texts[key])}" for key in values)
-        if name in texts_by_name or len(name) > _LONGEST_NAME:
+        if name in names or len(name) > _LONGEST_NAME:
             name = f"{name[:_LONGEST_NAME]}-{_hash(str(texts))}"
-        texts_by_name[name] = texts
+        names.add(name)
+        seen.add(content)
         yield Point(name, dict(values))
 
 

@@ -1,4 +1,9 @@
-"""Plain twins of the resampling schemes, with NumPy's search in the cumulative weights."""
+"""Plain twins of the resampling schemes, with NumPy's search in the cumulative weights.
+
+Like the compiled schemes, the systematic schemes compare points and weights as 64-bit numbers, and
+all others as 32-bit numbers. The schemes themselves are described in `pfdist.kernels.resampling`
+and `pfdist.kernels.schemes`.
+"""
 
 from collections.abc import Callable
 
@@ -16,9 +21,26 @@ def plain_ancestors(
     draw: int | range,
     t: int,
 ) -> NDArray[np.intp]:
-    """Plain twin of `pfdist.kernels.resampling.RESAMPLE`: the ancestors, shaped as the weights.
+    """Ancestors of the particles; the plain twin of `pfdist.kernels.resampling.RESAMPLE`.
 
-    Weights are (P,) with an integer draw, or (D, P) with a range of D draws.
+    Parameters
+    ----------
+    scheme : str
+        Name of one of `pfdist.kernels.schemes.ALL_SCHEMES`.
+    weight : array of float64, (P,) or (D, P)
+        Weights of the particles in one draw, or in D draws, in any unit. A scheme that sorts gets
+        the weights of sorted particles.
+    stream : int
+        Key of the filter's noise, 64 bits.
+    draw : int or range
+        Index of the draw, or indices of the D draws.
+    t : int
+        Instant at which the particles are resampled.
+
+    Returns
+    -------
+    array of intp, shaped as the weights
+        Index of the ancestor of each particle. It is arbitrary where all weights of a draw are 0.
     """
     ancestors = _PLAIN[scheme]
     if isinstance(draw, int):
@@ -28,7 +50,7 @@ def plain_ancestors(
 
 
 def _ancestors(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Ancestors of points in (0, 1); arbitrary if all weights are 0."""
+    """Ancestors of points in (0, 1), which are compared with the weights as 32-bit integers."""
     cumulative = np.cumsum(weight)
     shares = np.floor(cumulative * (SHARES / max(cumulative[-1], LEAST_TOTAL)))
     places = np.searchsorted(shares, np.floor(points * SHARES), side="right")
@@ -36,12 +58,14 @@ def _ancestors(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
 
 
 def _exact_ancestors(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Ancestors of points in (0, 1), which are compared with the weights as 64-bit numbers."""
     cumulative = np.cumsum(weight)
     places = np.searchsorted(cumulative, points * cumulative[-1], side="right")
     return np.minimum(places, weight.size - 1)
 
 
 def _plain_ascending(count: int, stream: int, draw: int, t: int) -> NDArray[np.float64]:
+    """Independent uniform points in ascending order: sums of exponentials over the last sum."""
     sums = np.cumsum(variates("exponential", count + 1, stream, draw, t, RESAMPLING, 0))
     return sums[:-1] / sums[-1]
 
@@ -52,7 +76,7 @@ def _plain_multinomial(weight, stream, draw, t):
 
 def _plain_conditional(weight, stream, draw, t):
     others = _ancestors(weight, _plain_ascending(weight.size - 1, stream, draw, t))
-    return np.concatenate([[0], others])
+    return np.concatenate([[0], others])  # particle 0 is the true state, and its own ancestor
 
 
 def _plain_stratified(weight, stream, draw, t):
@@ -78,6 +102,6 @@ _PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {
     "stratified": _plain_stratified,
     "systematic": _plain_systematic,
     "residual": _plain_residual,
-    "sorted_systematic": _plain_systematic,
+    "sorted_systematic": _plain_systematic,  # the filter has sorted the particles
     "conditional": _plain_conditional,
 }

@@ -1,13 +1,13 @@
 """Bearings-only tracking: the position of a ship, from angles that a turning observer measures.
 
 x is the target's position in km, east and north, and its velocity in km a minute. A step is a
-minute, and angles are clockwise from north. While the observer keeps its course, it can hardly
-distinguish a near and slow target from a far and fast target. So the observer turns.
+minute, and angles are in radians, clockwise from north. While the observer keeps its course, it
+can hardly distinguish a near and slow target from a far and fast target. So the observer turns.
 
 The state equation is that of Gordon et al. The scenario (T = 30) is the moderately nonlinear
-scenario of Leong et al., with three changes. The observer turns at once, not in four minutes.
-Range, speed and course are uniform with the same standard deviations, so no range is negative. The
-random acceleration has four times their standard deviation, 0.006 km/min^2 in place of 0.0014,
+scenario of Leong et al., with three changes. The observer turns at once, not in four minutes. The
+first range, speed and course are uniform, not normal, with the same standard deviations, so no
+range is negative. The random acceleration has a standard deviation of 0.006 km/min^2, not 0.0014,
 because otherwise the particles of a bootstrap filter soon have few different velocities. The filter
 still needs 2,000 particles or more.
 
@@ -28,7 +28,7 @@ KNOT = 1.852 / 60  # km a minute
 FIRST_BEARING = math.radians(80)
 
 
-def uniform(mean, sd, share):
+def uniform(mean, sd, share):  # the quantile of a uniform distribution at a share in 0..1
     return mean + math.sqrt(12) * sd * (share - 0.5)
 
 
@@ -50,7 +50,7 @@ def transition(x, t, w, p):
     return (x[0] + x[2] + east / 2, x[1] + x[3] + north / 2, x[2] + east, x[3] + north)
 
 
-def observer(t, p):
+def observer(t, p):  # position, which is the origin at t = 0
     before, after = np.minimum(t, p.turn), np.maximum(t - p.turn, 0.0)
     east = before * np.sin(p.first_course) + after * np.sin(p.second_course)
     north = before * np.cos(p.first_course) + after * np.cos(p.second_course)

@@ -18,8 +18,9 @@ _PACKAGE = Path(__file__).parents[1]
 _MACHINERY = {
     *("__init__", "base", "carried", "checks", "fingerprint", "loader", "mistakes"),
     *("parameters", "seeing", "syntax"),
-}  # the modules of this package that are no models
+}  # the modules of pfdist.models that are no models
 _STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
+# Other installed packages may be the user's own, with models in them.
 _LIBRARIES = [Path(str(package.__file__)).parent for package in (numba, np)]
 
 
@@ -37,7 +38,7 @@ def error_line(error: BaseException) -> str:
 
 
 def text_of(error: BaseException) -> str:
-    """An error's text as a line; empty if there is no text or it cannot be made."""
+    """An error's text as a line, of 500 characters at most; empty if it has none."""
     try:
         text = " ".join(str(error).split())
     except Exception:  # the text of a model's own exception may fail, too
@@ -67,12 +68,15 @@ def place_of_function(function: Any) -> str:
 
 
 def ships(module: str) -> bool:
-    """Whether a module of this package, without the package's name, is a model that ships."""
+    """Whether a module of `pfdist.models` is a model, as ``"ungm"`` is and ``"base"`` is not."""
     return module not in _MACHINERY
 
 
 def is_a_models(file: str) -> bool:
-    """Whether a source file belongs to a model: neither to pfdist nor to a library."""
+    """Whether a source file is a model's: one that ships, or code of the user.
+
+    Code of the user is all code in files but pfdist, Python's standard library, NumPy and Numba.
+    """
     path = Path(file)
     if file.startswith("<"):
         return False
@@ -119,6 +123,7 @@ _REMEDIES = {
     "can be converted to Python scalars": _ONE_NUMBER,
     "can be converted to a scalar index": _ONE_NUMBER,
     "doesn't define __trunc__": _ONE_NUMBER,
+    "doesn't define __round__": _ONE_NUMBER,
     "math domain error": "np.log and np.sqrt give nan or inf where math.log and math.sqrt end",
 }
 _CALLED = re.compile(r"(?:\w+\.)?(\w+)\(")
@@ -141,7 +146,7 @@ _INSTEAD = {
 
 
 def remedy(error: BaseException) -> str:
-    """Advice what to write instead, as ``; remedy``; empty if there is no advice."""
+    """Advice on what to write instead, as ``; advice``; empty if there is none."""
     text = text_of(error)
     advice = next((cure for words, cure in _REMEDIES.items() if words in text), "")
     if advice is _ONE_NUMBER:
@@ -150,9 +155,11 @@ def remedy(error: BaseException) -> str:
 
 
 def _of_one_number(name: str) -> str:
-    """Advice what to write instead of a function of one number."""
-    if name in ("int", "round"):
+    """Advice on what to write instead of a function that takes only single numbers."""
+    if name == "int":
         return "write np.int64(a) in the place of int(a)"
+    if name == "round":
+        return "write np.rint(a) in the place of round(a)"
     if name == "float":
         return "leave float() out"
     if not hasattr(math, name):

@@ -34,8 +34,8 @@ class Plot:
     Parameters
     ----------
     height : float
-        In inches where the style has 8 points; the style gives the width, and other fonts scale the
-        height.
+        In inches, for a font of 8 points; it scales with the font of the style. The style gives
+        the width.
     draw : callable
         Draws into the panels, from above to below.
     panels : int
@@ -170,13 +170,16 @@ def figure(
 
 
 def figure_files(run: Run) -> list[Path]:
-    """Files of all figures that a run has, whose comparison has begun."""
+    """The files of all figures of a run, whether they are drawn or not.
+
+    The comparison of the run must have begun.
+    """
     names = [name for figure in FIGURES.values() for name in figure.files(run)]
     return [file for name in names for file in _files(run, name)]
 
 
 def remove_figures(path: Path) -> None:
-    """Remove the figures of the run in this folder."""
+    """Remove every PNG and SVG file from the folder ``figures`` of the run in a folder."""
     for file in figures_in(path):
         remove_file(file)
 
@@ -188,7 +191,7 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
     ----------
     run : Run
     only : str
-        Name of one figure, as its file declares it; empty for all.
+        Name of one figure of `FIGURES`; empty for all.
 
     Returns
     -------
@@ -208,9 +211,9 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
 
 
 def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
-    """Draw plots in the style for print into the folder ``figures`` of a run.
+    """Draw plots in the style for print into the folder ``figures`` of a run; return the files.
 
-    The plots come with the names of their files, without suffix. Each has a file of each format.
+    Each plot comes with the name of its files, without suffix, and has a PNG and an SVG file.
     """
     saved = []
     with styled():
@@ -223,16 +226,17 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
 
 
 def save_plot(path: Path, plot: Plot, title: str) -> None:
-    """Draw a plot in the style for print into a PNG file anywhere.
+    """Draw a plot in the style for print into any PNG file.
 
-    The title is in ASCII. The file holds it unseen near its start.
+    The title, in ASCII, is not drawn. The file has it near its start as metadata, by which a later
+    call recognises an earlier figure.
     """
     with styled():
         write_file(path, partial(_save, drawn(plot), "png", title))
 
 
 def drawn(plot: Plot) -> Canvas:
-    """The plot, as large as the style in use makes it; it belongs to no window."""
+    """Draw a plot, as large as the style in use makes it, on a canvas without a window."""
     width, height = rcParams["figure.figsize"][0], scaled(plot.height)
     canvas = Canvas(figsize=(width, height), layout="constrained")
     panels = canvas.subplots(

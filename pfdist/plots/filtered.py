@@ -1,4 +1,4 @@
-"""A filter's belief of z over time, by real measurements, with 50 and 90 % bands."""
+"""A filter's belief about z over time, from real measurements, with 50 and 90 % bands."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,9 +24,9 @@ from pfdist.store.files import check_replaceable
 from pfdist.store.schema import components_in
 
 _TITLE = "pfdist: filtered measurements"
-_START = 4096  # bytes of a file in which its title stands
-_BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))
-_LEVEL = 0.035  # of the markers of times, over the height of a panel
+_START = 4096  # number of bytes at the start of a file that contain its title
+_BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))  # percentiles, opacity and label
+_LEVEL = 0.035  # of the markers of times, as a share of a panel's height
 
 
 Times = tuple[Sequence[float], Sequence[float], Sequence[float]]
@@ -75,18 +75,19 @@ def draw_filtered(path: Path, plot: Plot) -> None:
     Raises
     ------
     StoreError
-        The file cannot be written, or another file has this name.
+        The file cannot be written, or a file of another kind has this name.
     """
     check_figure_replaceable(path)
     save_plot(path, plot, _TITLE)
 
 
 def check_figure_replaceable(path: Path) -> None:
-    """Raise an error unless a file is missing, or is an earlier figure of this kind.
+    """Raise an error if a file may not be replaced by a figure.
 
     Raises
     ------
     StoreError
+        The file exists, and is no earlier figure of filtered measurements.
     """
     check_replaceable(path, _is_earlier)
 
@@ -108,9 +109,10 @@ def belief(
         object that has it as ``table``, such as the result of `pfdist.filter_measurements`.
     component : int
         Component of z.
-    times : tuple of three sequences of int, optional
+    times : tuple of three sequences of int or float, optional
         Planned times that were not measured, measured times that were not planned, and planned
-        times to come; by default the object's ``missing``, ``extra`` and ``to_come``.
+        times after the last measurement; by default the object's ``missing``, ``extra`` and
+        ``to_come``.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 

@@ -36,11 +36,11 @@ from pfdist.plots.panel import (
 from pfdist.plots.style import BLUE, GREY, RED
 from pfdist.times.clock import Time
 
-_WIDTH = 0.4  # of the instants over which the stems of all sets at one instant are spread
+_WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _ROW, _TALLEST = 0.14, 6.0  # inches of a row, and of a figure
 _MOST_LABELS = 30  # rows that have room for their names
 _LENGTH = 0.8  # of a bar, in instants
-_BARS = ((WIDE, BLUE, 0.28), (STRICT, RED, 0.72))  # level, colour and height over that of a row
+_BARS = ((WIDE, BLUE, 0.28), (STRICT, RED, 0.72))  # level, colour, and height in rows
 
 
 def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
@@ -101,9 +101,11 @@ def _rises(
     change: str,
     columns: Mapping[str, tuple[str, float]],
 ) -> Axes:
-    """Draw the rises in these columns, each with its marker, so many instants beside t.
+    """Draw the columns of a table of rises, with their 95 % intervals.
 
-    Without a marker the column has stems. The stems of all sets at one instant are spread.
+    `change` says what is done to a measurement. `columns` gives, for each column, its marker and
+    the number of instants by which it is drawn beside t. A column without a marker has stems, and
+    the stems of several sets at the same instant stand side by side.
     """
     table, curves = table_of(source, "measurements", "worth", "measurements"), []
     sets, ax = rows_of_sets(table, names), axes_for(ax)
@@ -148,7 +150,7 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     said = sentences(rows.to_dict("records"), jitter.to_dict("records"), is_found=is_found)
     return Plot(
         _height(rows["t"].nunique()),
-        lambda panels: sampling_windows(rows, name, ax=panels[0]),  # none: it measures nothing
+        lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
         title=f"Sampling windows of {name}. {said[0] if said else 'Nothing can move.'}",
     )
 
@@ -161,8 +163,9 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     """Draw the instants to which each measurement alone can move at a loss of at most 1 and 5 %.
 
     Each measurement is a row. A thick bar covers the instants within 1 %, a thin bar those within
-    5 %. Hollow bars cover the instants that the draws leave open. A grey line ends where the job or
-    a neighbouring measurement ends what was tried.
+    5 %. Hollow bars cover the instants that the draws leave open. A grey line covers all instants
+    that were tried: up to the first that is clearly beyond 5 %, or to the last that the job and the
+    neighbouring measurements allow.
 
     Parameters
     ----------
@@ -223,5 +226,8 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
 
 
 def _spans(instants: Mapping[Time, int], length: float) -> list[tuple[float, float]]:
-    """The first end and the length of the bar over each stretch of successive instants."""
+    """The left end and the length of a bar over each stretch of successive instants.
+
+    `instants` gives the number of each instant, which on a clock differs from its time.
+    """
     return [(run[0] - length / 2, run[-1] - run[0] + length) for run in runs_of(instants)]

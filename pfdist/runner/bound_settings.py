@@ -10,13 +10,13 @@ from pfdist.runner.block_sums import GROUPS
 
 LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
 WITHIN_DRAWS = 30_720
-"""Largest number of draws, if a gap is demanded and no number of draws."""
+"""Default of `BoundSettings.draws` if `within` is given."""
 MOST_WINDOW, MOST_PARTICLES = 6, 32_000
 MEMORY, MOST_MEMORY = 1024, 1_000_000  # MiB
 MOST_WORK = 10**15  # particle-steps
 _OPTIONAL = ("draws", "particles", "work")  # None stands for a default
-_BYTES = 400  # of an error, with all groups of draws
-_BYTES_A_WINDOW = 50_000  # of a window that grows: its moves, its programmes, and its times
+_BYTES = 400  # memory of one error of a window at an instant, with all groups of draws
+_BYTES_A_WINDOW = 50_000  # memory of an added window: its moves, its programmes, and its times
 
 
 @dataclass(frozen=True)
@@ -26,22 +26,24 @@ class BoundSettings:
     Parameters
     ----------
     draws : int, optional
-        Number of draws of the bound, rounded up to a multiple of 24; by default 1,920. With more
-        draws the bound is higher, because the least of many noisy costs is too low. Exact engines
-        ignore it.
+        Number of draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default
+        1,920. With more draws the bound is higher, because the least of many noisy costs is too
+        low. Exact engines ignore it.
     within : float, optional
-        Take more and more draws until the limits of the gaps of all found sets are at most this
-        fraction of the expected MSE, but at most `draws`, by default 30,720.
+        Double the number of draws until the upper limits of the gaps are at most this fraction, or
+        until there are `draws` draws, by default 30,720. The gaps of the references do not count,
+        and with searches the gaps of all sets that the job gives do not count.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter.
     window : int
-        Number of measurements of the windows that the relaxation knows at first.
+        Largest number of measurements of the first windows, before windows grow.
     work : float, optional
         Particle-steps after which no window grows; 0 if no window is to grow. By default twice
-        those that the first windows take. Windows also stop growing when no set of the relaxation
-        is better than the run's sets by more than 0.1 %, on the draws that choose the windows.
+        those that the first windows take on 480 draws; exact engines have no limit. Windows also
+        stop growing when no set of the relaxation is better than the run's sets by more than 0.1 %,
+        on the draws that choose the windows; with an exact engine, when none is better at all.
     memory : int
-        Memory that the relaxation may take, in MiB. A window that needs more is not added.
+        Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
 
     Raises
     ------
@@ -81,15 +83,15 @@ class BoundSettings:
 
     @property
     def most_draws(self) -> int:
-        """The number of draws at which the proof ends at the latest."""
+        """Largest number of draws of the proof, before it is rounded up to whole blocks."""
         return self.draws or (DRAWS if self.within is None else WITHIN_DRAWS)
 
     @property
     def most_cells(self) -> int:
-        """The largest number of errors that count in the relaxation."""
+        """Largest number of errors in the relaxation: one for each window and instant it covers."""
         return self.memory * 2**20 // _BYTES
 
     @property
     def most_windows(self) -> int:
-        """The largest number of windows that grow."""
+        """Largest number of windows that are added to the first windows."""
         return self.memory * 2**20 // _BYTES_A_WINDOW

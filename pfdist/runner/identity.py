@@ -69,7 +69,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
             _check_same(store, built, identity, committed)
         elif is_same_run and built.job.comparison.draws < committed:
             raise _too_few(path, built.job, committed)
-        store.sweep()
+        store.remove_unfinished()
         _quarantine(store, damages, say)
         _write_about(path, built, identity, key)
         yield store_of(built, path, key)

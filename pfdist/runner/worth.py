@@ -21,7 +21,7 @@ from pfdist.filters.work import Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.sequential.beliefs import Particles, weighed
+from pfdist.sequential.beliefs import Particles, weights_after
 from pfdist.sequential.one_filter import OneFilter, begin
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -46,7 +46,7 @@ def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list
         except MeasurementsError:
             return sizes  # from here on the filter has no belief
         cloud = cast(Cloud, predicted.settings.prior)
-        share, _ = weighed(filtering.model, cloud, measured)
+        share, _ = weights_after(filtering.model, cloud, measured)
         sizes[number] = Particles(cloud.x, share).effective_sample_size()
     return sizes
 

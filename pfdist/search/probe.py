@@ -1,8 +1,10 @@
 """A probe of an estimator: sets on which it is compared with the squared error.
 
-The sets are the regular times, a few random sets, and the leaders of the search. While a result is
-open, the number of draws is doubled for the worse half of the undecided sets: sequential halving
-(Karnin, Koren, Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013).
+The sets are the regular times, a few random sets, and the leaders of the search. The estimator
+fails if its estimate is clearly too small for one of them. Sets whose result is still open go on to
+the next round with twice as many draws, but at most half of the sets of a round do: those for which
+the estimate looks worst. The others pass. This is sequential halving (Karnin, Koren, Somekh,
+"Almost optimal exploration in multi-armed bandits", ICML 2013).
 """
 
 import math
@@ -19,7 +21,7 @@ from pfdist.times.feasible import Feasible
 PROBE_DRAWS = 500
 """Number of draws of the first round."""
 
-_MOST_DRAWS = 8000
+_MOST_DRAWS = 8000  # of the last round: sets that are still open after it pass
 _RANDOM_SETS = 3
 
 
@@ -27,8 +29,8 @@ _RANDOM_SETS = 3
 class ProbeState:
     """Progress of a probe."""
 
-    undecided: tuple[Candidate, ...] | None = None  # of the next round; None before the first
-    draws: int = PROBE_DRAWS  # of the next round
+    undecided: tuple[Candidate, ...] | None = None  # sets of the next round; None before the first
+    draws: int = PROBE_DRAWS  # number of draws of the next round
     # The two evaluations, by the estimator and by the squared error, of the set on which the
     # estimator failed; empty if it failed on none.
     failed: tuple[Evaluation, ...] = ()
@@ -40,8 +42,8 @@ class ProbeState:
 class Probe:
     """Optimiser that compares an estimator with the squared error of the job's own filter.
 
-    `sought` has the leaders of the search: sets, and prefixes with their ends. `dearer` is the time
-    of an evaluation by the squared error, divided by the time of one by the estimator.
+    `sought` are the leaders of the search: sets, and prefixes with their ends. `dearer` is the time
+    that an evaluation by the squared error takes, divided by that of one by the estimator.
     """
 
     feasible: Feasible
@@ -57,8 +59,8 @@ class Probe:
     def evaluations(self) -> float:
         """Approximate work, in evaluations of whole sets by the estimator.
 
-        There is a leader for each number of measurements. A prefix takes half of the horizon on
-        average, and half of that is shared with other prefixes.
+        A search by prefixes has a leader for each number of measurements. A prefix takes half of
+        the horizon on average, and half of that is shared with other prefixes.
         """
         return (1 + _RANDOM_SETS + self.feasible.total / 4) * (1 + self.dearer)
 
@@ -67,7 +69,7 @@ class Probe:
         return ProbeState()
 
     def ask(self, state: ProbeState, rng: np.random.Generator) -> list[Candidate]:
-        """Each undecided set twice: for the estimator, and for the squared error."""
+        """Each undecided set twice: by the estimator, and by the squared error."""
         probes = state.undecided
         if probes is None:
             others = (self.feasible.regular(), *self.feasible.random(_RANDOM_SETS, rng))
@@ -79,7 +81,7 @@ class Probe:
         ]
 
     def tell(self, state: ProbeState, evaluations: Sequence[Evaluation]) -> ProbeState:
-        """Decide where the draws suffice, and continue with the worse half of the other sets."""
+        """Decide where the draws suffice; the worst open sets go on, at most half of all."""
         pairs = list(zip(evaluations[::2], evaluations[1::2], strict=True))
         verdicts = [judged(*pair) for pair in pairs]
         order = sorted(range(len(pairs)), key=lambda index: -verdicts[index].excess)
@@ -107,17 +109,21 @@ class Probe:
         return state.undecided == ()
 
     def finalists(self, state: ProbeState) -> tuple[Evaluation, ...]:
-        """Both evaluations of the set on which the estimator failed or could not be tested."""
+        """Both evaluations of the set on which the estimator failed, or else was not testable.
+
+        They are by the estimator and by the squared error. The result is empty if all sets pass.
+        """
         return state.failed or state.unknown
 
 
 def new_leaders(
     evaluations: Iterable[Evaluation], before: Iterable[Evaluation]
 ) -> list[Evaluation]:
-    """The evaluations of a generation that beat all former leaders of their kind.
+    """The best evaluation of each kind in a generation, if it beats the last leader of its kind.
 
-    Whole sets with the same number of measurements are one kind, and so are prefixes. Prefixes are
-    compared by their mean cost over the instants up to their ends.
+    Whole sets with the same number of measurements are a kind, and prefixes with the same number of
+    measurements are another. Prefixes are compared by their mean cost over the instants up to
+    their ends.
     """
     best = {_kind(leader): leader for leader in before}
     new: dict[tuple[int, bool], Evaluation] = {}

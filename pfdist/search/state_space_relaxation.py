@@ -3,8 +3,9 @@
 The error at an instant depends most on the last measurements. The programme finds the sets that
 would be best if the error depended on these alone, as if everything before had been measured. Then
 the search looks closer at these sets: their windows grow by a measurement each, and the programme
-is solved again. The search ends when no set of the relaxation is better than the best set found, or
-after the last round. See `pfdist.bounds.relaxation` and `pfdist.bounds.growth`.
+is solved again. The search ends when no set of the relaxation is better than the best set that was
+evaluated, when no window can grow, or after the last round. See `pfdist.bounds.relaxation` and
+`pfdist.bounds.growth`.
 
 If the costs are exact and the filter knows the truth, a search that ends before the last round has
 proved that its best set is optimal.
@@ -37,9 +38,9 @@ from pfdist.times.measurement_times import Times
 MOST_CELLS = 3_000_000
 """Largest number of errors of windows of two measurements at the beginning."""
 
-_ROUNDING = 1e-11  # of a proof, relative
-_SCREENING = (16, 4)  # shares of the draws with which the first programmes are solved
-_SCREENED_EACH, _PATHS_EACH = 8, 2  # at least, for each sum that is sought
+_ROUNDING = 1e-11  # relative rounding error of a proof
+_SCREENING = (16, 4)  # the first programmes have a 16th and a 4th of the draws
+_SCREENED_EACH, _PATHS_EACH = 8, 2  # least numbers of sets for each sum that is sought
 # Exact costs take no time, and a proof is worth many rounds:
 _PATHS_IF_EXACT = 64
 _ROUNDS_IF_EXACT = 500
@@ -51,9 +52,10 @@ class RelaxationState:
     """Progress of the search."""
 
     relaxation: Relaxation  # its windows have errors, or are candidates of the next generation
-    # The errors of each window at the instants at which they count; NaN if a draw is degenerate.
+    # The mean errors of each window at the instants at which they count; NaN if every block of
+    # draws has a degenerate draw.
     errors: Mapping[Window, Array] = field(default_factory=dict)
-    level: int = 0  # number of programmes with few draws that are solved
+    level: int = 0  # number of programmes on few draws that were solved
     sets: tuple[Times, ...] = ()  # to be evaluated next
     whole: tuple[Evaluation, ...] = ()  # evaluated sets
     round: int = 0  # number of rounds in which windows have grown
@@ -61,7 +63,7 @@ class RelaxationState:
 
     @property
     def lacking(self) -> list[int]:
-        """Indices of the windows without errors, or with errors up to an earlier instant."""
+        """Indices of the windows whose errors are missing, at all or at the last instants."""
         sizes = np.diff(self.relaxation.offsets).tolist()
         return [
             number
@@ -71,18 +73,18 @@ class RelaxationState:
 
     @property
     def degenerate(self) -> set[Window]:
-        """Windows without usable errors: a draw is degenerate in every block."""
+        """Windows without usable errors: every block of draws has a degenerate draw."""
         return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
 
     def programme(self, most: int) -> Programme:
-        """The programme for all sums up to the largest."""
+        """The programme for all sums up to `most`."""
         relaxation = self.relaxation
         passable = (relaxation.windows[number] for number in np.flatnonzero(relaxation.passable))
         errors = np.concatenate([self.errors[window] for window in passable])
         return Programme(relaxation, errors, most)
 
     def least(self, spent: int) -> float:
-        """Least cost of the evaluated sets for which a bound of this sum holds; inf for none."""
+        """Least cost of the evaluated sets that the bound of this sum covers; inf for none."""
         return min(
             (each.cost for each in self.whole
              if self.relaxation.spent(each.measurement_times) == spent),
@@ -105,27 +107,29 @@ class StateSpaceRelaxation:
     ----------
     feasible : Feasible
     draws : int
-        Number of draws of an evaluation. Programmes with fewer draws come first, and leave few
+        Number of draws of an evaluation. Two programmes with fewer draws come first, and leave few
         windows for the others. The best sets of the first programme with all draws are evaluated in
-        any case, because its relaxed costs vary with the draws. 0: neither.
+        any case, because its relaxed costs vary with the draws. With 0 the search begins with all
+        draws, and its first programme may already end it.
     paths : int
         Number of sets that are evaluated, and whose windows grow, in a round.
     rounds : int
         Number of rounds in which windows grow.
     screened : int
-        Number of sets whose windows the first programme leaves.
+        Number of sets whose windows the first programme leaves. The second leaves those of half as
+        many.
     sought : tuple of int, optional
         Numbers of measurements, or sums of money, whose best sets are sought. By default those of
         the feasible sets.
     known_sets : tuple of tuples of int
         Good sets to begin with; by default regular times, and the empty set if it is feasible.
     gap : float
-        The search ends when the relaxed costs lie below those of the best sets by at most this
-        share.
+        The search ends when the lowest relaxed costs lie below the costs of the best sets by at
+        most this share.
     start : Relaxation, optional
         The relaxation of the first round; by default that of `relaxation_within`.
     most_grown : int
-        Windows stop growing before more than so many are added to those of the first round.
+        Largest number of windows that are added to those of the first round.
     """
 
     feasible: Feasible
@@ -148,8 +152,8 @@ class StateSpaceRelaxation:
     def evaluations(self) -> float:
         """Approximate work, in evaluations of whole sets.
 
-        The first programme needs the errors of all windows, on a sixteenth of the draws. Later
-        programmes need a few windows for each measurement, which are left out.
+        The first programme needs the errors of all windows, on a sixteenth of the draws. The few
+        windows of later programmes are left out of this number.
         """
         cells, instants = int(self._start.offsets[-1]), self.feasible.horizon + 1
         few = cells / instants / _SCREENING[0] if self.draws else cells / instants
@@ -164,7 +168,7 @@ class StateSpaceRelaxation:
         )
 
     def ask(self, state: RelaxationState, rng: np.random.Generator) -> list[Candidate]:
-        """The windows without errors, and the sets that are best in the relaxation."""
+        """The windows whose errors are missing, and the best sets of the last programme."""
         relaxation = state.relaxation
         windows = [
             Candidate(
@@ -229,7 +233,7 @@ class StateSpaceRelaxation:
         return state.done
 
     def finalists(self, state: RelaxationState) -> tuple[Evaluation, ...]:
-        """The best sets by their own costs; with several sums the best of each."""
+        """The best sets by their own costs; with `sought`, the best of each number of times."""
         if not self.sought:
             return best_of(state.whole)
         best = dict[int, Evaluation]()
@@ -240,8 +244,8 @@ class StateSpaceRelaxation:
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
         """The paths that can be paid for, completed to feasible sets.
 
-        If prices are rounded down, all paths may cost too much. Then the paths of the largest sum
-        follow of which one can be paid for.
+        Where prices are rounded down, all paths may cost too much. Then paths of smaller and
+        smaller sums are tried, until one can be paid for.
         """
         if self.feasible.counted:
             return paths
@@ -264,12 +268,12 @@ class StateSpaceRelaxation:
         return relaxation_within(self.feasible, self.feasible.measurements, MOST_CELLS)
 
     def _draws(self, level: int) -> int | None:
-        """Number of draws of the windows; None for those of the search's settings."""
+        """Number of draws of the windows; None for the number of the search's settings."""
         return max(1, self.draws // _SCREENING[level]) if level < len(_SCREENING) else None
 
 
 def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
-    """The state with the errors and sets of the last candidates, without degenerate windows."""
+    """The state after the last candidates were evaluated: degenerate windows are left out."""
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
     for number, evaluation in zip(lacking, evaluations, strict=False):
         first, end = relaxation.first[number], relaxation.ends[number]

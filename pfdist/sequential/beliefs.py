@@ -1,4 +1,4 @@
-"""A filter's belief of z(t), and of a measurement before it is made."""
+"""A filter's belief about z(t), and how well it has predicted a measurement."""
 
 import math
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from pfdist.models import StateSpaceModel
 Array = NDArray[np.float64]
 
 PREDICTIVE = 20_000
-"""Smallest number of simulated predictive measurements. The surprise of a measurement beyond all of
-them is below 2 over their number."""
+"""Least number of simulated measurements behind a p-value. The p-value of a component that lies
+beyond all of them is below 2 over their number."""
 _ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
 
 
 class Belief(Protocol):
-    """A filter's belief of z(t)."""
+    """A filter's belief about z(t): a distribution of each component."""
 
     def effective_sample_size(self) -> float | None:
-        """Number of equal particles that are worth as much; None without particles."""
+        """Number of particles of equal weight that are worth as much; None without particles."""
 
     def quantiles(self, levels: Array) -> Array:
-        """Quantiles of each component of z, (L, q)."""
+        """Quantiles of each component of z, (L, q), at levels in 0..1, (L,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,13 @@ class Normal:
 # --- particles ----------------------------------------------------------------------------------
 
 
-def weighed(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
-    """Shares, (P,), of predicted particles in the weight of a measurement, and the log mean weight.
+def weights_after(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
+    """Weights of predicted particles after a measurement, (P,), and the log of their mean before.
 
-    The predicted particles have equal weights. The shares have a sum of 1. The other value is the
-    logarithm of the mean of the unnormalised weights: log p(y(t) | earlier measurements), if the
-    model's log-likelihood is normalised.
+    Before the measurement, the particles have equal weights. The returned weights have a sum of 1;
+    some particle must have a finite log-likelihood. The other value is the logarithm of the mean of
+    the weights that are not normalised: log p(y(t) | earlier measurements), if the model's
+    log-likelihood is normalised.
     """
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         values = model.log_likelihood(_components(y, cloud), tuple(cloud.x), cloud.t, model.p)
@@ -102,12 +103,20 @@ def surprise_of_particles(
 ) -> float:
     """The p-value of a measurement among simulated measurements of predicted particles.
 
-    A component's rank is uniform if the model is right. Ranks are two-sided, ties are broken by
-    chance, and the smallest of m measured components counts m times (Bonferroni).
+    If the model is right, the rank of each component among its simulated values is uniform. The
+    p-value of a component is two-sided, and ties are broken by chance. The result is the smallest
+    p-value of the components, times the number of components measured (Bonferroni).
 
-    The particles have equal weights and are predicted for the instant of the measurement. y has the
-    shape (m,); NaN marks a missing component. The stream and the draw are the key of the filter's
-    noise. A filter has no other noise of this role.
+    Parameters
+    ----------
+    model : StateSpaceModel
+    cloud : Cloud
+        Particles with equal weights, predicted for the instant of the measurement.
+    y : array of float64, (m,)
+        The measurement; NaN marks a missing component.
+    stream, draw : int
+        Key of the filter's noise. The simulated measurements have the role of the truth's
+        measurement noise, which the filter itself does not use.
     """
     copies = -(-PREDICTIVE // cloud.particles)
     number, kinds = copies * cloud.particles, model.measurement_noise
@@ -147,7 +156,8 @@ def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tu
     """Log-density and p-value of a measurement, (m,), if x(t) has a normal distribution.
 
     The model is linear-Gaussian, and `state` is the distribution of x(t) before the measurement.
-    NaN marks a missing component.
+    NaN marks a missing component; at least one component is measured. The p-value is that of
+    `surprise_of_particles`, with exact probabilities in the place of ranks.
     """
     measured = ~np.isnan(y)
     expected = kalman.predicted_measurement(model, state)
@@ -155,7 +165,7 @@ def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tu
     covariance = expected.covariance[np.ix_(measured, measured)]
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = np.abs(innovation) / np.sqrt(np.diag(covariance))
-    # Without any noise, a measurement is as expected or impossible.
+    # A component without variance is as expected (0 / 0) or impossible (its distance is infinite).
     distance = np.where(np.isnan(distance), 0.0, distance)
     smallest = float(np.min(2 * ndtr(-distance)))
     return _log_density(innovation, covariance), min(1.0, innovation.size * smallest)

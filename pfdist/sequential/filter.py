@@ -33,7 +33,7 @@ from pfdist.sequential.beliefs import (
     explained_by_normal,
     quantity,
     surprise_of_particles,
-    weighed,
+    weights_after,
 )
 from pfdist.sequential.estimate import Estimate, estimate_of
 from pfdist.sequential.formatted_instant import formatted_instant
@@ -293,7 +293,7 @@ class Filter:
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
             return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
-        share, log_density = weighed(self.model, prior, y)
+        share, log_density = weights_after(self.model, prior, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)

@@ -1,8 +1,8 @@
-"""Plan the remaining measurements, from a filter's knowledge of the system now.
+"""Plans for the remaining measurements, given a filter's belief about the system now.
 
-A plan is sought on simulated systems that start from the filter's particles. Fresh simulated
-systems then decide, by a paired test, whether it replaces the plan at hand. So a plan is replaced
-only by a better one, but for chance.
+A search looks for a new plan on simulated systems that start from the filter's particles. Then
+fresh simulated systems decide, by a paired test, whether the new plan replaces the plan at hand. So
+a feasible plan is replaced only by a better plan, except by chance.
 """
 
 import math
@@ -46,8 +46,8 @@ class Planning:
     def judging(self) -> Estimation:
         """The estimation that judges plans: by the squared error, whatever the search uses.
 
-        A filter that has lost its system has its particles near each other. Their variance is
-        small, and its error is large.
+        The particles of a filter may lie close together, far from the true state. Then their
+        variance is small although the error is large.
         """
         return replace(self.estimation, estimator=SQUARED_ERROR.name)
 
@@ -61,7 +61,7 @@ class Planning:
 
 
 class Now(NamedTuple):
-    """A filter's knowledge of one system, from which a plan is made."""
+    """A filter's belief about one system at an instant t, from which a plan is made."""
 
     prior: Prior | None = None  # of x(t); None before anything is measured: `initial` gives x(0)
     measured: bool = False  # whether t was measured, or can no longer be
@@ -84,7 +84,7 @@ class Replanner:
     Raises `ModelError` if the filter's model has states of another size than the true model.
     """
 
-    # Its model simulates systems from t = 0, and its filter model filters them.
+    # Its model simulates systems, and its filter model filters them, both from `Now.prior`.
     evaluator: Evaluator
     feasible: Feasible  # of the whole horizon
     planning: Planning
@@ -96,9 +96,29 @@ class Replanner:
     def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
         """The plan for the remaining measurements: the plan at hand, or a better one.
 
-        `taken` has the times that were measured so far. The plan at hand may be empty. If it is no
-        longer feasible, another plan replaces it that has as many of its times as possible. `draw`
-        is the index of the system, which keys the noise. Raises `ModelError` if a formula failed.
+        If the plan at hand is not feasible, the search starts from the better of two plans: one
+        that keeps as many of its times as possible, and regular times. Then the plan that the
+        search returns needs only a lower mean error to replace this start.
+
+        Parameters
+        ----------
+        now : Now
+        taken : tuple of int
+            Times that were measured so far, sorted.
+        plan : tuple of int
+            The plan at hand: times from `now.first` on. It may be empty.
+        draw : int
+            Index of the system, which is part of the key of the noise.
+
+        Returns
+        -------
+        tuple of int
+            Times from `now.first` on; empty if no measurement is left or fits.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
         """
         first = now.first
         rest = rest_of(self.feasible, taken, first)
@@ -168,7 +188,10 @@ class _Outlook:
     stream: int
 
     def search(self, rest: Feasible, start: Times) -> list[Times]:
-        """The best plan of a search from a start; empty if every plan has only degenerate draws."""
+        """The best plan of a search from a start, in a list.
+
+        The list is empty if, for every plan, all draws are degenerate.
+        """
         planning = self.replanner.planning
         optimiser, draws = planning.optimiser(rest, start), self._draws(range(planning.draws))
         state, generation = optimiser.init(), 0
@@ -180,9 +203,11 @@ class _Outlook:
         return [each.measurement_times for each in best]
 
     def better(self, plans: Sequence[Times], *, keep: bool) -> Times:
-        """The better of one or two plans on fresh draws.
+        """The second plan if it is better than the first on fresh draws; else the first.
 
-        If `keep`, the second plan must be better than the first by a paired test.
+        With `keep`, its mean error must be lower by more than a standard error of the paired
+        difference; without, it must only be lower. It must never have more degenerate draws. A
+        single plan is returned at once.
         """
         plans = list(dict.fromkeys(plans))
         if len(plans) == 1:

@@ -1,7 +1,7 @@
-"""Writes files so that a reader sees the whole file or no file.
+"""Files that are written whole: a reader sees the old file or the new one, never a part of it.
 
 A file is written under a temporary name, flushed, and renamed; then the folder is flushed. A kill
-before the renaming leaves a temporary file, which the next start removes (`sweep`). After a power
+before the renaming leaves a temporary file, which the next start removes. After a power
 cut the new name never stands for an empty file, because its content was flushed before.
 """
 
@@ -35,7 +35,10 @@ def reading(path: Path, action: str = "read") -> Iterator[None]:
 
 @contextlib.contextmanager
 def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Turn each `OSError` into a `StoreError` that says what to do; remove a temporary file."""
+    """Turn each `OSError` into a `StoreError` that says what to do.
+
+    After an error, the temporary file is removed if there is one.
+    """
     try:
         yield
     except OSError as error:
@@ -50,14 +53,14 @@ def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[
 
 @dataclass(frozen=True)
 class Prepared:
-    """A file that was written and flushed to disk, and has only a temporary name."""
+    """A file that was written and flushed to disk, and still has a temporary name."""
 
     temporary: Path
     sha256: str
 
 
 def prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
-    """Write a file for a folder, under a temporary name."""
+    """Write a file into a folder, under a temporary name; `give_name` makes it visible."""
     # Readers skip names with a dot. The name contains the machine and the process.
     temporary = folder / f".{_host()}-{os.getpid()}.{uuid4().hex}.tmp"
     with writing("write", folder, temporary):
@@ -68,7 +71,7 @@ def prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
 
 
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:
-    """Write a table as a Parquet file for a folder, under a temporary name."""
+    """Write a table as a Parquet file into a folder, under a temporary name."""
 
     def write(path: Path) -> None:
         write_table(table, path)
@@ -92,7 +95,7 @@ def write_file(path: Path, write: Callable[[Path], Any]) -> None:
 def add_lines(path: Path, lines: list[str]) -> None:
     """Append lines to a text file, and flush it.
 
-    A kill may cut the last line short. The next lines begin on a new line, so no other is damaged.
+    A kill may cut the last line short. The next call begins a new line, so only this line is lost.
     """
     with writing("write", path):
         is_new = not path.exists()
@@ -140,7 +143,7 @@ def is_temporary(path: Path) -> bool:
     return _TEMPORARY.fullmatch(path.name) is not None
 
 
-def sweep(folder: Path) -> None:
+def remove_unfinished(folder: Path) -> None:
     """Remove unfinished files of killed processes of this machine below a folder.
 
     A process of another machine may still be at work, so its files stay.
@@ -152,9 +155,9 @@ def sweep(folder: Path) -> None:
 
 
 def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
-    """Raise a `StoreError` unless a file is missing, or is an earlier result of this kind.
+    """Raise a `StoreError` if a file exists that a result must not replace.
 
-    A result beside a user's own files replaces an earlier result, and no other file and no link.
+    A result beside a user's own files may replace an earlier result, but no other file and no link.
     `is_earlier` says whether a plain file is an earlier result.
     """
     if not os.path.lexists(path):

@@ -73,9 +73,9 @@ class Store:
         """Schema that a table has in this store: with a clock, times are numbers."""
         return schema if self._clock is None else self._clock.schema(schema)
 
-    def sweep(self) -> None:
+    def remove_unfinished(self) -> None:
         """Remove unfinished files of killed processes."""
-        files.sweep(self.path)
+        files.remove_unfinished(self.path)
 
     def commit(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
         """Commit rows of a phase; committing the same rows again changes nothing.

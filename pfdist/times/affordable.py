@@ -1,4 +1,4 @@
-"""The set of times nearest to wanted times, among those that spend the most of a sum of money.
+"""The set of times nearest to wanted times, among the sets that spend most of a sum of money.
 
 Source: Bellman, "Dynamic programming", 1957.
 """
@@ -32,11 +32,11 @@ class Affordable:
     def nearest(self, wanted: Callable[[int], Times]) -> Times:
         """The set that spends the most, has the most times, and is nearest to wanted times, sorted.
 
-        The three criteria apply in this order. Only sets that spend as much as any set can are
+        The three criteria apply in this order. Only sets that spend the largest possible sum are
         considered; among them, those with the most times; among these, the set with the smallest
         sum of distances between its times and the wanted times, both in order. If several sets
-        remain, the set whose last time is the earliest is given, then the last but one, and so on.
-        `wanted` takes a number of times and gives so many wanted times, sorted.
+        remain, the one whose last time is the earliest is chosen, then whose last but one, and so
+        on. `wanted` takes a number of times, and returns so many wanted times, sorted.
         """
         most = self._keys(())[self._last_required :].max(axis=0)  # for each sum spent
         spent = int(np.flatnonzero(most > 0)[-1])
@@ -46,15 +46,19 @@ class Affordable:
 
     @property
     def _count(self) -> int:
-        """The value of one more time in a key: more than all distances together can take away."""
+        """The value of a time in a key: more than the sum of all distances of a set."""
         return (len(self.price) + 1) ** 2
 
     @property
     def _last_required(self) -> int:
+        """Place in `usable` of the last required time, the first place at which a set may end."""
         return self.usable.index(self.required[-1]) if self.required else 0
 
     def _keys(self, wanted: Times) -> Keys:
-        """The best prefix's key, for each last time and sum spent: many times, small distance.
+        """The key of the best prefix, for each last time and sum spent, (usable, total + 1).
+
+        The key is the number of times, in units of `_count`, less the sum of the distances to the
+        wanted times, if there are any. It is `_IMPOSSIBLE` if there is no such prefix.
 
         A prefix of a best set has as many times as any prefix that ends there and spends as much:
         with a prefix of more times, the whole set would have more. So the number of times is no

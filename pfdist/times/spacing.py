@@ -18,23 +18,23 @@ class Spacing:
     """
 
     # (T+1,): for each instant t, the first later instant that is far enough apart, at least t + 1;
-    # an instant after T stands for none
+    # an instant after T stands for none. The instants never decrease with t.
     successors: tuple[int, ...]
 
     @classmethod
     def constant(cls, difference: int, horizon: int) -> "Spacing":
-        """The spacing of times whose difference is at least a number of instants."""
+        """The spacing where two measurement times differ by at least so many instants."""
         return cls(tuple(t + difference for t in range(horizon + 1)))
 
     @cached_property
     def is_free(self) -> bool:
-        """Whether any two instants are far enough apart."""
+        """Whether all instants are far enough apart, so that spacing is no constraint."""
         return all(later == t + 1 for t, later in enumerate(self.successors))
 
     def after(self, time: int) -> int:
         """The first instant that is far enough after a time.
 
-        A time below 0 stands for nothing measured, so the first instant is far enough.
+        The time -1 stands for the start, from which every instant is far enough.
         """
         if time < 0:
             return 0
@@ -43,16 +43,16 @@ class Spacing:
     def before(self, time: int) -> int:
         """The last instant that is far enough before a time; -1 if there is none.
 
-        A time above T stands for nothing measured, so T is far enough.
+        The time T + 1 stands for the end, from which every instant is far enough.
         """
         return self._predecessors[time] if time < len(self.successors) else time - 1
 
     def apart(self, times: Iterable[int]) -> bool:
-        """Whether each of some times in ascending order is far enough from the next."""
+        """Whether all times, in ascending order, are far enough apart."""
         return all(later >= self.after(time) for time, later in pairwise(times))
 
     def near(self, time: int) -> range:
-        """The instants that are not far enough from a time, with the time itself."""
+        """The instants that are too close to a time, and the time itself."""
         return range(self.before(time) + 1, min(self.after(time), len(self.successors)))
 
     @cached_property

@@ -101,6 +101,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
         (({"seed": "3:1"},), "values of seed must have ranges from a number to a larger one"),
         (({"seed": [1, 1]},), "a point of a sweep must stand once, got seed=1 twice"),
         (({"seed": [1]}, [{"seed": [2]}]), "a key of a sweep must stand once, got 'seed' twice"),
+        (({"a.b": [1], "a": {"b": [2]}},), "a key of a sweep must stand once, got 'a.b' twice"),
         (({}, [{"a": [1, 2], "b": [1]}]), "equally many values, got 2 of a, 1 of b"),
         (({}, [{}]), "equally many values, got no key"),
         (({"execution.workers": [1, 2]},), "all points share the workers"),

@@ -84,6 +84,7 @@ LGAMMA = "NumPy has no lgamma: leave out"
     ("source", "says"),
     [
         ("int(a)", "write np.int64(a) in the place of int(a)"),
+        ("round(a)", "write np.rint(a) in the place of round(a)"),
         ("float(a)", "leave float() out"),
         ("math.acos(a)", "write np.arccos in the place of math.acos"),
         *((call, LGAMMA) for call in ("math.lgamma(a)", "m.lgamma(a)", "abs(lgamma(a))")),

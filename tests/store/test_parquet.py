@@ -168,7 +168,7 @@ def test_what_a_killed_process_left_half_written_is_swept_and_never_read(store: 
     for half in halves.values():
         half.write_bytes(b"PAR1 torn")
     assert len(store.read("draws")) == len(pd.read_parquet(folder)) == 5
-    store.sweep()
+    store.remove_unfinished()
     assert [whose for whose, half in halves.items() if half.exists()] == ["alive", "far"]
 
 
