@@ -11,7 +11,7 @@ from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.job.sections import Execution
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
-from pfdist.runner.build import make_pool
+from pfdist.runner.build import chosen_pool, make_pool
 from pfdist.runner.door import Session
 from pfdist.store import remove_file, write_file
 
@@ -25,7 +25,7 @@ _CRASHED = (
 
 @contextlib.contextmanager
 def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[Pool]:
-    """Enter the pool that [execution] names, and say that its workers are ready.
+    """Enter the pool of a run, and say that its workers are ready, and why it is this pool.
 
     Parameters
     ----------
@@ -39,11 +39,12 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
     PoolError
         The pool does not start. If its workers fall silent, the error says what to do.
     """
-    kind, start = POOLS[execution.pool], perf_counter()
-    threaded = all(ENGINES.get(name, COMPILED).compiled for name in engines)
+    start, threaded = perf_counter(), _release_the_lock(engines)
+    execution, reason = chosen_pool(execution, threaded=threaded)
+    kind, why = POOLS[execution.pool], f" ({reason})" if reason else ""
     with make_pool(execution, threaded=threaded) as pool:
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
-        say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s")
+        say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s{why}")
         try:
             yield pool
         except SilenceError as error:
@@ -62,9 +63,16 @@ def noted(session: Session) -> Iterator[None]:
     begun = session.store.path / _BEGUN
     if os.path.lexists(begun):
         session.say(_CRASHED)
-    if not POOLS[session.built.job.execution.pool].isolated:
+    threaded = _release_the_lock([session.built.evaluator.engine])
+    execution, _ = chosen_pool(session.built.job.execution, threaded=threaded)
+    if not POOLS[execution.pool].isolated:
         write_file(begun, lambda path: path.write_text(_SAYS, encoding="utf-8"))
     try:
         yield
     finally:
         remove_file(begun)
+
+
+def _release_the_lock(engines: Iterable[str]) -> bool:
+    """Whether the formulas of all engines are compiled, and so release Python's lock."""
+    return all(ENGINES.get(name, COMPILED).compiled for name in engines)

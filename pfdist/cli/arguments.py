@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from pfdist.common.parsing import finite_number, whole_number
 from pfdist.errors import shown
-from pfdist.pools.kinds import POOLS
+from pfdist.pools.kinds import AUTO, POOLS
 
 RESULTS = "results/<name of the job file without .toml>"
 """The folder of a run, if the user names none."""
@@ -87,8 +87,9 @@ def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentPar
         kinds = "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
         parser.add_argument(
             "--pool",
-            choices=list(POOLS),
-            help=f"where tasks are computed: {kinds} (default: {pool})",
+            choices=[AUTO, *POOLS],
+            help=f"where tasks are computed: {kinds}; {AUTO}, on Ray if a cluster is given or "
+            f"formulas run in NumPy, else on threads (default: {pool})",
         )
         parser.add_argument(
             "--workers",

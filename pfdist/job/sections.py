@@ -11,6 +11,7 @@ from pfdist.common.section import Section
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling
 from pfdist.times.clock import Time, plain_time
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     PoolName = str
 else:
     EngineName = Literal[(AUTO, *ENGINES)]
-    PoolName = Literal[tuple(POOLS)]
+    PoolName = Literal[(AUTO_POOL, *POOLS)]
 
 
 def _checked_text(text: str) -> str:
@@ -222,7 +223,7 @@ class Budget(Section):
 class Execution(Section):
     """Where a run is computed; not a part of the identity of a run."""
 
-    pool: PoolName = "ray"
+    pool: PoolName = AUTO_POOL
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
     address: Text = ""
     failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

@@ -1,5 +1,6 @@
 """From the names in a job to objects: model, evaluator, optimisers, pool."""
 
+import os
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,9 @@ from pfdist.job.job import ONLINE, Job
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
+from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
+from pfdist.pools.kinds.ray import cluster_at_hand
 from pfdist.runner.searches import NamedSearch, Settings, named_search, planning_of
 from pfdist.runner.study import Study
 from pfdist.sequential.planning import check_plannable
@@ -209,6 +212,8 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
 def check_pool(execution: Execution) -> None:
     """Raise a `JobError` if [execution] has workers or an address that its pool does not take."""
     pool, workers, address = execution.pool, execution.workers, execution.address
+    if pool == AUTO_POOL:
+        return
     for name, got, given in (("workers", workers, workers > 1), ("address", address, address)):
         if given and name not in POOLS[pool].takes:
             others = ", ".join(repr(other) for other, kind in POOLS.items() if name in kind.takes)
@@ -218,11 +223,27 @@ def check_pool(execution: Execution) -> None:
             )
 
 
+def chosen_pool(execution: Execution, *, threaded: bool) -> tuple[Execution, str]:
+    """[execution] with a pool in the place of ``auto``, and why it is this pool.
+
+    `threaded` says whether tasks release Python's lock, so that threads of a process can work
+    together. The reason is empty if [execution] names a pool.
+    """
+    if execution.pool != AUTO_POOL:
+        return execution, ""
+    address = execution.address or ("auto" if os.environ.get("RAY_ADDRESS") else "")
+    if reason := cluster_at_hand(execution.address):
+        return execution.model_copy(update={"pool": "ray", "address": address}), reason
+    if threaded:
+        return execution.model_copy(update={"pool": "threads"}), "no cluster is given"
+    reason = "formulas in NumPy keep Python's lock"
+    return execution.model_copy(update={"pool": "ray"}), reason
+
+
 def make_pool(execution: Execution, *, threaded: bool = True) -> Pool:
     """The pool that [execution] names; the pool starts when the caller enters it.
 
-    `threaded` says whether tasks release Python's lock, so that threads of a process can work
-    together.
+    `threaded` is as of `chosen_pool`.
     """
     return POOLS[execution.pool].make(execution.workers, execution.address, threaded)
 

@@ -36,4 +36,5 @@ class PoolKind:
         return pool
 
 
+AUTO = "auto"  # one of the pools, by what a job needs
 POOLS: Registry[PoolKind] = Registry(__name__)
