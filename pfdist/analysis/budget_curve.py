@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.streaming_moments import Moments
-from pfdist.common.estimate import CONFIDENCE
+from pfdist.common.estimate import CONFIDENCE, student_quantile
 
 FOUND, GIVEN = "found", "given"
 
@@ -102,8 +101,8 @@ def _limit(proof: Mapping[str, Any], numbers: int) -> float:
     """The one-sided lower limit of a bound; those of all numbers hold together (Bonferroni)."""
     if not proof["particles"]:  # the engine is exact
         return float(proof["bound"])
-    quantile = stats.t.isf((1 - proof["confidence"]) / numbers, BOUND_DEGREES)
-    return float(proof["bound"] - quantile * proof["bound_error"])
+    quantile = student_quantile((1 - proof["confidence"]) / numbers, BOUND_DEGREES)
+    return float(proof["bound"] + quantile * proof["bound_error"])
 
 
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
@@ -153,8 +152,8 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         best = sets.sort_values("expected_mse", kind="stable").drop_duplicates("measurements")
         rows = best.set_index("measurements").sort_index()
         # The intervals of all numbers hold together (Bonferroni), and so does the least number.
-        quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
-        half = quantile * rows["standard_error"]
+        quantile = student_quantile((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
+        half = -quantile * rows["standard_error"]
         low, high = rows["expected_mse"] - half, rows["expected_mse"] + half
         # A proof outranks an estimate that reaches the target by chance.
         proved = rows["bound_low"] > target

@@ -2,10 +2,6 @@
 
 Statistics are accumulated block by block, so that memory does not grow with the draws: moments,
 and a histogram with fixed bins, which gives the quantiles.
-
-References
-----------
-Wilson, "Probable inference, the law of succession, and statistical inference", 1927.
 """
 
 import math
@@ -15,10 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from pfdist.analysis.streaming_moments import Array, Moments, Pairs
-from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
+from pfdist.common.estimate import UNKNOWN, Interval, wilson_interval
 from pfdist.filters.estimate import top_percent_share
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -206,14 +201,12 @@ class Gain:
         if not count:
             nothing = (math.nan, UNKNOWN)
             return GainSummary(0, *nothing, *nothing, *nothing, *nothing, {})
-        positive = stats.binomtest(self.positive, count)
-        wilson = positive.proportion_ci(CONFIDENCE, method="wilson")
         return GainSummary(
             draws=count,
             mean_relative_gain=self.relative.mean,
             mean_relative_gain_interval=self.interval,
-            positive_fraction=float(positive.statistic),
-            positive_fraction_interval=(float(wilson.low), float(wilson.high)),
+            positive_fraction=self.positive / count,
+            positive_fraction_interval=wilson_interval(self.positive, count),
             gain_of_means=self.of_means,
             gain_of_means_interval=self.of_means_interval,
             mean_log10_ratio=self.log10_ratio.mean,

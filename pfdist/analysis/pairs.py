@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from pfdist.analysis.streaming_moments import Array, Moments, Pairs
-from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
+from pfdist.common.estimate import CONFIDENCE, wilson_interval
 
 _ROUNDING = 1e-12  # relative difference of two exact expected MSEs that counts as none
 PAIR_COLUMNS = (
@@ -90,7 +89,10 @@ class Pair:
             ratio = exact[0] / exact[1] if exact[1] else math.nan
             ratio_interval = (ratio, ratio)
         count = self.difference.count
-        wins = (self.first_wins / count if count else math.nan, *self._wilson(count))
+        wins = (
+            self.first_wins / count if count else math.nan,
+            *wilson_interval(self.first_wins, count),
+        )
         values = (
             count, difference, *interval, *together, together[0] > 0.0 or together[1] < 0.0,
             1.0 - ratio, 1.0 - ratio_interval[1], 1.0 - ratio_interval[0], *wins,
@@ -101,12 +103,6 @@ class Pair:
     def _ratio(self) -> float:
         first, second = self.errors.x.mean, self.errors.y.mean
         return first / second if second else math.nan
-
-    def _wilson(self, count: int) -> Interval:
-        if not count:
-            return UNKNOWN
-        ends = stats.binomtest(self.first_wins, count).proportion_ci(CONFIDENCE, method="wilson")
-        return float(ends.low), float(ends.high)
 
 
 def pairs_table(

@@ -9,10 +9,10 @@ both filters agree with each other, and only the second figure shows the loss.
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from pfdist.analysis.streaming_moments import Array, Moments
 from pfdist.common.estimate import Estimate
@@ -22,7 +22,7 @@ from pfdist.common.percent import particle_loss_text
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
 _AFFORDABLE = 100_000  # particles
 _HARDLY = 0.95  # of the error without a measurement
-_QUANTILE = float(stats.norm.ppf(0.95))
+_QUANTILE = NormalDist().inv_cdf(0.95)
 
 
 @dataclass(frozen=True)

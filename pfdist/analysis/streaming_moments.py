@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
-from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, Interval
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, Interval, student_quantile
 
 Array = NDArray[np.float64]
 
@@ -123,7 +122,9 @@ class Pairs:
             return UNKNOWN
         scale = self.y.mean  # so that no square overflows
         # t^2 / (D (D - 1)): so sums of squares become variances of means
-        squared = float(stats.t.isf((1 - confidence) / 2, count - 1)) ** 2 / count / (count - 1)
+        squared = (
+            float(student_quantile((1 - confidence) / 2, count - 1)) ** 2 / count / (count - 1)
+        )
         x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
         xy, ratio = self.products / scale / scale, self.x.mean / scale
         # a r^2 - 2 b r + c <= 0; `inner` is proportional to b^2 - a c without cancellation

@@ -6,6 +6,7 @@ one in `pfdist.analysis.streaming_moments`, where the interval of a ratio of two
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -72,10 +73,38 @@ class Estimate:
         return -self.value > errors * self.standard_error
 
     def _quantile(self, share: float) -> float:
-        from scipy import special  # noqa: PLC0415  workers estimate, but need no intervals
-
         if self.standard_error == 0.0:
             return self.value
-        normal = math.isinf(self.degrees)
-        quantile = special.ndtri(share) if normal else special.stdtrit(self.degrees, share)
-        return float(quantile * self.standard_error + self.value)
+        return float(student_quantile(share, self.degrees) * self.standard_error + self.value)
+
+
+def student_quantile(share: float, degrees: Any) -> Any:
+    """Quantile of Student's t; normal for infinitely many degrees of freedom.
+
+    Parameters
+    ----------
+    share : float
+        Probability of a smaller value.
+    degrees : float or array of float
+    """
+    from scipy import special  # noqa: PLC0415  workers estimate, but need no intervals
+
+    if isinstance(degrees, float) and math.isinf(degrees):
+        return special.ndtri(share)
+    return special.stdtrit(degrees, share)
+
+
+def wilson_interval(successes: int, count: int) -> Interval:
+    """95 % interval of a share, Wilson's; unknown without a draw.
+
+    References
+    ----------
+    Wilson, "Probable inference, the law of succession, and statistical inference", 1927.
+    """
+    if not count:
+        return UNKNOWN
+    share, z = successes / count, NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
+    center = (2 * successes + z * z) / (2 * (count + z * z))
+    half = z * math.sqrt(4 * successes * (1 - share) + z * z) / (2 * (count + z * z))
+    low = 0.0 if successes == 0 else center - half
+    return low, 1.0 if successes == count else center + half

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from pfdist.analysis import Moments
-from pfdist.common.estimate import Estimate
+from pfdist.common.estimate import Estimate, student_quantile, wilson_interval
 
 VALUES = np.random.default_rng(5).normal(2.0, 1.0, 12)
 
@@ -55,3 +55,14 @@ def test_clearly_is_more_than_four_standard_errors() -> None:
     assert Estimate(-4.1, 1.0).is_negative()
     assert not Estimate(-3.9, 1.0).is_negative()
     assert Estimate(1.1, 1.0).is_positive(errors=1.0)
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 5), (5, 5), (3, 10), (812, 1000), (0, 1)])
+def test_the_interval_of_a_share_is_that_of_scipy(successes: int, count: int) -> None:
+    known = stats.binomtest(successes, count).proportion_ci(0.95, method="wilson")
+    assert wilson_interval(successes, count) == pytest.approx((known.low, known.high), abs=1e-14)
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 19, 999, math.inf])
+def test_the_quantiles_are_those_of_scipy(degrees: float) -> None:
+    assert student_quantile(0.975, degrees) == pytest.approx(stats.t.ppf(0.975, degrees), rel=1e-14)
