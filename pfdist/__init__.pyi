@@ -22,7 +22,7 @@ from .api.why import why as why
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
-from .evaluation.estimate import Evaluation as Evaluation
+from .filters.estimate import Evaluation as Evaluation
 from .filters.cloud import Cloud as Cloud
 from .job.job import Job as Job
 from .job.job import load_job as load_job
