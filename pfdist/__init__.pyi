@@ -22,8 +22,8 @@ from .api.why import why as why
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
-from .filters.estimate import Evaluation as Evaluation
 from .filters.cloud import Cloud as Cloud
+from .filters.estimate import Evaluation as Evaluation
 from .job.job import Job as Job
 from .job.job import load_job as load_job
 from .job.problem import Problem as Problem

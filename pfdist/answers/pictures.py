@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from xml.etree import ElementTree
 
-from matplotlib import rc_context
-
 from pfdist.analysis import Run
 from pfdist.documents.parts import Block, Figures, Page, Picture, Section
 from pfdist.plots.figure import FIGURES, Plot, Tables, drawn
@@ -75,7 +73,7 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
     str
     """
     file = io.StringIO()
-    with styled(SCREEN), rc_context({"figure.figsize": _INCHES}):
+    with styled(SCREEN, {"figure.figsize": _INCHES}):
         drawn(plot).savefig(file, format="svg", transparent=True, metadata={"Date": None})
     ElementTree.register_namespace("", _SVG)
     svg = ElementTree.fromstring(file.getvalue())  # noqa: S314  it was written just above

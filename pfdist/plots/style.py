@@ -1,5 +1,7 @@
 """Matplotlib, imported such that no setting of the machine changes a figure; styles and colours.
 
+The package imports this module first, and no module outside the package imports Matplotlib.
+
 Sets of times differ for colour-blind readers and in grey. The styles ``print.mplstyle`` and
 ``screen.mplstyle`` hold fonts and sizes. Figures take their sizes from the style in use, so these
 two and any other style of Matplotlib apply.
@@ -9,7 +11,9 @@ import contextlib
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from types import MappingProxyType
 from typing import Any
 
 # Matplotlib warns if it cannot write a folder for settings; a run needs no such folder.
@@ -48,6 +52,11 @@ def set_style(position: int) -> dict[str, Any]:
     return dict(_SETS[position % len(_SETS)])
 
 
-def styled(name: str = PRINT) -> AbstractContextManager[Any]:
-    """Context in which files are drawn: the defaults of Matplotlib, and a style of pfdist."""
-    return style.context(["default", name])
+def styled(
+    name: str = PRINT, settings: Mapping[str, Any] = MappingProxyType({})
+) -> AbstractContextManager[Any]:
+    """Context in which files are drawn: the defaults of Matplotlib, and a style of pfdist.
+
+    `settings` replace those of the style.
+    """
+    return style.context(["default", name, dict(settings)])

@@ -156,8 +156,9 @@ def test_a_new_figure_has_the_backend_that_the_environment_names() -> None:
 def test_no_setting_of_the_machine_ends_the_drawing_or_is_told(settings: dict[str, str]) -> None:
     """Neither a backend nor a folder for Matplotlib's settings that cannot be used."""
     backend = settings.get("MPLBACKEND", os.environ.get("MPLBACKEND", "None"))
-    script = "import os, pfdist.plots\nprint(os.environ.get('MPLBACKEND'))"
-    assert _printed(script, settings) == backend
+    for first in ("pfdist.plots", "pfdist; pfdist.plan"):
+        script = f"import os, {first}\nprint(os.environ.get('MPLBACKEND'))"
+        assert _printed(script, settings) == backend
 
 
 def test_figures_do_not_depend_on_settings_of_matplotlib() -> None:
