@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from pfdist.documents.html import as_html
 from pfdist.documents.parts import Page
 from pfdist.errors import StoreError
 from pfdist.store import remove_file, write_file
@@ -23,6 +22,8 @@ def write_page(page: Page, path: Path) -> None:
     StoreError
         The file cannot be written, or a file of another kind has this name.
     """
+    from pfdist.documents.html import as_html  # noqa: PLC0415  Jinja loads if a page is made
+
     check_page_replaceable(path)
     html = as_html(page)
     write_file(path, lambda file: file.write_text(html, encoding="utf-8", errors="replace"))

@@ -19,7 +19,6 @@ from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.job.source import JobSource
-from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
 from pfdist.runner.door import Session, complete
@@ -146,6 +145,8 @@ def bound(
                 look: Look = complete(proof, workers_at_work)
             session.reporter.finish()
             if chosen.figures and store.path == proved.path:
+                from pfdist.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
                 draw_figures(proved, "bound")
         if chosen.report is not False:
             renew_report(proved.path, tell)

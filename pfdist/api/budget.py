@@ -11,7 +11,6 @@ from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import number_argument, whole_argument
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.job.source import JobSource, as_job
-from pfdist.plots import draw_target
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
@@ -93,6 +92,8 @@ def budget(
         job, folder_of(job, results, "-budget"), bound_draws=bound_draws, reuse=reuse, **options
     )
     if target is not None and options.get("figures", True):
+        from pfdist.plots import draw_target  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
         draw_target(finished, target)
     return finished
 

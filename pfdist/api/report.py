@@ -6,9 +6,7 @@ from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.answers.pages import write_page
-from pfdist.answers.pictures import with_pictures
 from pfdist.answers.run import page_of
-from pfdist.answers.sweep import sweep_page
 from pfdist.api.following import Say, silent
 from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
@@ -70,11 +68,15 @@ def report(
 
 def write_report(run: Run, seconds: int = 0) -> Path:
     """Write the report of a run; after so many seconds the page reloads itself, 0 is never."""
+    from pfdist.answers.pictures import with_pictures  # noqa: PLC0415  Matplotlib loads if a page is made
+
     return _write(lambda: with_pictures(page_of(run, seconds), run), run.path)
 
 
 def write_sweep_report(path: Path) -> Path:
     """Write the report of the sweep in a folder."""
+    from pfdist.answers.sweep import sweep_page  # noqa: PLC0415  Matplotlib loads if a page is made
+
     return _write(lambda: sweep_page(path), path)
 
 

@@ -15,7 +15,6 @@ from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import paths_argument
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.source import JobSource, as_job
-from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
@@ -25,7 +24,7 @@ from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.progress import Show
 from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
-from pfdist.store.folder import has_report
+from pfdist.store.folder import has_report, remove_figures
 
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
 
@@ -133,13 +132,20 @@ def run_built(
         computed = complete(compute(session, ending.bound), pool, lenders)
         finished = open_run(path)
         finished.made_from = built.job
-        if ending.figures and not all(file.exists() for file in figure_files(finished)):
-            draw_figures(finished)
+        if ending.figures:
+            _draw_missing_figures(finished)
         if computed:
             remove_report(path)  # somebody may have asked for one of the unfinished run
         if ending.report and not has_report(path):
             try_report(finished, say)
     return finished
+
+
+def _draw_missing_figures(run: Run) -> None:
+    from pfdist.plots import draw_figures, figure_files  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+    if not all(file.exists() for file in figure_files(run)):
+        draw_figures(run)
 
 
 def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch, None, bool]:

@@ -24,7 +24,6 @@ from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.job.sections import Execution
 from pfdist.job.source import JobSource
-from pfdist.plots import draw_figures
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.progress import Show
@@ -171,9 +170,15 @@ def why(
             driver = _examine(session, opened, sets, draws)
             # The threads are done before the workers of another pool would have started.
             answer: Why = complete(driver, make_pool(Execution(pool="threads")))
-        files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
+        files = _draw(opened) if figures else []
         renew_report(opened.path, tell)
     return replace(answer, figures=files)
+
+
+def _draw(run: Run) -> list[Path]:
+    from pfdist.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+    return [file for name in FIGURES for file in draw_figures(run, name)]
 
 
 def _examine(

@@ -21,8 +21,8 @@ from pfdist.common.registry import Registry
 from pfdist.errors import StoreError
 from pfdist.plots.panel import scaled
 from pfdist.plots.style import styled
-from pfdist.store import remove_file, write_file
-from pfdist.store.folder import FIGURES_FOLDER, FORMATS, figures_in
+from pfdist.store import write_file
+from pfdist.store.folder import FIGURES_FOLDER, FORMATS
 
 Applies = Callable[[Run], bool]
 
@@ -176,12 +176,6 @@ def figure_files(run: Run) -> list[Path]:
     """
     names = [name for figure in FIGURES.values() for name in figure.files(run)]
     return [file for name in names for file in _files(run, name)]
-
-
-def remove_figures(path: Path) -> None:
-    """Remove every PNG and SVG file from the folder ``figures`` of the run in a folder."""
-    for file in figures_in(path):
-        remove_file(file)
 
 
 def draw_figures(run: Run, only: str = "") -> list[Path]:

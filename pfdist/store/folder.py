@@ -15,6 +15,7 @@ from pfdist.common.natural_order import natural_key
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
 from pfdist.store.files import check_replaceable, reading
+from pfdist.store.files import remove as remove_file
 
 ABOUT = ("job.toml", "run.json")
 MANIFEST, QUARANTINE, FIGURES_FOLDER, REPORT = "manifest", "quarantine", "figures", "report.html"
@@ -101,6 +102,12 @@ def figures_in(path: Path) -> Iterator[Path]:
     for file in (path / FIGURES_FOLDER).glob("*.*"):
         if file.suffix.removeprefix(".") in FORMATS:
             yield file
+
+
+def remove_figures(path: Path) -> None:
+    """Remove every PNG and SVG file from the folder ``figures`` of the run in a folder."""
+    for file in figures_in(path):
+        remove_file(file)
 
 
 @dataclass(frozen=True)
