@@ -125,6 +125,14 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
     return Page("", line, sections, _warnings(subject))
 
 
+def answer_in_a_line(run: Run) -> str:
+    """The gain of the best times, and these times; empty if the run has none yet."""
+    subject = Subject(run)
+    section = budget(subject) if run.has_budget else answer(subject)
+    texts = [block for block in section.blocks if isinstance(block, Text)] if section else []
+    return " ".join(block.text for block in texts if block.prominent or not run.has_budget)
+
+
 def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
     return [section for make in chapters if (section := make(subject)) is not None]
 

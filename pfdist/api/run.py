@@ -7,6 +7,7 @@ from typing import Unpack
 
 from pfdist.analysis import Run, open_run
 from pfdist.answers.pages import remove_report
+from pfdist.answers.run import answer_in_a_line
 from pfdist.api.at_work import at_work, noted
 from pfdist.api.following import Say, following
 from pfdist.api.options import Chosen, Options, with_options
@@ -173,6 +174,8 @@ def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch
     with noted(session):
         yield from drive(session)
         if prover is not None and not _is_long(prover, built, path, say):
+            if line := answer_in_a_line(open_run(path)):
+                say(line)  # first, because the proof takes longer than the search
             try:
                 yield from prover.prove(session, open_run(path))
             except TaskError as error:  # the results of the run stand
