@@ -112,7 +112,7 @@ def test_no_two_phases_share_a_draw(
     monkeypatch.setattr(
         Evaluator, "filtered", lambda self, work: works.append(work) or filtered(self, work)
     )
-    monkeypatch.setattr("pfdist.api.why.draw_figures", lambda *run: [])
+    monkeypatch.setattr("pfdist.plots.draw_figures", lambda *run: [])
     why(tmp_path / "plan" / "job.toml", draws=100)
     assert len({work.draws_stream for work in works}) == 2  # the windows do not choose their jitter
     explaining = {key for work in works for key in (work.draws_stream, *work.filter_streams)}
