@@ -1,5 +1,6 @@
 """From a job to the problem: the filter's model, and the engine."""
 
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +15,10 @@ from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
 from pfdist.filters.work import Estimation
+from pfdist.job.sections import Execution
 from pfdist.kernels import disk_cache
 from pfdist.runner.block_sums import BlockSums, Counted
-from pfdist.runner.build import build
+from pfdist.runner.build import build, chosen_pool
 
 OTHER = """
 import numpy as np
@@ -227,3 +229,28 @@ def test_the_command_line_says_it_in_one_line(
     assert main(["evaluate", str(tmp_path / "small.toml"), "--times", "0,4,8,12"]) == 0
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("pfdist: warning: model other cannot be compiled")
+
+
+@pytest.mark.parametrize(
+    ("address", "environment", "threaded", "pool", "reason"),
+    [
+        ("", "", True, "threads", "no cluster is given"),
+        ("", "", False, "ray", "formulas in NumPy keep Python's lock"),
+        ("local", "", True, "ray", "an address is given"),
+        ("", "10.0.0.1:6379", True, "ray", "RAY_ADDRESS is set"),
+    ],
+)
+def test_auto_is_ray_where_a_cluster_is_at_hand_and_else_threads(
+    address: str,
+    environment: str,
+    threaded: bool,
+    pool: str,
+    reason: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", environment)
+    monkeypatch.delitem(sys.modules, "ray", raising=False)  # another test may have joined one
+    execution, why = chosen_pool(Execution(address=address), threaded=threaded)
+    assert (execution.pool, why) == (pool, reason)
+    assert execution.address == ("auto" if environment else address)
+    assert chosen_pool(execution, threaded=threaded) == (execution, "")
