@@ -43,6 +43,8 @@ def signals_wait() -> Iterator[None]:
         for caught, handler in handlers.items():
             if signal.getsignal(caught) is note:  # a handler may have changed it
                 signal.signal(caught, handler)
+        if received:  # Ray's own handler of SIGTERM sets an alarm that ends the process after 3 s
+            signal.alarm(0)
         if len(received) == 1:
             handlers[received[0]](received[0], None)
 

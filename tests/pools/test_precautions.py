@@ -114,6 +114,18 @@ def test_a_signal_waits_for_the_end(heard: list[int], error: type[OSError] | Non
         signal.raise_signal(signal.SIGTERM)
 
 
+def test_the_alarm_that_ray_sets_at_a_signal_ends_nothing(heard: list[int]) -> None:
+    def start() -> None:
+        with signals_wait():
+            signal.alarm(60)  # as Ray's handler of SIGTERM does
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert signal.alarm(0) == 0  # no alarm is left
+    assert heard == [signal.SIGTERM]
+
+
 def test_a_second_signal_does_not_wait(heard: list[int]) -> None:
     def start() -> None:
         with signals_wait():
