@@ -20,6 +20,7 @@ from benchmarks import (
     scaling,
     search,
     sweep,
+    wall,
 )
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
@@ -36,6 +37,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "genetic": genetic,
     "online": online,
     "sweep": sweep,
+    "wall": wall,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"

@@ -13,9 +13,15 @@ def usable_cores() -> int:
     return max(1, min(limits().values()))
 
 
+def affinity() -> int:
+    """Number of cores on which this process may run; macOS does not tell, so all cores."""
+    known = getattr(os, "sched_getaffinity", None)
+    return len(known(0)) if known else os.cpu_count() or 1
+
+
 def limits() -> dict[str, int]:
     """Each limit of the number of cores, by its name."""
-    cores = {"affinity": len(os.sched_getaffinity(0))}
+    cores = {"affinity": affinity()}
     quota = min(_quotas(), default=math.inf)
     if quota < math.inf:
         cores["cgroup"] = math.ceil(quota)

@@ -17,6 +17,7 @@ from llvmlite import binding
 
 from pfdist.errors import StoreError
 from pfdist.filters.engines import COMPILED
+from pfdist.pools.cores import affinity
 from pfdist.runner.build import Built, folder_of_models
 from pfdist.store import Store, add_to_provenance, read_run
 
@@ -36,7 +37,7 @@ def provenance(built: Built) -> dict[str, Any]:
         "machine": {
             "node": platform.node(),
             "system": platform.platform(),
-            "cores": len(os.sched_getaffinity(0)),
+            "cores": affinity(),
         },
         "processor": processor(),
         # Compiled code that calls no function of the C library gives the same bytes everywhere.
