@@ -116,9 +116,13 @@ class InterimGains:
         self._draws, self._half_width = draws, half_width
         self._waiting: dict[int, _Block] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
+        self._gains = tuple[SetGain, ...]()
 
     def so_far(self) -> tuple[SetGain, ...]:
-        """The gain of each set over its reference so far."""
+        """The gain of each set over its reference, from the whole blocks so far."""
+        return self._gains
+
+    def _gains_now(self) -> tuple[SetGain, ...]:
         return tuple(
             SetGain(
                 name,
@@ -143,6 +147,7 @@ class InterimGains:
             self._waiting[number].take(draws[in_block] - number * BLOCK, values[in_block])
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
+            self._gains = self._gains_now()  # after each block, because outcomes come more often
             if self._half_width and self._statistics.half_width() <= self._half_width:
                 self.enough = self._statistics.draws
 
