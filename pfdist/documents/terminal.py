@@ -58,7 +58,7 @@ def _lines(block: Block) -> Iterator[str]:
             yield from wrapped(title)
             for name, value in facts:
                 yield from wrapped(value, name)
-        case Table():
+        case Table() if block.rows:
             yield from wrapped(block.caption)
             yield from aligned(block)
 

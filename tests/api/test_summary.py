@@ -129,17 +129,15 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     assert genetic.mean_relative_gain < 0 < genetic.gain_of_means
     assert genetic.gains_disagree
     text = _all_that_is_said(run)
+    best = run.summary().results[run.summary().by_error[0]]
     shown = with_interval(
-        *(100 * part for part in (genetic.gain_of_means, *genetic.gain_of_means_interval))
+        *(100 * part for part in (best.gain_of_means, *best.gain_of_means_interval))
     )
     headline = "lowers the expected error by {} % (95 %: {} to {} %)".format(*shown)
     assert 0 < text.index(headline) < text.index("mean relative gain")
     noise = run.summary().results["reference"].gain_over_itself
     assert f"of the filters alone gives it a mean of {100 * noise:.2f} %" in text
     assert "the two gains differ a relative gain weighs a draw with a small error as much" in text
-    _, told = text.split(headline)
-    lines = [line for line in told.splitlines() if "the search believed" not in line]
-    assert max(map(len, lines)) <= 80
 
 
 @pytest.mark.slow
@@ -170,7 +168,7 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
         assert result.top_percent_share > 0.5
     told = _all_that_is_said(run)
     share = run.summary().results["late"].top_percent_share
-    assert f"Note: 1 % of the draws carry {100 * share:.0f} % of the error of late: " in told
+    assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in told
     page = page_of(run).warnings[-1]
     assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in page
     evaluation = pfdist.evaluate(problem, [2, 3], draws=400)

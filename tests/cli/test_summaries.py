@@ -16,7 +16,7 @@ from pfdist.analysis.summary import SetResult
 from pfdist.answers.budget import budget
 from pfdist.answers.runs import list_page, table_page
 from pfdist.common.rounding import with_error
-from pfdist.documents.parts import Text
+from pfdist.documents.parts import Table, Text
 from pfdist.documents.terminal import COLUMNS, lines_of, lines_of_blocks
 
 Printed = Callable[..., str]
@@ -61,6 +61,10 @@ def test_a_table_that_does_not_fit_names_what_it_leaves_out(runs: Path, printed:
     assert max(map(len, lines)) <= COLUMNS
     (told,) = [number for number, line in enumerate(lines) if line.startswith("Left out: ")]
     assert "process_sd" in " ".join(lines[told:])  # which two of the jobs lack
+
+
+def test_a_table_without_rows_says_nothing() -> None:
+    assert lines_of_blocks([Table("Rise of the error", ("t", "if removed"), [])]) == []
 
 
 def test_json_has_every_column(runs: Path, printed: Printed) -> None:

@@ -80,7 +80,7 @@ def test_the_model_and_the_job_of_the_readme_are_planned(
     results = ["--pool", "serial", "--results", str(tmp_path / "run"), "--bound-draws", "0"]
     assert main(["plan", str(tmp_path / "mine.toml"), *results, "--set", *few]) == 0
     printed = capsys.readouterr().out
-    times = re.search(rf"{DEFAULT_METHOD}: measure at t = ([\d, ]+)", printed)
+    times = re.search(r"Measure at t = ([\d,\s]+)\.", printed)
     assert times is not None, printed
     found = [int(time) for time in times[1].split(",")]
     assert len(found) == 10
