@@ -127,10 +127,7 @@ def _rows(run: Run, summary: Summary) -> Iterator[Row]:
     for name, reference in references.items():
         result = results[name]
         yield (
-            shared
-            | _reference(reference, results[reference])
-            | _set(name, result)
-            | _gains(result, results[reference])
+            shared | _reference(reference, results[reference]) | _set(name, result) | _gains(result)
         )
 
 
@@ -163,7 +160,7 @@ def _error(result: SetResult) -> tuple[float | None, float | None]:
     return cost(result.expected_mse), result.standard_error
 
 
-def _gains(result: SetResult, reference: SetResult) -> Row:
+def _gains(result: SetResult) -> Row:
     """The gains over the reference with the ends of their intervals."""
     row = Row()
     for gain in _GAINS:

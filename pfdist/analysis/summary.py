@@ -211,8 +211,8 @@ def summary_of(run: "Run") -> Summary:
     ----------
     run : Run
     """
-    compared, named = run.has("comparison"), bool(run.has("comparison") and run.named)
-    problem = run.problem
+    compared, problem = run.has("comparison"), run.problem
+    named = compared and bool(run.named)
     return Summary(
         state=run.state,
         run=str(run.path),
