@@ -15,7 +15,7 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 from pfdist.pools.base import Outcome, Task
-from pfdist.pools.ray_pool import RayPool
+from pfdist.pools.threads import ThreadPool
 
 TITLE = "Sweeps"
 TABLES: tuple[str, ...] = ("sweep", "sweep_tasks")
@@ -28,11 +28,11 @@ SMALL = ["comparison.draws=200", "filter.particles=50", "problem.horizon=32"]
 _outcomes: list[tuple[float, float]] = []  # when each came, and the seconds of its task
 
 
-_run = RayPool.run
+_run = ThreadPool.run
 
 
-def _recorded(pool: RayPool, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-    """Record the outcomes of `RayPool.run` with the time at which they come."""
+def _recorded(pool: ThreadPool, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+    """Record the outcomes of `ThreadPool.run` with the time at which they come."""
     for outcome in _run(pool, tasks):
         _outcomes.append((perf_counter(), outcome.seconds))
         yield outcome
@@ -63,7 +63,7 @@ def measure(quick: bool, say: Say) -> Tables:
         start = perf_counter()
         with (
             tempfile.TemporaryDirectory(prefix="sweep-") as folder,
-            mock.patch.object(RayPool, "run", _recorded),
+            mock.patch.object(ThreadPool, "run", _recorded),
         ):
             first, points = compute(Path(folder), over, SMALL if quick else [])
         seconds = perf_counter() - start
@@ -92,7 +92,7 @@ def _sweep(folder: Path, over: dict[str, Any], changes: list[str]) -> tuple[floa
             finished.append(perf_counter())
 
     done = pfdist.sweep(
-        SWEEP.with_name("plan.toml"), over, results=folder, pool="ray", workers=WORKERS,
+        SWEEP.with_name("plan.toml"), over, results=folder, pool="threads", workers=WORKERS,
         changes=changes, report=False, say=say,
     )  # fmt: skip
     return finished[0], len(done.runs)
@@ -105,7 +105,7 @@ def _one_by_one(folder: Path, over: dict[str, Any], changes: list[str]) -> tuple
         for seed in over["seed"]:
             own = [*changes, f"problem.measurement_budget={budget}", f"seed={seed}"]
             pfdist.run(
-                SWEEP.with_name("plan.toml"), folder / f"{budget}-{seed}", pool="ray",
+                SWEEP.with_name("plan.toml"), folder / f"{budget}-{seed}", pool="threads",
                 workers=WORKERS, changes=own, figures=False,
             )  # fmt: skip
             finished.append(perf_counter())

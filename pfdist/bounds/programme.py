@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.relaxation import START, Indices, Moves, Relaxation
+from pfdist.bounds.relaxation import NOTHING, START, Indices, Moves, Relaxation
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -87,11 +87,17 @@ class Programme:
                 cost[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
         return cost
 
-    @cached_property
+    @property
     def _from(self) -> Array:
         """The least sum of errors from the last measurement of each window on, (W, most+1)."""
+        return self._onward[0]
+
+    @cached_property
+    def _onward(self) -> tuple[Array, Indices]:
+        """`_from`, and the next time that reaches it, (W, most+1); -1 if nothing is measured."""
         relaxation = self.relaxation
         cost = np.full((len(relaxation.windows), self.most + 1), np.inf)
+        following = np.full(cost.shape, NOTHING)
         left_over = 0 if relaxation.constraints.counted else self.most
         cost[:, : left_over + 1] = self._at_the_end[:, None]
         for moves in reversed(relaxation.moves):
@@ -100,8 +106,12 @@ class Programme:
                 after = relaxation.after[moves.before, moves.time]
                 between = self._between(moves.before, moves.time)
                 onward = between[:, None] + cost[after, : self.most + 1 - price]
-                cost[moves.before, price:] = np.minimum(cost[moves.before, price:], onward)
-        return cost
+                known, times = cost[moves.before, price:], following[moves.before, price:]
+                # Of equal sums, the end goes first, then the earliest time.
+                least = (onward < known) | ((onward == known) & (times != NOTHING))
+                cost[moves.before, price:] = np.where(least, onward, known)
+                following[moves.before, price:] = np.where(least, moves.time, times)
+        return cost, following
 
     @cached_property
     def _at_the_end(self) -> Array:
@@ -164,16 +174,8 @@ class Programme:
 
     def _path_from(self, window: int, spent: int) -> Times:
         """The times after a window's last, by following the programme to the end of the horizon."""
-        relaxation, times, prices = self.relaxation, list[int](), np.array(self._prices)
-        while True:
-            after = relaxation.after[window]
-            affordable = np.flatnonzero((after >= 0) & (prices <= spent))
-            between = self._between(np.full(affordable.size, window), affordable)
-            onward = between + self._from[after[affordable], spent - prices[affordable]]
-            may_end = spent == 0 or not relaxation.constraints.counted
-            ended = self._at_the_end[window] if may_end else np.inf
-            if not onward.size or ended <= onward.min():
-                return tuple(times)
-            time = int(affordable[np.argmin(onward)])
-            window, spent = int(after[time]), spent - self._prices[time]
+        following, times = self._onward[1], list[int]()
+        while (time := int(following[window, spent])) != NOTHING:
+            window, spent = int(self.relaxation.after[window, time]), spent - self._prices[time]
             times.append(time)
+        return tuple(times)

@@ -56,6 +56,8 @@ from pfdist.store import Store, schema
 # Between two commits. A kill loses about so much work, and the tasks in flight:
 COMMIT_SECONDS = 1.0
 COMMIT_ROWS = 100_000  # largest number of rows that wait in memory, however fast a model is
+EVALUATIONS = "evaluations"
+"""The table whose rows are committed last: an evaluation in it has all its draws in others."""
 
 StoredResults = Iterator[tuple[Work, Result]]
 Learn = Callable[[Work, Result], object]
@@ -233,6 +235,11 @@ class Session:
         """Let the timing of a task wait for the next commit."""
         self._outcomes.setdefault(phase, []).append(outcome)
 
+    @property
+    def has_waiting_rows(self) -> bool:
+        """Whether rows wait for the next commit."""
+        return bool(self._rows)
+
     def held(self, table: str) -> bool:
         """Whether the store had rows of a table when this session first needed them.
 
@@ -283,7 +290,8 @@ class Session:
         later, self._later = self._later, []
         rows, self._rows, self._waiting = self._rows, {}, 0
         outcomes, self._outcomes = self._outcomes, {}
-        for (phase, table), waiting in rows.items():
+        for phase, table in sorted(rows, key=lambda each: each[1] == EVALUATIONS):
+            waiting = rows[phase, table]
             key = f"{stream_key([key for key, _ in waiting]):016x}"
             self.store.commit(table, phase, key, pa.concat_tables([rows for _, rows in waiting]))
         for phase, done in outcomes.items():
@@ -336,6 +344,7 @@ class Loop:
         self._computing: dict[str, Batch] = {}  # the batch that computes an evaluation, by its id
         # The store that has an evaluation, by its id; the first lender goes first.
         self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
+        self._lending: dict[Store, tuple[Driver, Session]] = {}  # runs of the loop that have ids
         self._ready: dict[Driver, Exception | None] = {}  # drivers that go on next
         self._values: list[Any] = []
 
@@ -427,14 +436,12 @@ class Loop:
         error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
         if error is None and not batch.is_computed:
             return
-        # This batch has computed its part. Its rows are committed before other runs look for them
-        # in its store. If it failed, its ids have no store, and a batch that waits computes them
-        # itself.
+        # This batch has computed its part, and other runs find it in its store. If it failed, its
+        # ids have no store, and a batch that waits computes them itself.
         ids = self._forget(batch)
         if ids and error is None:
-            error = _error_of(batch.session.commit)
-            if error is None:
-                self._stores.update(dict.fromkeys(ids, batch.session.store))
+            self._stores.update(dict.fromkeys(ids, batch.session.store))
+            self._lending[batch.session.store] = driver, batch.session
         if error is not None or not batch.lacks_results:
             self._ready[driver] = error
         if ids:
@@ -457,11 +464,13 @@ class Loop:
         for work in works:
             for store, part in _by(work, self._stores.get):
                 by_store[store].append(part)
-        lacking = by_store.pop(None, [])
+        # A race asks for more draws of its own evaluations: its run does not have them.
+        lacking = [*by_store.pop(None, []), *by_store.pop(batch.session.store, [])]
         # Rows of another run are committed in this run, too: so its files do not depend on others.
         for store, parts in by_store.items():
-            if store is not None:
-                lacking += _learnt(batch, store, parts, keep=True)
+            if store is not None and self._has_committed(store):
+                parts = _learnt(batch, store, parts, keep=True)
+            lacking += parts
         own = list[Work]()
         for work in lacking:
             for computing, part in _by(work, self._computing.get):
@@ -470,6 +479,21 @@ class Loop:
             for work in own:
                 self._computing.update(dict.fromkeys(work.ids, batch))
         return own
+
+    def _has_committed(self, store: Store) -> bool:
+        """Whether a store has all its rows: those that wait are committed before others read them.
+
+        If that fails, the driver of the store gets the error, and its rows are computed again.
+        """
+        driver, lender = self._lending.get(store, (None, None))
+        if driver is None or lender is None or not lender.has_waiting_rows:
+            return True
+        error = _error_of(lender.commit)
+        if error is not None:
+            self._ready[driver] = error
+            self._forget(self._batches[driver])
+            self._stores = {id_: other for id_, other in self._stores.items() if other is not store}
+        return error is None
 
     def _forget(self, batch: Batch) -> list[str]:
         """Ids of the evaluations that a batch computed; it is no longer noted for them."""

@@ -7,7 +7,7 @@ and finds their draws by the ids of the evaluations.
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,14 +21,9 @@ from pfdist.filters.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Session
+from pfdist.runner.door import EVALUATIONS, Batch, Session
 from pfdist.runner.row_formats import PER_DRAW
-from pfdist.runner.search_tables import (
-    commit_generation,
-    committed_generations,
-    evaluation_rows,
-    publish_search,
-)
+from pfdist.runner.search_tables import committed_generations, evaluation_rows, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
@@ -155,17 +150,15 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         if windows:
             for candidate, evaluation in (yield from _errors(phase, windows, session)):
                 record(candidate, evaluation)
+            record.show()
         if phase.built.evaluator.exact:
             _exactly(phase, requests, record)
         else:
             yield from _per_draw(phase, requests, session, record)
         evaluations = record.evaluations
-        # The rows of the generation are written after the next commit, which has its draws. So an
-        # evaluation in the tables has all its draws. A kill before costs nothing: the next start
-        # finds the draws, and the generation is not among those committed.
         if requests and generation not in committed:
-            rows = partial(evaluation_rows, name, generation, candidates, requests, evaluations)
-            session.later(partial(commit_generation, session.store, name, generation, rows))
+            rows = evaluation_rows(name, generation, candidates, requests, evaluations)
+            session.keep(name, EVALUATIONS, f"{generation:06d}", rows)
         in_order = [evaluations[candidate] for candidate in candidates]
         if phase.keep_leaders:
             phase.leaders.extend(new_leaders(_whole_or_prefixes(in_order), phase.leaders))
@@ -210,39 +203,44 @@ class _Generation:
         self._reporter, self._copies = session.reporter, copies
         self._generations, self._generation = phase.optimiser.generations, generation
         self._steps, self._shows_best, self._least = steps, shows_best, math.inf
+        self._before, self._recorded = session.reporter.progress.evaluations, 0
 
     def __call__(self, candidate: Candidate, evaluation: Evaluation) -> None:
         """Record the evaluation of a candidate."""
         self.evaluations[candidate] = evaluation
+        self._recorded += self._copies[candidate]
+        if self._shows_best:
+            self._least = min(self._least, *_whole_costs([evaluation]), math.inf)
+
+    def show(self) -> None:
+        """Report the evaluations that were recorded so far."""
         reporter, (start, share) = self._reporter, self._steps
-        if self._shows_best and (costs := _whole_costs([evaluation])):
-            self._least = min(self._least, *costs)
+        if math.isfinite(self._least):
             reporter.note(best=self._least)
         part = self._generation + len(self.evaluations) / len(self._copies)
         reporter.reach(
             start + share * min(part, self._generations),
-            evaluations=reporter.progress.evaluations + self._copies[candidate],
+            evaluations=self._before + self._recorded,
             generation=self._generation + 1,
             generations=max(self._generation + 1, self._generations),
         )
 
 
-def _exactly(
-    phase: Phase, requests: list[Request], record: Callable[[Candidate, Evaluation], None]
-) -> None:
+def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None:
     """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
     costs = phase.built.evaluator.expected_mse(sets, [request.end for request in requests])
     for request, cost in zip(requests, costs, strict=True):
         request.mse = np.empty(0)
         record(request.candidate, phase.evaluation(request, float(cost)))
+    record.show()
 
 
 def _per_draw(
     phase: Phase,
     requests: list[Request],
     session: Session,
-    record: Callable[[Candidate, Evaluation], None],
+    record: _Generation,
 ) -> Generator[Batch, None, None]:
     """Record the evaluation of each request as soon as all its draws are known."""
     # Requests may have one id and different numbers of draws; also, a prefix up to T is a whole
@@ -264,11 +262,13 @@ def _per_draw(
             request.known_draws += mse.size
             if request.known_draws == request.mse.size:
                 record_all(request)
+        record.show()
 
     for request in longest.values():
         phase.recall(request)
         if request.known_draws == request.mse.size:
             record_all(request)
+    record.show()
     works = list(_works(phase, longest.values()))
     if works:
         yield Batch(session, phase.name, works, PER_DRAW, learn, more_follows=True)

@@ -9,6 +9,7 @@ import platform
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ def provenance(built: Built) -> dict[str, Any]:
         "command": sys.argv,
         "folder": str(folder_of_models(job).absolute()),  # paths of models are relative to it
         "python": platform.python_version(),
-        "libraries": {name: version(name) for name in _LIBRARIES},
+        "libraries": _libraries(),
         "machine": {
             "node": platform.node(),
             "system": platform.platform(),
@@ -46,6 +47,12 @@ def provenance(built: Built) -> dict[str, Any]:
     }
 
 
+@cache
+def _libraries() -> dict[str, str]:
+    return {name: version(name) for name in _LIBRARIES}
+
+
+@cache
 def processor() -> dict[str, str]:
     """The processor's name, and the name for which code is compiled."""
     return {

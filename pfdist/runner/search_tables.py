@@ -47,13 +47,6 @@ def evaluation_rows(
     return pa.Table.from_pydict(columns, schema=table)
 
 
-def commit_generation(
-    store: Store, phase: str, generation: int, rows: Callable[[], pa.Table]
-) -> None:
-    """Commit the rows of the evaluations of a generation."""
-    store.commit("evaluations", phase, f"{generation:06d}", rows())
-
-
 def committed_generations(store: Store, phase: str) -> set[int]:
     """Generations of a phase that are committed."""
     if not store.has("evaluations", phase):
