@@ -107,7 +107,7 @@ class Programme:
                 between = self._between(moves.before, moves.time)
                 onward = between[:, None] + cost[after, : self.most + 1 - price]
                 known, times = cost[moves.before, price:], following[moves.before, price:]
-                # Of equal sums, the end goes first, then the earliest time.
+                # Between equal sums, the end wins, then the earliest time.
                 least = (onward < known) | ((onward == known) & (times != NOTHING))
                 cost[moves.before, price:] = np.where(least, onward, known)
                 following[moves.before, price:] = np.where(least, moves.time, times)

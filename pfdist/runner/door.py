@@ -469,8 +469,9 @@ class Loop:
         # Rows of another run are committed in this run, too: so its files do not depend on others.
         for store, parts in by_store.items():
             if store is not None and self._has_committed(store):
-                parts = _learnt(batch, store, parts, keep=True)
-            lacking += parts
+                lacking += _learnt(batch, store, parts, keep=True)
+            else:
+                lacking += parts
         own = list[Work]()
         for work in lacking:
             for computing, part in _by(work, self._computing.get):

@@ -24,8 +24,8 @@ from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import BOUND_PHASE
 from pfdist.times.measurement_times import Times
 
-SET_DRAWS = 20_000
-"""Draws on which a set alone is filtered for the variance of its particles."""
+SET_DRAWS, _FOR_EACH = 20_000, 12
+"""Draws on which a set alone is filtered: so many for each draw of the bound, and at most."""
 
 Array = NDArray[np.float64]
 
@@ -40,34 +40,45 @@ class _Kind:
     knows_truth: bool
 
 
-def _draws(built: Built, compared: int) -> int:
-    """Number of draws of a set alone; with several references, at most those compared."""
-    return min(SET_DRAWS, compared) if len(built.study.references) > 1 else SET_DRAWS
+def _draws(built: Built, compared: int, of_bound: int) -> int:
+    """Number of draws of a set alone.
+
+    A comparison with half as many draws is enough, because its squared errors are known. With
+    several references, a comparison is always enough.
+    """
+    most = min(SET_DRAWS, _FOR_EACH * of_bound)
+    is_enough = 2 * compared >= most or len(built.study.references) > 1
+    return min(most, compared) if is_enough else most
 
 
-def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
-    """Particle-steps that it takes to filter so many sets alone, approximately."""
+def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int) -> int:
+    """Particle-steps that it takes to filter so many sets alone, approximately.
+
+    `of_bound` is the number of draws of the bound.
+    """
     if built.evaluator.exact:
         return 0
     compared = built.job.comparison.draws
-    kinds = _kinds(built, estimation, compared).values()
-    instants = _draws(built, compared) * sets * (built.evaluator.horizon + 1)
+    draws = _draws(built, compared, of_bound)
+    kinds = _kinds(built, estimation, are_compared=draws <= compared).values()
+    instants = draws * sets * (built.evaluator.horizon + 1)
     return sum(instants * kind.estimation.steps_an_instant for kind in kinds)
 
 
 def gap_parts(
-    session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation
+    session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation, of_bound: int
 ) -> Generator[Batch, None, dict[str, GapParts]]:
     """The expected MSE of each compared set alone, and the parts of its gap.
 
-    The run must be finished. The estimation uses the variance of the particles.
+    The run must be finished. The estimation uses the variance of the particles. `of_bound` is the
+    number of draws of the bound.
     """
     built = session.built
     if built.evaluator.exact:
         costs = built.evaluator.expected_mse(list(sets.values())).tolist()
         return {name: GapParts(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
-    draws = _draws(built, run.draws_compared)
-    kinds = _kinds(built, estimation, run.draws_compared)
+    draws = _draws(built, run.draws_compared, of_bound)
+    kinds = _kinds(built, estimation, are_compared=draws <= run.draws_compared)
     seed = built.job.seed
     if "squared" in kinds:
         draws_stream = stream_of("bound", seed, "draws of a set")
@@ -99,12 +110,12 @@ def gap_parts(
     }
 
 
-def _kinds(built: Built, estimation: Estimation, compared: int) -> dict[str, _Kind]:
-    """The filters of the sets; the squared error only if too few draws were compared."""
+def _kinds(built: Built, estimation: Estimation, *, are_compared: bool) -> dict[str, _Kind]:
+    """The filters of the sets; the squared error only if the draws were not compared."""
     kinds = {"variance": _Kind(estimation, knows_truth=True)}
     if built.evaluator.truth is not built.evaluator:
         kinds["by_truth"] = _Kind(built.comparing, knows_truth=True)
-    if compared < _draws(built, compared):
+    if not are_compared:
         kinds["squared"] = _Kind(built.comparing, knows_truth=False)
     return kinds
 

@@ -31,6 +31,7 @@ from pfdist.times.measurement_times import Times
 
 _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
+_FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
 # Windows grow until the relaxed costs lie below those of the sets by so small a share:
 _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
 
@@ -63,6 +64,8 @@ class Prover:
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
         self._estimation = with_truth(count)
+        # The windows to grow along are found with fewer particles; the bound does not trust them.
+        self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)))
         truth = built.evaluator.truth
         truth.check(Estimation(count, estimator=FILTER_VARIANCE.name))
         truth.compile(self._estimation)  # before the first task, whose time is limited
@@ -76,7 +79,8 @@ class Prover:
     @property
     def steps(self) -> float:
         """Particle-steps that the proof takes at most, approximately; windows may grow."""
-        sets = steps_of_sets(self._built, len(self._built.names), self._estimation)
+        draws = self._blocks[-1] * BLOCK
+        sets = steps_of_sets(self._built, len(self._built.names), self._estimation, draws)
         return sets + self._steps_of_windows
 
     @property
@@ -115,7 +119,7 @@ class Prover:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets()))
-        parts = yield from gap_parts(session, run, sets, self._estimation)
+        parts = yield from gap_parts(session, run, sets, self._estimation, self._blocks[-1] * BLOCK)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
@@ -165,7 +169,7 @@ class Prover:
             most_grown=self._settings.most_windows,
         )
         most = self._most_steps, self._settings.most_cells
-        return (yield from grown(session, optimiser, self._estimation, *most))
+        return (yield from grown(session, optimiser, self._growing, *most))
 
     @cached_property
     def _most_steps(self) -> float:

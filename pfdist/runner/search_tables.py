@@ -1,7 +1,7 @@
 """The tables of a search: evaluations, generation by generation, and their per-draw MSE."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from types import SimpleNamespace
 from typing import Any
 
