@@ -2,8 +2,9 @@
 
 A worker is a long-lived actor with a thread for each of its cores: one worker a node, because
 compiled filters release Python's lock. If tasks keep the lock, every core has a worker of its own.
-An actor makes the function of its tasks once: it loads a filter, or compiles it. Each thread gets
-its next task before it has ended the last one.
+An actor makes the function of its tasks once: it loads a filter, or compiles it. It keeps a few,
+and loads one again that it has forgotten. Each thread gets its next task before it has ended the
+last one.
 
 Cores that become free while tasks are done get workers too: those of a node that joins, of another
 driver that has ended, or of a worker that was lost.
@@ -304,7 +305,7 @@ class RayPool:
         worker.tasks += 1
         self._set_free(worker)
         if key in worker.functions:
-            self._owe(worker, worker.actor.do.remote(key, content, task.work), task)
+            self._owe(worker, worker.actor.do.remote(key, task.work), task)
         elif key in worker.waiting:
             worker.waiting[key].append(task)
         else:
@@ -343,7 +344,11 @@ class RayPool:
             return
         self._heard = time.monotonic()
         what, answer = worker.owed.pop(call), call.result()
-        if isinstance(what, Task):
+        if isinstance(what, Task) and answer is None:
+            worker.tasks -= 1
+            worker.functions.discard(self._sent(what.function)[0])
+            self._hand(worker, what)
+        elif isinstance(what, Task):
             worker.tasks -= 1
             self._unfinished -= 1
             yield Outcome(what, *answer)
@@ -499,25 +504,26 @@ class _Actor:
 
     def load(self, key: int, content: bytes) -> None:
         """Make a function, for which the first of its tasks would have to wait."""
-        self._function(key, content)
+        with self._lock:
+            if key not in self._functions:
+                self._make(key, content)
 
-    def do(self, key: int, content: bytes, work: Any) -> tuple[Any, ...]:
-        """Do a task with a function, given by key and content: all of its outcome but the task."""
-        function = self._function(key, content)
+    def do(self, key: int, work: Any) -> tuple[Any, ...] | None:
+        """Do a task: all of its outcome but the task; None if the function was forgotten.
+
+        A task names its function by the key alone: content would cost each task as much as its
+        answer.
+        """
+        function = self._functions.get(key)
+        if function is None:
+            return None
         if isinstance(function, str):
             return None, 0.0, "", "", function, True
         value, seconds, process, node, error = do(function, work)
         return value, seconds, f"{process}-{threading.get_native_id()}", node, error, False
 
-    def _function(self, key: int, content: bytes) -> Function | str:
-        """The function, which is made once, or the reason why that failed."""
-        function = self._functions.get(key)
-        if function is None:
-            with self._lock:  # threads that want the same function wait for it
-                function = self._functions.get(key) or self._make(key, content)
-        return function
-
-    def _make(self, key: int, content: bytes) -> Function | str:
+    def _make(self, key: int, content: bytes) -> None:
+        """Make a function, or note why that failed; the oldest of many is forgotten."""
         function: Function | str
         try:
             function = cloudpickle.loads(content)
@@ -527,7 +533,6 @@ class _Actor:
         self._functions[key] = function
         if len(self._functions) > FUNCTIONS:
             del self._functions[next(iter(self._functions))]
-        return function
 
 
 _RemoteActor: Any = ray.remote(_Actor)
