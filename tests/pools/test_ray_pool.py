@@ -151,7 +151,7 @@ def test_where_every_node_has_another_version_there_is_no_pool(started: Started)
 def test_tasks_of_a_lost_worker_are_done_next_and_alone(started: Started) -> None:
     lives, done = [2], list[int]()
 
-    def do(key: int, content: bytes, work: int) -> tuple[Any, ...]:
+    def do(key: int, work: int) -> tuple[Any, ...]:
         if work == 500 and lives:
             lives.pop()
             raise RuntimeError("the actor died")
