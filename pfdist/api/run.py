@@ -1,7 +1,9 @@
 """Run a job: compute what the run lacks, prove a lower bound if wanted, then draw the figures."""
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Unpack
 
@@ -123,33 +125,53 @@ def run_built(
     """
     if is_sealed(path, built):
         say(f"{path} cannot be written: its figures and its report stay as they are")
-        finished = open_run(path)
-        finished.made_from = built.job
-        return finished
+        return _run_of(built, path)
     lenders = [lender(open_run(other).path, built) for other in reuse]
-    with opened(path, built, say) as store:
-        session = Session(built, store, show, say)
-        pool = at_work(built.job.execution, [built.evaluator.engine], say)
-        computed = complete(compute(session, ending.bound), pool, lenders)
-        finished = open_run(path)
-        finished.made_from = built.job
+
+    def draw() -> Run:
+        run = _run_of(built, path)
         if ending.figures:
-            _draw_missing_figures(finished)
-        if computed:
+            _draw_missing_figures(run)
+        return run
+
+    def finish(*, is_new: bool) -> Run:
+        run = draw()
+        if is_new:
             remove_report(path)  # somebody may have asked for one of the unfinished run
         if ending.report and not has_report(path):
-            try_report(finished, say)
-    return finished
+            try_report(run, say)
+        return run
+
+    # Figures are drawn in a thread, beside the proof, and while the pool is left.
+    with opened(path, built, say) as store, ThreadPoolExecutor(1) as beside:
+
+        def driver() -> Generator[Batch, None, Future[Run]]:
+            session = Session(built, store, show, say)
+            is_new = yield from compute(session, ending.bound, partial(beside.submit, draw))
+            return beside.submit(finish, is_new=is_new)
+
+        pool = at_work(built.job.execution, [built.evaluator.engine], say)
+        run: Run = complete(driver(), pool, lenders).result()
+    return run
+
+
+def _run_of(built: Built, path: Path) -> Run:
+    run = open_run(path)
+    run.made_from = built.job
+    return run
 
 
 def _draw_missing_figures(run: Run) -> None:
-    from pfdist.plots import draw_figures, figure_files  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+    from pfdist.plots import draw_missing_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
-    if not all(file.exists() for file in figure_files(run)):
-        draw_figures(run)
+    draw_missing_figures(run)
 
 
-def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch, None, bool]:
+def compute(
+    session: Session,
+    settings: BoundSettings | None,
+    compared: Callable[[], object] = lambda: None,
+) -> Generator[Batch, None, bool]:
     """Compute what a run lacks, with its lower bound; False if it lacks nothing.
 
     Parameters
@@ -157,6 +179,9 @@ def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch
     session : Session
     settings : BoundSettings or None
         Settings of the lower bound; None for no bound.
+    compared : callable
+        Called when only the bound is missing. The curve of budgets waits, because it shows the
+        bound.
     """
     built, store, say = session.built, session.store, session.say
     path = store.path
@@ -174,8 +199,11 @@ def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch
     with noted(session):
         yield from drive(session)
         if prover is not None and not _is_long(prover, built, path, say):
-            if line := answer_in_a_line(open_run(path)):
+            run = open_run(path)
+            if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search
+            if not run.has_budget:
+                compared()
             try:
                 yield from prover.prove(session, open_run(path))
             except TaskError as error:  # the results of the run stand

@@ -12,7 +12,7 @@ do `against`, `heat_map` and `found_times`, which draw a table of many runs.
 from pfdist.plots import style  # noqa: F401  first: it decides how Matplotlib is imported
 from pfdist.plots.bounds import bound, budget, draw_target
 from pfdist.plots.costs import comparison, cost
-from pfdist.plots.figure import draw_figures, figure_files
+from pfdist.plots.figure import draw_figures, draw_missing_figures
 from pfdist.plots.filtered import belief, check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.plots.gains import gain, one_draw
 from pfdist.plots.measurements import sampling_windows, shifts, worth
@@ -32,10 +32,10 @@ __all__ = [
     "degenerate_draws",
     "draw_figures",
     "draw_filtered",
+    "draw_missing_figures",
     "draw_target",
     "effective_sample_size",
     "error_profile",
-    "figure_files",
     "filtered_plot",
     "found_times",
     "gain",

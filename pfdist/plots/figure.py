@@ -169,13 +169,20 @@ def figure(
     return declare
 
 
-def figure_files(run: Run) -> list[Path]:
-    """The files of all figures of a run, whether they are drawn or not.
+def draw_missing_figures(run: Run) -> None:
+    """Draw the figures of a run whose files are missing; its comparison has begun.
 
-    The comparison of the run must have begun.
+    Parameters
+    ----------
+    run : Run
     """
-    names = [name for figure in FIGURES.values() for name in figure.files(run)]
-    return [file for name in names for file in _files(run, name)]
+    tables = Tables(run)
+    missing = (
+        figure
+        for figure in FIGURES.values()
+        if not all(file.exists() for name in figure.files(run) for file in _files(run, name))
+    )
+    save_plots(run, (plot for figure in missing for plot in figure.plots(tables)))
 
 
 def draw_figures(run: Run, only: str = "") -> list[Path]:
@@ -215,6 +222,7 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
             canvas, files = drawn(plot), _files(run, name)
             for file in files:
                 write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
+                canvas.set_layout_engine("none")  # the next format has the same layout
             saved += files
     return saved
 

@@ -40,6 +40,7 @@ def test_a_mark_is_inherited_and_found_though_sessions_and_parents_change() -> N
     with environment({"PFDIST_TEST": value}):
         subprocess.run([sys.executable, "-c", ORPHAN], check=True)
     assert "PFDIST_TEST" not in os.environ
+    _until(lambda: len(marked("PFDIST_TEST", value)) == 1)  # the child has begun its program
     (found,) = marked("PFDIST_TEST", value)
     assert marked("PFDIST_TEST", value[:-1]) == []
     end([found])
