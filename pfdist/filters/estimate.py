@@ -38,8 +38,8 @@ class Evaluation(Shown):
         The expected MSE, where the engine knows it without draws.
     end : int, optional
         Last instant whose error counts, if it is not T.
-    errors : array of float64, (T+1,), optional
-        Expected error of each instant that a search has asked for; 0 at others.
+    errors : array of float64, (end - since + 1,), optional
+        Expected error of each instant that a search has asked for.
     purpose : str
         Purpose of the draws, one of `pfdist.common.streams.CHOOSING` or `PROVING`.
     """

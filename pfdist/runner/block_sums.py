@@ -9,6 +9,7 @@ draws chose the windows and gave the bound, the bound could lie above the truth:
 to have large errors would be preferred.
 """
 
+from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,20 +21,21 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
 from pfdist.runner.build import Built
-from pfdist.runner.door import Batch, Learn, Session
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.row_formats import BLOCK_OF_SUMS
 from pfdist.search.base import Candidate
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
-from pfdist.store import BOUND_PHASE, Store
+from pfdist.store import BOUND_PHASE
 from pfdist.times.measurement_times import Times
 
 GROUPS = 20
-"""Number of groups of blocks: the jackknife leaves one out. Block b is in group b modulo 20."""
+"""Number of groups of blocks."""
 
 CHOICE_BLOCKS = GROUPS
 """Number of blocks of draws that choose windows."""
 
 Array = NDArray[np.float64]
+Add = Callable[[int, Array], object]
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,24 @@ class Counted:
     first: NDArray[np.int64]  # (S,)
     ends: NDArray[np.int64]  # (S,)
 
-    def at(self, horizon: int) -> NDArray[np.bool_]:
-        """Whether the error of each set counts at each instant, (S, T+1)."""
-        t = np.arange(horizon + 1)
-        return (self.first[:, None] <= t) & (t <= self.ends[:, None])
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """The first place of each set in an array of all E errors that count, (S,)."""
+        return np.cumsum(self._sizes) - self._sizes
+
+    @property
+    def set_of(self) -> NDArray[np.int64]:
+        """Number of the set to which each error belongs, (E,)."""
+        return np.repeat(np.arange(len(self.sets)), self._sizes)
+
+    def of_instants(self, errors: Array) -> list[Array]:
+        """The errors of each set that count, of its errors at all instants, (S, T+1)."""
+        ranges = zip(errors, self.first, self.ends, strict=True)
+        return [row[first : end + 1] for row, first, end in ranges]
+
+    @property
+    def _sizes(self) -> NDArray[np.int64]:
+        return self.ends - self.first + 1
 
 
 class BlockSums:
@@ -73,7 +89,7 @@ class BlockSums:
         evaluator = built.evaluator.truth if knows_truth else built.evaluator
         self.id = evaluator.sums_id(sets, tuple(zip(since, ends, strict=True)), noise, estimation)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
-        self._mask = counted.at(built.evaluator.horizon)
+        self._counted = counted
         self._work = Work(
             measurement_times=sets,
             ends=ends,
@@ -90,45 +106,55 @@ class BlockSums:
         """Particle-steps of the first blocks of draws."""
         return blocks * BLOCK * self._work.steps_a_draw
 
-    def batch(self, session: Session, blocks: range, learn: Learn, *, more_follows: bool) -> Batch:
-        """The batch that sums the errors over some blocks."""
+    def added(
+        self, session: Session, blocks: range, add: Add, *, more_follows: bool = False
+    ) -> Generator[Batch, None, None]:
+        """Sum the errors over some blocks, and add the sums of each, (E,), in the order of blocks.
+
+        Tasks end in any order, and rounding depends on the order of a sum.
+        """
+        waiting, order = dict[int, Array](), deque(blocks)
+
+        def learn(work: Work, result: Result) -> None:
+            waiting[work.draws[0] // BLOCK] = result.sums
+            while order and order[0] in waiting:
+                add(order[0], waiting.pop(order.popleft()))
+
         works = [
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK)) for block in blocks
         ]
-        return Batch(session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows)
+        yield Batch(session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows)
 
-    def by_group(self, blocks: int, store: Store) -> tuple[Array, Array]:
-        """Sums of each group, (G, E), and its number of draws, (G,), over the first blocks."""
-        sums, draws = np.zeros((GROUPS, int(self._mask.sum()))), np.zeros(GROUPS)
-        rows = store.sums(self.id, blocks)
-        for block, errors in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
-            sums[block % GROUPS] += errors.values.to_numpy()
-            draws[block % GROUPS] += BLOCK
-        return sums, draws
+    def means(self, blocks: int, session: Session) -> Generator[Batch, None, list[Array]]:
+        """Mean errors of each set at the instants that count, over the first blocks.
 
-    def means(self, blocks: int, session: Session) -> Generator[Batch, None, Array]:
-        """Mean errors of each set at each instant, (S, T+1), over the first blocks.
-
-        They are 0 where no error counts. A block in which a set has a degenerate draw does not
-        count for this set; a set without a usable block has NaN.
+        A block in which a set has a degenerate draw does not count for this set; a set without a
+        usable block has NaN.
         """
-        sums_by_block: dict[int, Array] = {}
+        starts, set_of = self._counted.starts, self._counted.set_of
+        sums, usable = np.zeros(set_of.size), np.zeros(starts.size)
 
-        def learn(work: Work, result: Result) -> None:
-            sums_by_block[work.draws[0] // BLOCK] = result.sums
+        def add(_block: int, errors: Array) -> None:
+            finite = np.logical_and.reduceat(np.isfinite(errors), starts)
+            sums[:] += np.where(finite[set_of], errors, 0.0)
+            usable[:] += finite
 
-        yield self.batch(session, range(blocks), learn, more_follows=True)
-        # Tasks end in any order, and rounding depends on the order of a sum: sorted by block.
-        sums, usable = np.zeros(self._mask.shape), np.zeros(len(self._mask))
-        for _, errors in sorted(sums_by_block.items()):
-            spread = np.zeros(self._mask.shape)
-            spread[self._mask] = errors
-            finite = np.isfinite(spread).all(axis=1)
-            sums[finite] += spread[finite]
-            usable += finite
+        yield from self.added(session, range(blocks), add, more_follows=True)
         with np.errstate(invalid="ignore"):
-            means: Array = np.where(usable > 0, sums.T / (BLOCK * usable), np.nan).T
-        return means
+            means = np.where(usable[set_of] > 0, sums / (BLOCK * usable[set_of]), np.nan)
+        return np.split(means, starts[1:])
+
+
+class GroupSums:
+    """Sums over groups of blocks; the jackknife leaves one out. Block b is in group b modulo 20."""
+
+    def __init__(self, counted: Counted) -> None:
+        self.sums, self.draws = np.zeros((GROUPS, counted.set_of.size)), np.zeros(GROUPS)
+
+    def add(self, block: int, errors: Array) -> None:
+        """Add the sums of a block, (E,)."""
+        self.sums[block % GROUPS] += errors
+        self.draws[block % GROUPS] += BLOCK
 
 
 def evaluated_by_errors(
@@ -140,7 +166,7 @@ def evaluated_by_errors(
 ) -> Generator[Batch, None, tuple[list[Evaluation], float]]:
     """Evaluations of candidates by their expected errors, and the particle-steps spent.
 
-    Errors are 0 before the candidate's `since`, and after its end. Exact engines need no sums over
+    The errors are those from the candidate's `since` to its end. Exact engines need no sums over
     blocks of draws.
     """
     evaluator = session.built.evaluator
@@ -150,21 +176,21 @@ def evaluated_by_errors(
     ends = np.array([horizon if each.end is None else each.end for each in candidates])
     counted = Counted(sets, first, ends)
     if exact:
-        errors = np.where(counted.at(horizon), evaluator.expected_errors(sets), 0.0)
+        errors = counted.of_instants(evaluator.expected_errors(sets))
     else:
         sums = sums_of(counted)
         errors, steps = (yield from sums.means(blocks, session)), sums.steps(blocks)
-    costs = errors.sum(axis=1) / (horizon + 1)
+    costs = [errors_of_set.sum() / (horizon + 1) for errors_of_set in errors]
     evaluations = [
         Evaluation(
             candidate.measurement_times,
-            cost[None],
+            np.array([cost]),
             exact=float(cost) if exact else None,
             end=candidate.end,
-            errors=row,
+            errors=errors_of_set,
             purpose=purpose,
         )
-        for candidate, row, cost in zip(candidates, errors, costs, strict=True)
+        for candidate, errors_of_set, cost in zip(candidates, errors, costs, strict=True)
     ]
     return evaluations, steps
 

@@ -17,9 +17,9 @@ from pfdist.bounds.relaxation import Relaxation
 from pfdist.common.estimate import CONFIDENCE
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
-from pfdist.filters.work import BLOCK, Estimation, Result, Work, with_truth
+from pfdist.filters.work import BLOCK, Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
-from pfdist.runner.block_sums import GROUPS, BlockSums, Counted, grown
+from pfdist.runner.block_sums import GROUPS, Array, BlockSums, Counted, GroupSums, grown
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
@@ -127,14 +127,15 @@ class Prover:
             self.relaxation, growth = yield from self._grown(session, feasible_times)
         steps = self._steps(feasible_times, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
-        looks, before = list[Look](), 0
+        looks, before, groups = list[Look](), 0, GroupSums(self._counted(feasible_times))
         if self.particles:
             session.reporter.begin("lower bound")
         for blocks in self._blocks:
             reason, sums = "", None
             try:
                 if feasible:
-                    sums = yield from self._sums(session, feasible_times, range(before, blocks))
+                    some = range(before, blocks)
+                    sums = yield from self._sums(session, feasible_times, some, groups)
                 before = blocks
                 gaps = self._gaps(feasible, parts, sums) if sums else {}
             except ModelError as error:
@@ -192,51 +193,55 @@ class Prover:
         return consistent(gaps) if self.particles else gaps
 
     def _sums(
-        self, session: Session, sets: tuple[Times, ...], blocks: range
+        self, session: Session, sets: tuple[Times, ...], blocks: range, groups: GroupSums
     ) -> Generator[Batch, None, Sums]:
-        """Sums of the errors of all windows and of C sets, up to the last of some new blocks.
+        """Sums of the errors of all windows and of C sets, when some blocks are added to groups.
 
         Raises `ModelError` if a draw is degenerate or infinite.
         """
         relaxation, evaluator = self.relaxation, self._built.evaluator
-        instants = evaluator.horizon + 1
         if not self.particles:
             counted = Counted(tuple(relaxation.sets), relaxation.first, relaxation.ends)
-            relaxed = evaluator.expected_errors(counted.sets)[counted.at(evaluator.horizon)]
-            return Sums(relaxed[None], evaluator.expected_errors(sets)[None], np.ones(1))
+            relaxed = counted.of_instants(evaluator.expected_errors(counted.sets))
+            errors = evaluator.expected_errors(sets)
+            return Sums(np.concatenate(relaxed)[None], errors[None], np.ones(1))
         sums, reporter = self._block_sums(sets), session.reporter
         a_block = sums.steps(1)
 
-        def learn(_work: Work, _result: Result) -> None:
+        def add(block: int, errors: Array) -> None:
+            groups.add(block, errors)
             progress = reporter.progress
             reporter.reach(progress.done + a_block, evaluations=progress.evaluations + BLOCK)
 
-        yield sums.batch(session, blocks, learn, more_follows=False)
-        errors, draws = sums.by_group(blocks.stop, session.store)
-        if not np.isfinite(errors).all():
+        yield from sums.added(session, blocks, add)
+        if not np.isfinite(groups.sums).all():
             raise ModelError(
                 "a draw is degenerate or infinite although a particle has its true state: "
                 "log_likelihood must be finite at the state that made the measurement"
             )
-        relaxed, errors_of_sets = np.split(errors, [relaxation.offsets[-1]], axis=1)
-        return Sums(relaxed, errors_of_sets.reshape(len(errors_of_sets), -1, instants), draws)
+        windows, errors_of_sets = np.split(groups.sums, [relaxation.offsets[-1]], axis=1)
+        own = errors_of_sets.reshape(GROUPS, len(sets), -1)
+        return Sums(windows, own, groups.draws)
 
     def _steps(self, sets: tuple[Times, ...], blocks: int) -> float:
         """Particle-steps of windows and sets on the first blocks of draws."""
         return float(self._block_sums(sets).steps(blocks)) if self.particles else 0.0
 
-    def _block_sums(self, sets: tuple[Times, ...]) -> BlockSums:
-        """Sums of the errors of all windows, and of sets at all instants."""
+    def _counted(self, sets: tuple[Times, ...]) -> Counted:
+        """The errors of all windows, and of sets at all instants."""
         relaxation, every = self.relaxation, np.zeros(len(sets), np.int64)
-        counted = Counted(
+        return Counted(
             (*relaxation.sets, *sets),
             np.concatenate([relaxation.first, every]),
             np.concatenate([relaxation.ends, every + relaxation.horizon]),
         )
+
+    def _block_sums(self, sets: tuple[Times, ...]) -> BlockSums:
+        """Sums of the errors of all windows, and of sets at all instants."""
         noise, draws = (
             stream_of("bound", self._built.job.seed, role) for role in ("filter", "draws")
         )
-        return BlockSums(self._built, counted, (noise, draws), self._estimation)
+        return BlockSums(self._built, self._counted(sets), (noise, draws), self._estimation)
 
     def _columns(self, compared_draws: int) -> dict[str, Any]:
         """The columns that all rows of one proof share."""

@@ -276,8 +276,7 @@ def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation])
     """The state after the last candidates were evaluated: degenerate windows are left out."""
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
     for number, evaluation in zip(lacking, evaluations, strict=False):
-        first, end = relaxation.first[number], relaxation.ends[number]
-        errors[relaxation.windows[number]] = evaluation.errors_of_instants[first : end + 1]
+        errors[relaxation.windows[number]] = evaluation.errors_of_instants
     whole = (*state.whole, *evaluations[len(lacking) :])
     updated = replace(state, errors=errors, whole=whole, sets=())
     return replace(updated, relaxation=relaxation.without(updated.degenerate))

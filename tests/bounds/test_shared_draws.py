@@ -51,9 +51,10 @@ class Draws:
 
     def told(self, candidate: Candidate) -> Evaluation:
         times, end, _, _, _, since = candidate
-        t, last = np.arange(HORIZON + 1), HORIZON if end is None else end
-        errors = np.where(((since or 0) <= t) & (t <= last), self.errors(times), 0.0)
-        return Evaluation(times, errors.mean()[None], end=end, errors=errors)
+        last = HORIZON if end is None else end
+        errors = self.errors(times)[since or 0 : last + 1]
+        cost = errors.sum() / (HORIZON + 1)
+        return Evaluation(times, np.array([cost]), end=end, errors=errors)
 
     def bound(self, relaxation: Relaxation) -> float:
         errors = np.array([self.errors(times) for times in relaxation.sets])

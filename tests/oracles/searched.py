@@ -47,7 +47,7 @@ def exactly(model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]) ->
                 np.empty(0),
                 exact=float(errors.mean()),
                 end=end,
-                errors=None if since is None else errors,
+                errors=None if since is None else row[counts],
             )
         )
     return told

@@ -20,11 +20,11 @@ from pfdist.search import Candidate
 from pfdist.store import Store
 
 Completed = Callable[..., Any]
-Means = Callable[[Session, int], np.ndarray]
+Means = Callable[[Session, int], list[np.ndarray]]
 HORIZON, BLOCKS = 12, 3
 SETS = ((0, 3, 7), (0, 3, 4, 5), (), (0, 3, 7, 11))
 COUNTED = Counted(SETS, np.array([7, 5, 0, 0]), np.array([9, 12, 12, 12]))
-COUNTS = COUNTED.at(HORIZON)
+IS_FIRST, IS_LAST = COUNTED.set_of == 0, COUNTED.set_of == 3
 ESTIMATION = Estimation(40, "systematic", "filter_variance")
 
 
@@ -34,25 +34,31 @@ def built(small_job: Job) -> Built:
 
 
 @pytest.fixture
-def means(completed: Completed) -> Callable[[Session, int], np.ndarray]:
+def means(completed: Completed) -> Means:
     """``means(session, blocks)``: the means of a new start of the program."""
 
-    def found(session: Session, blocks: int) -> np.ndarray:
+    def found(session: Session, blocks: int) -> list[np.ndarray]:
         session = Session(session.built, session.store)
         sums = BlockSums(session.built, COUNTED, (5, 5), ESTIMATION)
-        found: np.ndarray = completed(sums.means(blocks, session))
+        found: list[np.ndarray] = completed(sums.means(blocks, session))
         session.commit()
         return found
 
     return found
 
 
-def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> np.ndarray:
-    """Mean errors over some draws, filtered at once; 0 where they do not count."""
+def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> list[np.ndarray]:
+    """Mean errors over some draws, filtered at once, where they count."""
     ends = tuple(COUNTED.ends.tolist())
     work = Work(SETS, ends, (stream,) * len(SETS), stream, draws, ESTIMATION)
     means = built.evaluator.sum_errors(work) / (draws[1] - draws[0])
-    return np.where(COUNTS, means, 0.0)
+    return COUNTED.of_instants(means)
+
+
+def assert_alike(found: list[np.ndarray], errors: list[np.ndarray], rtol: float = 1e-12) -> None:
+    assert len(found) == len(errors)
+    for one, other in zip(found, errors, strict=True):
+        np.testing.assert_allclose(one, other, rtol=rtol)
 
 
 def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtered_again(
@@ -60,11 +66,11 @@ def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtere
 ) -> None:
     first = means(session, 2)
     assert [work.draws for work in handed] == [(0, BLOCK), (BLOCK, 2 * BLOCK)]
-    np.testing.assert_array_equal(means(session, 2), first)
+    assert_alike(means(session, 2), first, rtol=0)
     assert len(handed) == 2
     more = means(session, BLOCKS)
     assert [work.draws for work in handed[2:]] == [(2 * BLOCK, 3 * BLOCK)]
-    np.testing.assert_allclose(more, _expected(built, (0, BLOCKS * BLOCK)), rtol=1e-12)
+    assert_alike(more, _expected(built, (0, BLOCKS * BLOCK)))
 
 
 def test_whatever_order_blocks_come_in_the_means_have_the_same_bytes(
@@ -73,7 +79,7 @@ def test_whatever_order_blocks_come_in_the_means_have_the_same_bytes(
     in_order, do = means(session, 7), SerialPool.run
     monkeypatch.setattr(SerialPool, "run", lambda self, tasks: reversed(list(do(self, tasks))))
     elsewhere = Session(session.built, Store(tmp_path / "another run"))
-    np.testing.assert_array_equal(means(elsewhere, 7), in_order)
+    assert_alike(means(elsewhere, 7), in_order, rtol=0)
 
 
 def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
@@ -83,20 +89,19 @@ def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
 
     def degenerate(self: Evaluator, work: Work) -> Result:
         """In the second block with the first set, and in every block with the last."""
-        sums = np.full(COUNTS.shape, np.nan)
-        sums[COUNTS] = real(self, work).sums
-        sums[3] = np.nan
+        sums = real(self, work).sums.copy()
+        sums[IS_LAST] = np.nan
         if work.draws[0] == BLOCK:
-            sums[0] = np.nan
-        return Result(np.empty(0), sums=sums[COUNTS])
+            sums[IS_FIRST] = np.nan
+        return Result(np.empty(0), sums=sums)
 
     monkeypatch.setattr(Evaluator, "filtered", degenerate)
     found = means(session, BLOCKS)
     monkeypatch.undo()
     blocks = [_expected(built, (block * BLOCK, (block + 1) * BLOCK)) for block in range(BLOCKS)]
-    whole = np.mean(blocks, axis=0)
+    whole = [np.mean(each, axis=0) for each in zip(*blocks, strict=True)]
     np.testing.assert_allclose(found[0], np.mean([blocks[0][0], blocks[2][0]], axis=0), rtol=1e-12)
-    np.testing.assert_allclose(found[1:3], whole[1:3], rtol=1e-12)
+    assert_alike(found[1:3], whole[1:3])
     assert np.isnan(found[3]).all()
 
 
@@ -133,6 +138,5 @@ def test_an_exact_engine_tells_errors_without_draws(
     phase = Phase("mine", search, "search", exact.searches[0].settings, exact)
     completed(run_phase(phase, Session(exact, Store(tmp_path / "run"))))
     assert not handed
-    errors = np.where(COUNTS, exact.evaluator.expected_errors(SETS), 0.0)
-    found = [evaluation.errors_of_instants for evaluation in search.told[1:]]
-    np.testing.assert_allclose(found, errors, rtol=1e-12)
+    errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS))
+    assert_alike([evaluation.errors_of_instants for evaluation in search.told[1:]], errors)
