@@ -14,10 +14,11 @@ These things happen to a batch, in this order; a kill at each point costs:
    block of sums is never cut. A worker holds a task or two: these are lost with it.
 4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait.
-5. Waiting rows are committed with the first result after `COMMIT_SECONDS`, and at the end of a
-   batch unless more follows. A commit writes a file under a temporary name, flushes it and gives it
-   its name: a kill before the last step leaves a temporary file, which the next start removes. The
-   timings of the tasks follow in a file of their own: a kill between the two costs these timings.
+5. Waiting rows are committed with the first result after `COMMIT_SECONDS`, at the end of a batch
+   unless more follows, and when another run of the loop needs them. A commit writes a file under a
+   temporary name, flushes it and gives it its name: a kill before the last step leaves a temporary
+   file, which the next start removes. The timings of the tasks follow in a file of their own: a
+   kill between the two costs these timings.
 6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
    `Session.later` are written after the next commit, when the workers have their next tasks. A kill
    before costs nothing: the driver finds all rows committed, and publishes them again.
