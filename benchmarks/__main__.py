@@ -19,6 +19,7 @@ from benchmarks import (
     prefixes,
     scaling,
     search,
+    size,
     sweep,
     wall,
 )
@@ -38,6 +39,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "online": online,
     "sweep": sweep,
     "wall": wall,
+    "size": size,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"

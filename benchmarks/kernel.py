@@ -23,6 +23,8 @@ from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.settings import DTYPES, RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.kernels.schemes import SCHEMES
+from pfdist.models.base import StateSpaceModel
+from pfdist.models.linear_gaussian import linear_gaussian
 from pfdist.models.loader import installed_models
 from pfdist.plots.style import COLUMN_INCHES, SERIES
 from pfdist.times.measurement_times import regular
@@ -35,10 +37,11 @@ REPEATS = 9
 LEAST_STEPS = 15_000_000  # particle-steps of a measurement; short cases are called several times
 
 SIZES = {
-    "particles": (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000),
-    "horizon": (15, 30, 60, 120, 240, 480),
+    "particles": (50, 200, 500, 1000, 2000, 5000, 10_000, 50_000, 200_000, 1_000_000),
+    "horizon": (15, 30, 60, 120, 240, 480, 1000, 2000),
     "measurement_budget": (2, 11, 21, 31, 61),
     "draws": (1, 10, 100, 1000, 10_000),
+    "components": (1, 2, 3, 4, 6, 8, 12),
 }
 """The quantities that are varied, one at a time, and their values."""
 
@@ -48,6 +51,7 @@ _LABELS = {
     "horizon": "horizon $T$, $N = T/3 + 1$",
     "measurement_budget": "measurement budget $N$, $T = 60$",
     "draws": "draws $K$",
+    "components": "components of a linear system",
 }
 
 
@@ -69,6 +73,7 @@ class Case:
     horizon: int = 60
     measurement_budget: int = 21
     draws: int = 1000
+    components: int = 0  # of a linear system in the place of the model
 
     @property
     def steps(self) -> int:
@@ -94,6 +99,8 @@ def cases(quick: bool) -> Iterator[Case]:
                 case = replace(Case(series, resampling=resampling), **changed)
                 if series == "horizon":
                     case = replace(case, measurement_budget=size // 3 + 1)
+                if series == "components":
+                    case = replace(case, draws=100)
                 if series in ("particles", "horizon"):  # keeps the work about the same
                     case = replace(case, draws=max(1, case.draws * Case().steps // case.steps))
                 yield case
@@ -144,7 +151,8 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _calls(case: Case) -> Callable[[], None]:
-    model, draws = load_model(case.model), _draws(case.model, case.horizon, case.draws)
+    model = _model(case.model, case.components)
+    draws = _draws(case.model, case.components, case.horizon, case.draws)
     times = regular(case.horizon, case.measurement_budget)
     once = partial(
         filter_draws, model, draws, times, case.particles, 2, case.resampling, dtype=case.dtype
@@ -158,8 +166,25 @@ def _calls(case: Case) -> Callable[[], None]:
 
 
 @cache
-def _draws(model: str, horizon: int, count: int) -> Draws:
-    return simulate(load_model(model), horizon, range(count), stream=1)
+def _model(name: str, components: int) -> StateSpaceModel:
+    """The model of a name, or independent components that decay and are all measured."""
+    if not components:
+        return load_model(name)
+    unit = np.eye(components)
+    return linear_gaussian(
+        f"{components} components",
+        initial_noise=unit.tolist(),
+        transition=(0.9 * unit).tolist(),
+        process_noise=unit.tolist(),
+        measurement=unit.tolist(),
+        measurement_noise=unit.tolist(),
+        quantity_of_interest=unit.tolist(),
+    )
+
+
+@cache
+def _draws(model: str, components: int, horizon: int, count: int) -> Draws:
+    return simulate(_model(model, components), horizon, range(count), stream=1)
 
 
 def summary(tables: Tables) -> str:
@@ -218,14 +243,15 @@ def _first_call_table(rows: pd.DataFrame) -> str:
 def plot(tables: Tables) -> Figure:
     """Draw the nanoseconds of a particle-step against each size."""
     rows = tables["kernel"]
-    figure = Figure(figsize=(2 * COLUMN_INCHES, 1.3 * COLUMN_INCHES), layout="constrained")
-    panels = figure.subplots(2, 2, sharey=True)
-    for axes, series in zip(panels.flat, SIZES, strict=True):
+    figure = Figure(figsize=(2 * COLUMN_INCHES, 1.9 * COLUMN_INCHES), layout="constrained")
+    panels = figure.subplots(3, 2)
+    for axes, series in zip(panels.flat, SIZES, strict=False):
         _plot_series(axes, rows[rows["series"] == series], series)
-    panels[0, 0].set_ylim(bottom=0)  # the panels share this axis
+        axes.set_ylim(bottom=0)
     for axes in panels[:, 0]:
         axes.set_ylabel("ns a particle-step")
-    panels[0, 0].legend()
+    panels[2, 1].axis("off")
+    panels[2, 1].legend(*panels[0, 0].get_legend_handles_labels(), loc="center")
     return figure
 
 

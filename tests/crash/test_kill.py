@@ -286,7 +286,7 @@ def test_a_kill_loses_at_most_five_seconds_of_work(
     forks, rng, losses = make_forks(job), random.Random(2), []
     for kill in range(10):
         run, log = tmp_path / f"{kill}", f"{kill}.log"
-        after = MOST_LOST_SECONDS + rng.uniform(1, 6)
+        after = MOST_LOST_SECONDS + rng.uniform(3, 8)
         assert forks.run(run, log, kill_after=after) == -signal.SIGKILL
         draws, seconds = _logged(tmp_path / log)
         assert seconds > MOST_LOST_SECONDS  # so much could be lost
