@@ -1,4 +1,4 @@
-"""What large problems take: whole commands with many draws, and with long horizons.
+"""The seconds and the memory of large problems: whole commands with many draws or long horizons.
 
 The memory is the largest of the process. Kernels are on disk: a small problem runs first.
 """

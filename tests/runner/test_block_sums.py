@@ -57,8 +57,8 @@ def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> list[np.
 
 def assert_alike(found: list[np.ndarray], errors: list[np.ndarray], rtol: float = 1e-12) -> None:
     assert len(found) == len(errors)
-    for one, other in zip(found, errors, strict=True):
-        np.testing.assert_allclose(one, other, rtol=rtol)
+    for mean, expected in zip(found, errors, strict=True):
+        np.testing.assert_allclose(mean, expected, rtol=rtol)
 
 
 def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtered_again(
