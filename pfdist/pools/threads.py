@@ -1,6 +1,7 @@
 """The pool of threads in the process of the driver. Compiled filters release Python's lock."""
 
 import contextlib
+import sys
 import time
 from collections.abc import Iterable, Iterator
 from queue import Empty, SimpleQueue
@@ -14,6 +15,9 @@ from pfdist.pools.cores import usable_cores
 
 IN_FLIGHT = 2  # tasks of a thread: the one that it does, and the next
 _LEAVE_SECONDS = 0.5
+# A thread that has filtered waits so long for Python's lock while the driver computes. By default
+# Python lets it wait for 5 ms, several times a task.
+_SWITCH_SECONDS = 0.0005
 _END = object()  # there are no more tasks
 _BUSY = object()  # no thread was free to take another task
 
@@ -29,12 +33,15 @@ class ThreadPool:
         self.workers = workers or usable_cores()
         self._threads: list[_Worker] = []
         self._todo = SimpleQueue[_Handed | None]()
+        self._switch_seconds = sys.getswitchinterval()
 
     def __enter__(self) -> Self:
+        sys.setswitchinterval(_SWITCH_SECONDS)
         self._threads = [_Worker(self._todo, number) for number in range(self.workers)]
         return self
 
     def __exit__(self, *_: object) -> None:
+        sys.setswitchinterval(self._switch_seconds)
         self._forget_tasks()
         threads, self._threads = self._threads, []
         for _each in threads:
