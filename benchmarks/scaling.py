@@ -20,7 +20,7 @@ from benchmarks.bare_processes import measure_rate
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_job, run
-from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, ORANGE, RED
+from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.first_draws import TRAJECTORIES
 from pfdist.runner.progress import Progress
 
@@ -31,6 +31,7 @@ JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 PAPERS_DRAWS = 1000
 GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by draws of an evaluation; the first is not timed
 REPEATS = 3
+RUNS = (("threads", 1), ("threads", 2), ("ray", 1), ("ray", 2))
 BARE_SECONDS = 2.0
 BARE = "bare processes"
 _KIND = ["draws", "pool"]
@@ -59,7 +60,7 @@ def measure(quick: bool, say: Say) -> Tables:
     with ray_costs.session(cores=2):
         for repeat in range(1 if quick else REPEATS):
             for draws, generations in sizes.items():
-                for pool, workers in (("serial", 1), ("ray", 1), ("ray", 2)):
+                for pool, workers in RUNS:
                     found = _search(pool, workers, draws, generations)
                     rows.append({"repeat": repeat, "draws": draws, **found})
                     say(f"{pool} {workers}, {draws} draws: {found['rate'] / 1e9:.3f}e9 steps a s")
@@ -160,19 +161,23 @@ def plot(tables: Tables) -> Figure:
     rows = tables["scaling"]
     figure = Figure(figsize=(2 * COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
     left, right = figure.subplots(1, 2)
-    kinds = {("serial", 1): ORANGE, ("ray", 1): BLUE, ("ray", 2): RED}
-    for (pool, workers), colour in kinds.items():
+    for (pool, workers), colour in zip(RUNS, (ORANGE, GREEN, BLUE, RED), strict=True):
         chosen = rows[(rows["pool"] == pool) & (rows["workers"] == workers)]
         rates = chosen.groupby("draws")["rate"].agg(["median", "min", "max"]) / 1e9
-        name = "serial pool" if pool == "serial" else f"Ray, {workers} worker{'s' * (workers - 1)}"
+        kind = "Ray, {} worker{}" if pool == "ray" else "{} thread{}"
+        name = kind.format(workers, "s" * (workers - 1))
         left.plot(rates.index, rates["median"], color=colour, marker="o", ms=2.5, label=name)
         left.fill_between(rates.index, rates["min"], rates["max"], color=colour, alpha=0.2, lw=0)
     left.set_ylabel(r"$10^9$ particle-steps a second")
     left.set_ylim(bottom=0)
     left.legend()
     found = efficiencies(rows)
-    kinds_right = (("ray", RED, "search on Ray", 1.0), (BARE, GREY, BARE, 1.07))
-    for pool, colour, name, aside in kinds_right:
+    kinds = (
+        ("threads", GREEN, "search on threads", 0.93),
+        ("ray", RED, "search on Ray", 1.0),
+        (BARE, GREY, BARE, 1.07),
+    )
+    for pool, colour, name, aside in kinds:
         pairs = 100 * found[found["pool"] == pool].set_index("draws")["efficiency"]
         each = pairs.groupby("draws").agg(["median", "min", "max"])
         spread = each["median"] - each["min"], each["max"] - each["median"]
