@@ -146,6 +146,9 @@ def _sum(matrix: Matrix, noise: Matrix) -> Formula:
 def _row(matrix: Matrix, i: int) -> Formula:
     """The function ``(x, t) -> component i of matrix(t) x``."""
     rows, columns = _function(matrix), _shape(matrix)[1]
+    if not callable(matrix):
+        entries = [(j, entry) for j, entry in enumerate(rows(0)[i]) if entry != 0]
+        return _dot(entries or [(0, 0.0)])
 
     def component(x: Any, t: Any) -> Any:
         row, total = rows(t)[i], 0.0
@@ -154,6 +157,15 @@ def _row(matrix: Matrix, i: int) -> Formula:
         return total
 
     return component
+
+
+def _dot(entries: list[tuple[int, float]]) -> Formula:
+    """The function ``(x, t) -> sum of entry * x[j]``; compiled code would copy a whole matrix."""
+    *others, (j, entry) = entries
+    if not others:
+        return lambda x, t: entry * x[j]
+    head = _dot(others)
+    return lambda x, t: head(x, t) + entry * x[j]
 
 
 def _stacked(functions: list[Formula]) -> Formula:
