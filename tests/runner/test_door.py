@@ -11,10 +11,11 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.errors import SweepError
+from pfdist.errors import StoreError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work
-from pfdist.runner.door import Batch, Driver, Session, complete
+from pfdist.runner.door import Batch, Driver, Loop, Session, complete
+from pfdist.store import Store
 
 WORK = Work(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))
 ALIKE = {"comparison.draws": [250, 300]}  # two points with one search
@@ -52,6 +53,39 @@ def test_points_that_wait_for_a_point_that_fails_compute_what_it_has_not(
         pfdist.sweep(small_job, ALIKE, changes=["execution.failures=0"], **options)
     (name,) = caught.value.failed
     assert "one bad task" in caught.value.failed[name]
+    assert hashes(tmp_path / "sweep" / "comparison.draws=300") == hashes(alone)
+    assert len(pfdist.sweep(small_job, ALIKE, **options).runs) == 2
+
+
+def test_a_point_that_cannot_commit_what_others_need_fails_and_they_compute_it(
+    finished: Callable[..., Path],
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    alone, commit, lend = finished("comparison.draws=300"), Session.commit, Loop._has_committed
+    is_lending, failed = list[bool](), list[str]()
+
+    def lending(loop: Loop, store: Store) -> bool:
+        is_lending.append(True)
+        try:
+            return lend(loop, store)
+        finally:
+            is_lending.clear()
+
+    def failing(session: Session) -> None:
+        if is_lending and not failed:
+            failed.append(session.store.path.name)
+            raise StoreError("the disk is full")
+        commit(session)
+
+    monkeypatch.setattr(Loop, "_has_committed", lending)
+    monkeypatch.setattr(Session, "commit", failing)
+    options: Any = {"results": tmp_path / "sweep", "report": False}
+    with pytest.raises(SweepError) as caught:
+        pfdist.sweep(small_job, ALIKE, **options)
+    assert failed == [*caught.value.failed] == ["comparison.draws=250"]
+    assert "the disk is full" in caught.value.failed[failed[0]]
     assert hashes(tmp_path / "sweep" / "comparison.draws=300") == hashes(alone)
     assert len(pfdist.sweep(small_job, ALIKE, **options).runs) == 2
 
