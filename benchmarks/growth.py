@@ -95,7 +95,7 @@ def _proved(model: StateSpaceModel, horizon: int, limit: float) -> dict[str, Any
                 np.empty(0),
                 exact=float(row.mean()),
                 end=each.end,
-                errors=row,
+                errors=row[each.since or 0 : (horizon if each.end is None else each.end) + 1],
             )
             for each, row in zip(asked, errors, strict=True)
         ]
