@@ -142,7 +142,8 @@ def run_built(
             try_report(run, say)
         return run
 
-    # Figures are drawn in a thread, beside the proof, and while the pool is left.
+    # Figures are drawn in a thread, beside the proof, and while the pool is left. One that fails
+    # beside the proof is still missing at the end: it is drawn again, and raises its error.
     with opened(path, built, say) as store, ThreadPoolExecutor(1) as beside:
 
         def driver() -> Generator[Batch, None, Future[Run]]:

@@ -24,8 +24,10 @@ from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import BOUND_PHASE
 from pfdist.times.measurement_times import Times
 
-SET_DRAWS, _FOR_EACH = 20_000, 12
-"""Draws on which a set alone is filtered: so many for each draw of the bound, and at most."""
+SET_DRAWS = 20_000
+"""Most draws on which a set alone is filtered."""
+
+_FOR_EACH = 12  # draws of a set alone for each draw of the bound
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,8 @@
 """The loop serves every driver to its end, whatever happens to another one."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,10 @@ from pfdist.cli.main import main
 from pfdist.errors import StoreError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work
+from pfdist.pools.base import Outcome, Task, do
+from pfdist.runner import door
 from pfdist.runner.door import Batch, Driver, Loop, Session, complete
+from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import Store
 
 WORK = Work(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))
@@ -88,6 +92,61 @@ def test_a_point_that_cannot_commit_what_others_need_fails_and_they_compute_it(
     assert "the disk is full" in caught.value.failed[failed[0]]
     assert hashes(tmp_path / "sweep" / "comparison.draws=300") == hashes(alone)
     assert len(pfdist.sweep(small_job, ALIKE, **options).runs) == 2
+
+
+class InOrder:
+    """A pool that ends its tasks in the order of the names of their evaluations."""
+
+    workers = 1
+
+    def __enter__(self) -> "InOrder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+        waiting, todo = list[Task](), iter(tasks)
+        while True:
+            while (task := next(todo, None)) is not None:
+                waiting.append(task)
+            if not waiting:
+                return
+            first = min(waiting, key=lambda task: [work.ids for work in task.work])
+            waiting.remove(first)
+            yield Outcome(first, *do(first.function, first.work))
+
+
+def test_who_waits_for_a_run_that_cannot_commit_what_a_third_needs_goes_on(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(door, "COMMIT_SECONDS", 1000.0)
+    commit, learnt = Session.commit, list[tuple[str, str]]()
+
+    def failing(session: Session) -> None:
+        if session.store.path.name == "lender" and session.has_waiting_rows:
+            raise StoreError("the disk is full")
+        commit(session)
+
+    def driver(name: str, *ids: str) -> Driver:
+        own = Session(session.built, Store(tmp_path / name, "key"))
+        for id_ in ids:
+            yield Batch(
+                own, "phase", [replace(WORK, ids=(id_,))], PER_DRAW,
+                lambda work, _: learnt.append((name, *work.ids)), more_follows=True,
+            )  # fmt: skip
+
+    def lender() -> Driver:
+        with pytest.raises(StoreError, match="the disk is full"):
+            yield from driver("lender", "a", "z")
+
+    monkeypatch.setattr(Session, "commit", failing)
+    loop = Loop(InOrder(), at_once=3)
+    loop.serve([lender(), driver("waits", "b", "z"), driver("third", "c", "a")])
+    assert learnt == [
+        *(("lender", "a"), ("waits", "b"), ("third", "c")),
+        *(("third", "a"), ("waits", "z")),
+    ]
 
 
 def test_a_sweep_without_workers_ends_with_one_line(
