@@ -70,7 +70,7 @@ model = dataclasses.replace(ungm.model, measurement=measurement)
 """
 RAISE = 'raise RuntimeError("no such state")'
 RAISE_ONCE = 'if not Path(FLAG).exists(): Path(FLAG).touch(); raise RuntimeError("no such state")'
-LOOP = "while True: pass"
+LOOP = "Path(FLAG).touch()\n        while True: pass"
 CRASH_ONCE = "if not Path(FLAG).exists(): Path(FLAG).touch(); os.kill(os.getpid(), signal.SIGSEGV)"
 
 Record = Callable[[str, object], None]
@@ -210,8 +210,8 @@ def test_a_thread_that_never_ends_ends_the_run_after_a_commit_and_the_command_so
     words = command(LOOP, run, "--pool", "threads", "--workers", "2")
     with running(Path(words[1]), run, *words[4:], "--no-report") as driver:
         if end == "Ctrl-C":
-            driver.wait_for((run / "tables" / "evaluations").exists)
-            time.sleep(3.0)
+            driver.wait_for((tmp_path / "flag").exists)
+            time.sleep(3.0)  # so long the other thread goes on
             driver.process.send_signal(signal.SIGINT)
             until(lambda: driver.said[-1].startswith("pfdist: interrupted"), 3.0)
             assert driver.wait() == 130
