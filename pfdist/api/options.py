@@ -26,6 +26,9 @@ class Options(TypedDict, total=False):
         Replaces the job's execution.workers; 0 takes all cores.
     address : str, optional
         Replaces the job's execution.address: that of an existing Ray cluster.
+    wait_for_cores : int, optional
+        Replaces the job's execution.wait_for_cores: how many cores the cluster must have before the
+        run begins.
     figures : bool
         Whether to draw the figures that the folder lacks.
     report : bool, optional
@@ -42,6 +45,7 @@ class Options(TypedDict, total=False):
     pool: str | None
     workers: int | None
     address: str | None
+    wait_for_cores: int | None
     figures: bool
     report: bool | None
     progress: Show | bool
@@ -55,6 +59,7 @@ class Chosen:
     pool: str | None = None
     workers: int | None = None
     address: str | None = None
+    wait_for_cores: int | None = None
     figures: bool = True
     report: bool | None = None
     progress: Show | bool = False
@@ -63,7 +68,7 @@ class Chosen:
     @property
     def execution(self) -> dict[str, Any]:
         """Changes of the job's section [execution]."""
-        return {"pool": self.pool, "workers": self.workers, "address": self.address}
+        return {key: getattr(self, key) for key in ("pool", "workers", "address", "wait_for_cores")}
 
     @property
     def has_report(self) -> bool:

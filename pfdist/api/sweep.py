@@ -92,6 +92,7 @@ def sweep(
     pool: str | None = None,
     workers: int | None = None,
     address: str | None = None,
+    wait_for_cores: int | None = None,
     changes: Iterable[str] = (),
     bound_draws: int = 0,
     judge: bool | None = None,
@@ -120,9 +121,10 @@ def sweep(
         The folder of the sweep; by default ``results/<the sweep file's stem>``, or
         ``results/<the job file's stem>-sweep``.
     pool : str, optional
-        As for `pfdist.run`, and so are the next three; all points share the workers.
+        As for `pfdist.run`, and so are the next four; all points share the workers.
     workers : int, optional
     address : str, optional
+    wait_for_cores : int, optional
     changes : iterable of str, optional
     bound_draws : int
         Number of draws of the lower bound that is proved at each point; 0 for no bound.
@@ -147,7 +149,13 @@ def sweep(
     PfdistError
         The sweep is wrong, or no worker answers. The same call resumes the sweep.
     """
-    sweep_job = sweep_of_job(job, over, parallel, points, changes, pool, workers, address)
+    execution = {
+        "pool": pool,
+        "workers": workers,
+        "address": address,
+        "wait_for_cores": wait_for_cores,
+    }
+    sweep_job = sweep_of_job(job, over, parallel, points, changes, execution)
     path, judges_points = checked_folder(sweep_job, results, judge)
     check_pool(sweep_job.execution)
     bound = bound_settings(bound_draws)
@@ -244,12 +252,9 @@ def sweep_of_job(
     parallel: Sequence[Values],
     points: Sequence[Values],
     changes: Iterable[str],
-    pool: str | None = None,
-    workers: int | None = None,
-    address: str | None = None,
+    execution: Mapping[str, object] = _NOTHING,
 ) -> SweepJob:
     """The sweep that somebody asks for; parameters and errors as of `sweep`."""
-    execution = {"pool": pool, "workers": workers, "address": address}
     return read_sweep(job, over, parallel, points, changes, {"execution": execution})
 
 

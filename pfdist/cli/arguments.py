@@ -74,37 +74,35 @@ def add_no_report(parser: ArgumentParser) -> None:
     )
 
 
-def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentParser], None]:
-    """A function that adds ``--pool``, ``--workers`` and ``--address``.
-
-    Parameters
-    ----------
-    pool, workers, address : str
-        Describes the default of each option.
-    """
-
-    def add(parser: ArgumentParser) -> None:
-        kinds = "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
-        parser.add_argument(
-            "--pool",
-            choices=[AUTO, *POOLS],
-            help=f"where tasks are computed: {kinds}; {AUTO}, on Ray if a cluster is given or "
-            f"formulas run in NumPy, else on threads (default: {pool})",
-        )
-        parser.add_argument(
-            "--workers",
-            type=whole,
-            metavar="N",
-            help=f"number of workers; 0 is one for each core (default: {workers})",
-        )
-        parser.add_argument(
-            "--address",
-            metavar="HOST:PORT",
-            help="join the Ray cluster at this address; "
-            f'"auto" finds a cluster, "local" starts one on this machine (default: {address})',
-        )
-
-    return add
+def add_pool(parser: ArgumentParser) -> None:
+    """Add ``--pool``, ``--workers``, ``--address`` and ``--wait-for-cores``."""
+    kinds = "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
+    parser.add_argument(
+        "--pool",
+        choices=[AUTO, *POOLS],
+        help=f"where tasks are computed: {kinds}; {AUTO}, on Ray if a cluster is given or "
+        f"formulas run in NumPy, else on threads (default: execution.pool of the job)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole,
+        metavar="N",
+        help="number of workers; 0 is one for each core (default: execution.workers of the job)",
+    )
+    parser.add_argument(
+        "--address",
+        metavar="HOST:PORT",
+        help="join the Ray cluster at this address; "
+        '"auto" finds a cluster, "local" starts one on this machine (default: '
+        "execution.address of the job)",
+    )
+    parser.add_argument(
+        "--wait-for-cores",
+        type=whole,
+        metavar="N",
+        help="begin when the Ray cluster has N cores, within 5 minutes (default: "
+        "execution.wait_for_cores of the job)",
+    )
 
 
 def computing(
@@ -126,8 +124,7 @@ def computing(
         parser.add_argument(
             "--results", metavar="DIR", help=f"folder of the {what} (default: {results})"
         )
-        sections = (f"execution.{key} of the job" for key in ("pool", "workers", "address"))
-        pool_options(*sections)(parser)
+        add_pool(parser)
         if reuse:
             parser.add_argument(
                 "--reuse",

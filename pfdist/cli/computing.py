@@ -16,6 +16,6 @@ def settings(options: Namespace, display: Display) -> dict[str, Any]:
     display : Display
         Shows the progress of the run, and prints its messages.
     """
-    names = ("results", "pool", "workers", "address", "reuse")
+    names = ("results", "pool", "workers", "address", "wait_for_cores", "reuse")
     chosen = {name: getattr(options, name) for name in names if hasattr(options, name)}
     return {**chosen, "report": not options.no_report, "progress": display.show, "say": display.say}

@@ -226,4 +226,5 @@ class Execution(Section):
     pool: PoolName = AUTO_POOL
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
     address: Text = ""
+    wait_for_cores: Annotated[int, Field(ge=0, lt=2**63)] = 0
     failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

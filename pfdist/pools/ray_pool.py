@@ -56,6 +56,7 @@ IN_FLIGHT = 2  # tasks of a thread: the one that it does, and the next
 DEATHS = 3  # of workers that had only this task, before the task is given up
 SILENCES = 2  # of workers that had only this task and did not answer, likewise
 ANSWER_SECONDS = 40.0  # when all workers are silent for longer, none will answer
+WAIT_SECONDS = 300.0  # for the cores that the cluster must have before workers start
 TAKEN_SECONDS = 3.0  # for which cores may still belong to workers that are just ending
 FUNCTIONS = 32  # that a worker keeps; fewer runs are computed at the same time
 _END = Task("", repr, None)  # there are no more tasks
@@ -74,14 +75,23 @@ class RayPool:
     attribute is the number of tasks that are done at the same time, when all cores are free.
 
     Without an address, or for local, a cluster is started, unless this process has joined one. If
-    not `threaded`, because tasks keep Python's lock, every core has a worker of its own.
+    not `threaded`, because tasks keep Python's lock, every core has a worker of its own. Workers
+    start when the cluster has as many cores as `wait_for_cores` says.
 
     On entering, raises `PoolError` if Ray does not start or does not answer, or if no node has this
-    version of pfdist.
+    version of pfdist; and `SilenceError` if the cluster lacks cores for `WAIT_SECONDS`.
     """
 
-    def __init__(self, workers: int = 0, address: str = "", threaded: bool = True) -> None:
+    def __init__(
+        self,
+        workers: int = 0,
+        address: str = "",
+        wait_for_cores: int = 0,
+        *,
+        threaded: bool = True,
+    ) -> None:
         self._demanded, self._address, self._threaded = workers, address, threaded
+        self._least_cores = wait_for_cores
         self._cluster = contextlib.ExitStack()
         self._members: dict[_Worker, None] = {}
         self._answers = SimpleQueue[Call]()  # filled by a thread of Ray's
@@ -104,6 +114,7 @@ class RayPool:
     def __enter__(self) -> Self:
         try:
             self._cluster.enter_context(connected(self._address, self.workers))
+            self._wait_for_cores()
             self._start_workers()
         except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
             self.__exit__()
@@ -157,6 +168,24 @@ class RayPool:
                 yield from self._look()
 
     # --- workers that start ---------------------------------------------------------------------
+
+    def _wait_for_cores(self) -> None:
+        deadline = time.monotonic() + WAIT_SECONDS
+        if (cores := all_cores()) < self._least_cores:
+            warnings.warn(
+                f"the Ray cluster has {cores} of {self._least_cores} cores: waiting for the others "
+                f"for up to {WAIT_SECONDS:.0f} s",
+                EngineWarning,
+                stacklevel=3,
+            )
+        while (cores := all_cores()) < self._least_cores:
+            if time.monotonic() > deadline:
+                raise SilenceError(
+                    f"after {WAIT_SECONDS:.0f} s the Ray cluster has {cores} of the "
+                    f"{self._least_cores} cores that it must have",
+                    argument="wait_for_cores",
+                )
+            time.sleep(base.PAUSE_SECONDS)
 
     def _start_workers(self) -> None:
         """Start workers on the cores that are free, and wait until each has reported its version.

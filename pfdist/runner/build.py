@@ -210,12 +210,13 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
 
 
 def check_pool(execution: Execution) -> None:
-    """Raise a `JobError` if [execution] has workers or an address that its pool does not take."""
-    pool, workers, address = execution.pool, execution.workers, execution.address
+    """Raise a `JobError` if [execution] has settings that its pool does not take."""
+    pool = execution.pool
     if pool == AUTO_POOL:
         return
-    for name, got, given in (("workers", workers, workers > 1), ("address", address, address)):
-        if given and name not in POOLS[pool].takes:
+    for name, without in (("workers", (0, 1)), ("address", ("",)), ("wait_for_cores", (0,))):
+        got = getattr(execution, name)
+        if got not in without and name not in POOLS[pool].takes:
             others = ", ".join(repr(other) for other, kind in POOLS.items() if name in kind.takes)
             raise JobError(
                 f"execution.pool = {pool!r}, which computes {POOLS[pool].description}, takes no "
@@ -245,7 +246,7 @@ def make_pool(execution: Execution, *, threaded: bool = True) -> Pool:
 
     `threaded` is as of `chosen_pool`.
     """
-    return POOLS[execution.pool].make(execution.workers, execution.address, threaded)
+    return POOLS[execution.pool].make(**execution.model_dump(), threaded=threaded)
 
 
 def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:

@@ -52,7 +52,7 @@ def make_pool(request: pytest.FixtureRequest) -> Callable[[], Pool]:
     name, workers = request.param
     if name == "ray":
         request.getfixturevalue("ray_cluster")
-    return lambda: POOLS[name].make(workers)
+    return lambda: POOLS[name].make(workers=workers)
 
 
 @pytest.mark.parametrize("name", POOLS)
@@ -89,7 +89,7 @@ def test_each_task_has_its_own_function(make_pool: Callable[[], Pool]) -> None:
 def test_a_function_that_a_worker_cannot_make_is_refused_in_a_line(ray_cluster: None) -> None:
     refused = Made("from pfdist.errors import ModelError; raise ModelError('no')")
     tasks = [Task("refused", refused, 1), Task("good", SQUARE, 3)]
-    with POOLS["ray"].make(1) as pool:
+    with POOLS["ray"].make(workers=1) as pool:
         outcomes = {outcome.task.key: outcome for outcome in pool.run(tasks)}
     assert (outcomes["good"].value, outcomes["good"].refused) == (9, False)
     assert outcomes["refused"].refused

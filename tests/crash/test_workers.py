@@ -170,7 +170,7 @@ def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
     job = make_job(500_000)
     with nodes(tmp_path, 3) as cluster:
         _, first, second = cluster.all
-        address = ("--address", cluster.address)
+        address = ("--address", cluster.address, "--wait-for-cores", "3")
         with running(job, tmp_path / "run", *address, **cluster.environment) as driver:
             driver.wait_for(lambda: driver.parts("comparison"))
             kill(first)

@@ -10,7 +10,7 @@ from typing import Any
 import cloudpickle
 import pytest
 
-from pfdist.errors import EngineWarning, PoolError
+from pfdist.errors import EngineWarning, PoolError, SilenceError
 from pfdist.pools import base, ray_pool
 from pfdist.pools.base import Task
 from pfdist.pools.ray_cluster import about
@@ -60,7 +60,13 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
     """Starts a pool of simulated workers; arguments replace methods of the actors."""
     stack = contextlib.ExitStack()
 
-    def start(cluster: Cluster, workers: int = 0, threaded: bool = True, **methods: Any) -> RayPool:
+    def start(
+        cluster: Cluster,
+        workers: int = 0,
+        wait_for_cores: int = 0,
+        threaded: bool = True,
+        **methods: Any,
+    ) -> RayPool:
         class Simulated:
             def __init__(self, node: str, cores: int) -> None:
                 self.node, self.cores, actor = node, cores, ray_pool._Actor()
@@ -84,7 +90,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
         monkeypatch.setattr(ray_pool, "_send", lambda f: (id(f), cloudpickle.dumps(f)))
         monkeypatch.setattr(ray_pool.ray, "kill", kill)
         monkeypatch.setattr(ray_pool.ray, "is_initialized", lambda: False)
-        return stack.enter_context(RayPool(workers, threaded=threaded))
+        pool = RayPool(workers, wait_for_cores=wait_for_cores, threaded=threaded)
+        return stack.enter_context(pool)
 
     yield start
     stack.close()
@@ -129,6 +136,36 @@ def test_cores_that_become_free_get_workers_at_the_next_look(
     outcomes += [outcome.value for outcome in run]
     assert ("b", 2) in _workers(pool)
     assert sorted(outcomes) == list(range(2000))
+
+
+def test_workers_start_when_the_cluster_has_as_many_cores_as_are_waited_for(
+    started: Started, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster = Cluster({"a": 2})
+    monkeypatch.setattr(base, "PAUSE_SECONDS", 0.0)
+    looks = iter(range(5))
+    count = cluster.all_cores
+
+    def all_cores() -> int:
+        if next(looks, None) == 3:
+            cluster.nodes["b"] = 4
+        return count()
+
+    monkeypatch.setattr(cluster, "all_cores", all_cores)
+    with pytest.warns(EngineWarning, match=r"^the Ray cluster has 2 of 6 cores: waiting .* 300 s"):
+        pool = started(cluster, wait_for_cores=6)
+    assert _workers(pool) == [("a", 2), ("b", 4)]
+
+
+def test_cores_that_never_come_end_the_wait(
+    started: Started, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ray_pool, "WAIT_SECONDS", 0.1)
+    with (
+        pytest.warns(EngineWarning, match="2 of 6 cores"),
+        pytest.raises(SilenceError, match=r"^after 0 s the Ray cluster has 2 of the 6 cores"),
+    ):
+        started(Cluster({"a": 2}), wait_for_cores=6)
 
 
 def test_a_node_of_another_version_is_named_and_left_out(started: Started) -> None:

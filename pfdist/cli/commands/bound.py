@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import fields
 
 from pfdist.cli.answers import print_json, print_page
-from pfdist.cli.arguments import add_answer, add_job_of_run, count, finite, pool_options, whole
+from pfdist.cli.arguments import add_answer, add_job_of_run, add_pool, count, finite, whole
 from pfdist.cli.command import command
 
 
@@ -55,14 +55,11 @@ def _add_settings(parser: ArgumentParser) -> None:
     )
 
 
-_add_pool = pool_options(*(f"execution.{key} of the job" for key in ("pool", "workers", "address")))
-
-
 @command(
     "bound",
     add_job_of_run,
     _add_settings,
-    _add_pool,
+    add_pool,
     add_answer,
     goes_on=True,
     examples={
@@ -87,6 +84,7 @@ def bound_command(options: Namespace) -> None:
             pool=options.pool,
             workers=options.workers,
             address=options.address,
+            wait_for_cores=options.wait_for_cores,
             progress=display.show,
             say=display.say,
         )

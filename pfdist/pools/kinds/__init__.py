@@ -18,20 +18,19 @@ class PoolKind:
     title: str  # begins a sentence about a pool: "Serial pool"
     description: str  # where the tasks are computed, as a phrase for help
     factory: str  # ``module:object``, which gives a `Pool` when it is called with its settings
-    # ``workers`` if a pool can have several workers, ``address`` if it can join a cluster, and
-    # ``threaded`` if its workers can be processes with threads, or processes without.
+    # ``workers`` if a pool can have several workers, ``address`` and ``wait_for_cores`` if it can
+    # join a cluster, and ``threaded`` if its workers can be processes with threads or without.
     takes: tuple[str, ...] = ()
     # Whether a formula that crashes ends only a worker. If not, it ends the process of the driver.
     isolated: bool = False
 
-    def make(self, workers: int = 0, address: str = "", threaded: bool = True) -> Pool:
-        """The pool, which starts when it is entered.
+    def make(self, **settings: int | str | bool) -> Pool:
+        """The pool, which starts when it is entered; it ignores the settings that it does not take.
 
         0 leaves the number of workers to the pool. `threaded` says whether tasks release Python's
         lock, so that threads of a process can work together.
         """
-        settings = {"workers": workers, "address": address, "threaded": threaded}
-        taken = {name: settings[name] for name in self.takes}
+        taken = {name: settings[name] for name in self.takes if name in settings}
         pool: Pool = pkgutil.resolve_name(self.factory)(**taken)
         return pool
 

@@ -11,7 +11,7 @@ POOLS.declare(
         "Ray",
         "on Ray workers",
         "pfdist.pools.ray_pool:RayPool",
-        takes=("workers", "address", "threaded"),
+        takes=("workers", "address", "wait_for_cores", "threaded"),
         isolated=True,
     ),
 )
