@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
+    driver,
     estimators,
     genetic,
     growth,
@@ -34,6 +35,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "growth": growth,
     "estimators": estimators,
     "scaling": scaling,
+    "driver": driver,
     "search": search,
     "genetic": genetic,
     "online": online,

@@ -138,13 +138,14 @@ class InterimGains:
 
     def learn(self, index: range, values: NDArray[np.float64]) -> None:
         """Add the MSE of draws, (D, S), and then every whole block that has no gap before it."""
-        draws = np.array(index)
-        for number in np.unique(draws // BLOCK).tolist():
-            in_block = draws // BLOCK == number
+        for number in range(index.start // BLOCK, (index.stop - 1) // BLOCK + 1):
+            start = number * BLOCK
             if number not in self._waiting:
-                size = min(BLOCK, self._draws - number * BLOCK)
+                size = min(BLOCK, self._draws - start)
                 self._waiting[number] = _Block(size, values.shape[1])
-            self._waiting[number].take(draws[in_block] - number * BLOCK, values[in_block])
+            first, last = max(index.start, start), min(index.stop, start + BLOCK)
+            part = values[first - index.start : last - index.start]
+            self._waiting[number].take(slice(first - start, last - start), part)
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
             self._gains = self._gains_now()  # after each block, because outcomes come more often
@@ -168,5 +169,5 @@ class _Block:
     def lacks_draws(self) -> bool:
         return bool(self.missing.any())
 
-    def take(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+    def take(self, places: slice, values: NDArray[np.float64]) -> None:
         self.values[places], self.missing[places] = values, False

@@ -4,7 +4,8 @@ Each task gets a share of the remaining work, so that all workers end together, 
 number and speed (Polychronopoulos, Kuck, "Guided self-scheduling: a practical scheduling scheme for
 parallel supercomputers", IEEE Transactions on Computers 36, 1987). A task takes at most a fraction
 of a second, because a kill loses unfinished tasks. It takes at least ten times what its transport
-costs; more where several runs share the workers. The speed is learnt as tasks end.
+costs; more where several runs share the workers. With hundreds of workers, tasks are longer, so
+that the driver can serve all workers meanwhile. The speed is learnt as tasks end.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,6 +17,8 @@ from pfdist.filters.work import Work
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
 LEAST_SHARED_SECONDS = 0.05  # for several runs: workers seldom wait for the last tasks of one
+SERVING_SECONDS = 0.0003  # what the driver takes to hand out a task and to take its outcome
+LONGEST_SECONDS = 2.0  # however many workers there are
 MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
 _SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
 
@@ -31,7 +34,9 @@ class Pace:
         self, seconds: float, workers: int, *, learnt: bool = False, is_shared: bool = False
     ) -> None:
         self.seconds = seconds
-        self._least_learnt = LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS
+        serving = min(LONGEST_SECONDS, SERVING_SECONDS * workers)
+        self._least_learnt = max(LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS, serving)
+        self._most = min(LONGEST_SECONDS, max(MOST_SECONDS, 3 * serving))
         self._workers, self._learnt = workers, learnt
 
     def learn(self, steps: int, seconds: float) -> None:
@@ -48,7 +53,7 @@ class Pace:
         if self._learnt:
             share = remaining * self.seconds / (_SHARE * self._workers)
             least = self._least_learnt
-        return max(1, round(min(MOST_SECONDS, max(least, share)) / self.seconds))
+        return max(1, round(min(self._most, max(least, share)) / self.seconds))
 
 
 class Bundle(NamedTuple):

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from pfdist.filters.work import Estimation, Work
-from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
+from pfdist.runner.pace import (
+    LEAST_SECONDS,
+    LONGEST_SECONDS,
+    MOST_ROWS,
+    MOST_SECONDS,
+    SERVING_SECONDS,
+    Pace,
+    bundles,
+)
 from pfdist.runner.progress import Progress, Reporter
 
 
@@ -69,8 +77,16 @@ def test_workers_end_together(workers: int) -> None:
         seconds = 1e-4 * bundle.steps
         assert LEAST_SECONDS / 2 < seconds <= 1.01 * MOST_SECONDS or free_at.sum() > 99
         free_at[free_at.argmin()] += seconds
-    assert np.ptp(free_at) <= 2 * LEAST_SECONDS
+    assert np.ptp(free_at) <= 2 * max(LEAST_SECONDS, SERVING_SECONDS * workers)
     assert free_at.sum() == pytest.approx(100)
+
+
+def test_a_task_is_long_enough_that_the_driver_can_serve_all_workers_meanwhile() -> None:
+    workers = 1000
+    pace = Pace(1e-4, workers, learnt=True)
+    assert pace.size(1) * 1e-4 == pytest.approx(SERVING_SECONDS * workers)
+    assert MOST_SECONDS < pace.size(10**12) * 1e-4 <= LONGEST_SECONDS
+    assert Pace(1e-4, 100 * workers, learnt=True).size(1) * 1e-4 == pytest.approx(LONGEST_SECONDS)
 
 
 def test_the_pace_is_learnt() -> None:

@@ -1,0 +1,290 @@
+"""How many cores a driver can feed: the real driver and pool with simulated nodes.
+
+The driver, the pool, the store and the tables are real. The nodes are simulated: a task takes as
+long as a worker would take, on a clock that jumps to the next answer when the driver waits. The
+answers are computed for real, by a model that takes microseconds, while the clock stands still. Ray
+itself takes part of the driver's time, too; `ray_costs` measures it.
+"""
+
+import contextlib
+import heapq
+import itertools
+import tempfile
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from queue import Empty
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import pandas as pd
+import psutil
+from matplotlib.figure import Figure
+
+from benchmarks.measure import Say
+from benchmarks.results import Tables, markdown
+from pfdist import load_job
+from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, RED
+from pfdist.pools import ray_pool
+from pfdist.pools.base import SerialPool
+from pfdist.pools.ray_cluster import about, ray
+from pfdist.pools.ray_pool import RayPool
+from pfdist.runner import door
+from pfdist.runner.build import build
+from pfdist.runner.comparison_phase import comparison_steps
+from pfdist.runner.door import Session, complete
+from pfdist.runner.driver import drive
+from pfdist.runner.identity import opened
+from pfdist.runner.pace import Pace
+
+TITLE = "Driver"
+TABLES: tuple[str, ...] = ("driver",)
+
+JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
+CORES = (10, 100, 1_000, 10_000)
+NODE = 64  # cores of a simulated node
+SECONDS = (0.3, 1.0, 10.0)  # of a task
+ROUNDS = 20  # tasks of each core
+AS_CHOSEN = "chosen"  # by the driver, for the number of cores
+_DRAWS_A_TASK = 20
+_FIRST = 2_000  # draws that are compared before: some of them are filtered several times
+_SMALL = (
+    "problem.horizon=12",
+    "problem.measurement_budget=4",
+    "filter.particles=4",
+    "evaluation.draws=10",
+    "search=[{method='random', evaluations=2}]",
+)
+
+
+class Clock:
+    """The driver's time: real time, but it stands still while simulated nodes compute."""
+
+    def __init__(self) -> None:
+        self._offset = -time.perf_counter()
+        self.waited = 0.0  # seconds for which the driver had nothing to do
+
+    def now(self) -> float:
+        """Seconds since the beginning."""
+        return time.perf_counter() + self._offset
+
+    def wait_until(self, moment: float) -> None:
+        """Jump to a later moment."""
+        jump = max(0.0, moment - self.now())
+        self._offset += jump
+        self.waited += jump
+
+    @contextlib.contextmanager
+    def standing_still(self) -> Iterator[None]:
+        """Let real time pass that is not the driver's."""
+        moment = self.now()
+        try:
+            yield
+        finally:
+            self._offset -= self.now() - moment
+
+
+class Nodes:
+    """Simulated nodes, and the queue of their answers as `RayPool` reads it."""
+
+    def __init__(self, cores: int, seconds_a_step: float) -> None:
+        self.clock, self.seconds_a_step = Clock(), seconds_a_step
+        full, rest = divmod(cores, NODE)
+        self.cores = {f"node-{place}": NODE for place in range(full)}
+        self.cores |= {"rest": rest} if rest else {}
+        self.busy, self.tasks, self.last = 0.0, 0, 0.0
+        self._count = itertools.count()
+        self._finishing: list[tuple[float, int, Future[Any], Any]] = []
+        self._answers: deque[Future[Any]] = deque()
+
+    def finish(self, moment: float, answer: Any) -> Any:
+        """A call whose answer comes at a moment."""
+        call = Future[Any]()
+        heapq.heappush(self._finishing, (moment, next(self._count), call, answer))
+        return SimpleNamespace(future=lambda: call)
+
+    def put(self, call: Future[Any]) -> None:
+        """Note an answer that has come."""
+        self._answers.append(call)
+
+    def get(self, timeout: float) -> Future[Any]:
+        """The next answer; the clock jumps to it if it is still to come."""
+        if not self._answers:
+            if not self._finishing:
+                raise Empty
+            moment, _, call, answer = heapq.heappop(self._finishing)
+            self.clock.wait_until(moment)
+            call.set_result(answer)
+        return self._answers.popleft()
+
+
+class _Actor:
+    """A simulated worker, with a thread for each core of its node."""
+
+    def __init__(self, nodes: Nodes, node: str, cores: int) -> None:
+        self._nodes, self._node = nodes, node
+        self._free = [0.0] * cores  # when each core is free
+        self._functions: dict[int, Callable[[Any], Any]] = {}
+        for name in ("about", "load", "do"):
+            setattr(self, name, SimpleNamespace(remote=getattr(self, f"_{name}")))
+
+    def _about(self) -> Any:
+        return self._nodes.finish(0.0, about())
+
+    def _load(self, key: int, function: Callable[[Any], Any]) -> Any:
+        self._functions[key] = function
+        return self._nodes.finish(0.0, None)
+
+    def _do(self, key: int, work: Any) -> Any:
+        nodes = self._nodes
+        with nodes.clock.standing_still():
+            value = self._functions[key](work)
+            seconds = sum(part.steps for part in work) * nodes.seconds_a_step
+            end = max(heapq.heappop(self._free), nodes.clock.now()) + seconds
+            heapq.heappush(self._free, end)
+            nodes.busy, nodes.tasks = nodes.busy + seconds, nodes.tasks + 1
+            nodes.last = max(nodes.last, end)
+        return nodes.finish(end, (value, seconds, "worker", self._node, None, False))
+
+
+@contextlib.contextmanager
+def simulated(nodes: Nodes) -> Iterator[RayPool]:
+    """A `RayPool` whose nodes are simulated."""
+    taken = Counter[str]()
+
+    def free_cores(most: int) -> dict[str, int]:
+        free = {node: cores for node, cores in nodes.cores.items() if not taken[node]}
+        return free if sum(free.values()) <= most else {}
+
+    def options(num_cpus: int, max_concurrency: int, scheduling_strategy: str) -> Any:
+        def remote() -> _Actor:
+            taken[scheduling_strategy] += num_cpus
+            return _Actor(nodes, scheduling_strategy, num_cpus)
+
+        return SimpleNamespace(remote=remote)
+
+    cores = sum(nodes.cores.values())
+    pause = SimpleNamespace(monotonic=nodes.clock.now, sleep=lambda _: None, time=time.time)
+    replaced = {
+        "connected": lambda *_: contextlib.nullcontext(),
+        "all_cores": lambda: cores,
+        "idle_cores": lambda: cores - taken.total(),
+        "free_cores": free_cores,
+        "NodeAffinitySchedulingStrategy": lambda node, soft: node,
+        "_RemoteActor": SimpleNamespace(options=options),
+        "_send": lambda function: (id(function), function),
+        "time": pause,
+        "ray": SimpleNamespace(is_initialized=lambda: False, exceptions=ray.exceptions),
+    }
+    with contextlib.ExitStack() as stack:
+        for name, value in replaced.items():
+            stack.enter_context(patch.object(ray_pool, name, value))
+        stack.enter_context(patch.object(door, "time", pause))
+        pool = RayPool()
+        pool._answers = nodes  # type: ignore[assignment]
+        yield stack.enter_context(pool)
+
+
+def measure(quick: bool, say: Say) -> Tables:
+    """Compare two sets on simulated nodes, and time the driver.
+
+    Parameters
+    ----------
+    quick : bool
+        Few cores.
+    say : callable
+        Receives a line about the progress.
+
+    Returns
+    -------
+    dict of DataFrames
+        driver: a row for each number of cores and length of a task, with cores, wanted (seconds of
+        a task, or chosen), task_seconds (mean), tasks, microseconds (of the driver a task), busy
+        (share of the cores) and mebibytes (that the process has grown by).
+    """
+    rows = []
+    for cores in CORES[:1] if quick else CORES:
+        lengths: list[float | str] = [*SECONDS[: 1 if quick else None], AS_CHOSEN]
+        for wanted in lengths:
+            row = {"cores": cores, "wanted": wanted, **run(cores, wanted)}
+            rows.append(row)
+            say(
+                f"{cores:,} cores, tasks of {row['task_seconds']:.2f} s: "
+                f"{row['microseconds']:.0f} us of the driver a task, {row['busy']:.1%} busy"
+            )
+    return {"driver": pd.DataFrame(rows)}
+
+
+def run(cores: int, wanted: float | str) -> dict[str, float]:
+    """One comparison: its tasks, the time of the driver, and how busy the cores were."""
+    draws = ROUNDS * cores * _DRAWS_A_TASK
+    few, built = (
+        build(load_job(JOB, [*_SMALL, f"comparison.draws={count}"]))
+        for count in (_FIRST, draws + _FIRST)
+    )
+    steps = comparison_steps(built)
+    length = 1.0 if wanted == AS_CHOSEN else float(wanted)
+    nodes = Nodes(cores, length * cores * ROUNDS / (steps * draws / (draws + _FIRST)))
+    process = psutil.Process()
+    with contextlib.ExitStack() as stack:
+        if wanted != AS_CHOSEN:
+            fixed = lambda pace, remaining: max(1, round(length / pace.seconds))  # noqa: E731
+            stack.enter_context(patch.object(Pace, "size", fixed))
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="driver-"))
+        path = Path(folder, "run")
+        with opened(path, few, lambda line: None) as store:  # the search
+            complete(drive(Session(few, store)), contextlib.nullcontext(SerialPool()))
+        store = stack.enter_context(opened(path, built, lambda line: None))
+        guess = Pace(nodes.seconds_a_step, cores, learnt=True)
+        stack.enter_context(patch.object(Session, "pace", lambda *_, **__: guess))
+        pool = stack.enter_context(simulated(nodes))
+        memory = process.memory_info().rss
+        begin, waited = nodes.clock.now(), nodes.clock.waited
+        complete(drive(Session(built, store)), contextlib.nullcontext(pool))
+        end = nodes.clock.now()
+        worked = end - begin - (nodes.clock.waited - waited)
+        grown = process.memory_info().rss - memory
+    return {
+        "task_seconds": nodes.busy / nodes.tasks,
+        "tasks": nodes.tasks,
+        "microseconds": worked / nodes.tasks * 1e6,
+        "busy": nodes.busy / (cores * (nodes.last - begin)),
+        "mebibytes": grown / 2**20,
+    }
+
+
+def summary(tables: Tables) -> str:
+    """Give the table in Markdown."""
+    lines = [
+        [
+            f"{row['cores']:,}",
+            f"{row['task_seconds']:.2f}",
+            f"{row['tasks']:,}",
+            f"{row['microseconds']:.0f}",
+            f"{100 * row['busy']:.1f}",
+            f"{row['mebibytes']:.0f}",
+        ]
+        for _, row in tables["driver"].iterrows()
+    ]
+    head = ["cores", "seconds a task", "tasks", "driver, microseconds a task", "cores busy, %"]
+    return "\n\n".join([(__doc__ or "").strip(), markdown([*head, "grown by, MiB"], lines)])
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw the share of busy cores against their number."""
+    figure = Figure(figsize=(COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
+    axes = figure.subplots()
+    for (wanted, rows), color in zip(
+        tables["driver"].groupby("wanted", sort=False), (GREEN, BLUE, RED, "black"), strict=False
+    ):
+        label = "as chosen" if wanted == AS_CHOSEN else f"{wanted} s"
+        axes.plot(rows["cores"], 100 * rows["busy"], color=color, marker="o", label=label)
+    axes.set_xscale("log")
+    axes.set_ylim(0, 102)
+    axes.set_xlabel("cores")
+    axes.set_ylabel("cores busy, %")
+    axes.legend(title="seconds a task")
+    return figure
