@@ -14,11 +14,11 @@ These things happen to a batch, in this order; a kill at each point costs:
    block of sums is never cut. A worker holds a task or two: these are lost with it.
 4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait.
-5. Waiting rows are committed with the first result after `COMMIT_SECONDS`, at the end of a batch
-   unless more follows, and when another run of the loop needs them. A commit writes a file under a
-   temporary name, flushes it and gives it its name: a kill before the last step leaves a temporary
-   file, which the next start removes. The timings of the tasks follow in a file of their own: a
-   kill between the two costs these timings.
+5. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
+   run of minutes), at the end of a batch unless more follows, and when another run of the loop
+   needs them. A commit writes a file under a temporary name, flushes it and gives it its name: a
+   kill before the last step leaves a temporary file, which the next start removes. The timings of
+   the tasks follow in a file of their own: a kill between the two costs these timings.
 6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
    `Session.later` are written after the next commit, when the workers have their next tasks. A kill
    before costs nothing: the driver finds all rows committed, and publishes them again.
@@ -55,7 +55,7 @@ from pfdist.runner.progress import Reporter, Show
 from pfdist.store import Store, schema
 
 # Between two commits. A kill loses about so much work, and the tasks in flight:
-COMMIT_SECONDS = 1.0
+COMMIT_SECONDS = 1.0  # between two commits; up to five times as long after minutes
 COMMIT_ROWS = 100_000  # largest number of rows that wait in memory, however fast a model is
 EVALUATIONS = "evaluations"
 """The table whose rows are committed last: an evaluation in it has all its draws in others."""
@@ -224,7 +224,7 @@ class Session:
         self._rows: dict[tuple[str, str], list[tuple[str, pa.Table]]] = {}
         self._outcomes: dict[str, list[Outcome]] = {}
         self._later: list[Callable[[], None]] = []
-        self._last_commit = time.monotonic()
+        self._began = self._last_commit = time.monotonic()
         self._waiting = 0
 
     def keep(self, phase: str, table: str, key: str, rows: pa.Table) -> None:
@@ -275,9 +275,13 @@ class Session:
         self._later.append(write)
 
     def commit_if_late(self) -> None:
-        """Commit about once a second, or sooner if there are many rows."""
-        late = time.monotonic() - self._last_commit >= COMMIT_SECONDS
-        if late or self._waiting >= COMMIT_ROWS:
+        """Commit about once a second, later every five seconds, or sooner if there are many rows.
+
+        So a run of hours has fewer files in ``parts``, for the sake of file systems on a network.
+        """
+        now = time.monotonic()
+        interval = COMMIT_SECONDS * min(5.0, max(1.0, (now - self._began) / 100))
+        if now - self._last_commit >= interval or self._waiting >= COMMIT_ROWS:
             self.commit()
 
     def commit(self) -> None:

@@ -4,8 +4,11 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
 import pytest
 
 import pfdist
@@ -147,6 +150,24 @@ def test_who_waits_for_a_run_that_cannot_commit_what_a_third_needs_goes_on(
         *(("lender", "a"), ("waits", "b"), ("third", "c")),
         *(("third", "a"), ("waits", "z")),
     ]
+
+
+def test_a_run_commits_every_second_and_after_minutes_every_five(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, commits = 0.0, list[float]()
+    monkeypatch.setattr(door, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(session.store, "commit", lambda *_: commits.append(now))
+    session._began = session._last_commit = now
+    rows = pa.table({"draw": [0]})
+    for tenth in range(30_000):
+        now = tenth / 10
+        session.keep("phase", "draws", str(tenth), rows)
+        session.commit_if_late()
+    gaps = np.diff(commits)
+    assert gaps[:50] == pytest.approx(1.0)
+    assert gaps[-50:] == pytest.approx(5.0)
+    assert len(commits) < 1000
 
 
 def test_a_sweep_without_workers_ends_with_one_line(
