@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
+    beside_c,
     driver,
     estimators,
     genetic,
@@ -31,6 +32,7 @@ from benchmarks.results import Benchmark, redraw, save, write_readme
 # Peers come last: JAX leaves threads behind, and later benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
+    "beside_c": beside_c,
     "prefixes": prefixes,
     "growth": growth,
     "estimators": estimators,

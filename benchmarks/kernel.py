@@ -20,7 +20,7 @@ from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.filters.settings import DTYPES, RESAMPLING
+from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.base import StateSpaceModel
@@ -62,13 +62,12 @@ class Case:
     Parameters
     ----------
     series : str
-        The varied quantity: a key of `SIZES`, or ``kind`` for model, resampling and dtype.
+        The varied quantity: a key of `SIZES`, or ``kind`` for model and resampling.
     """
 
     series: str = "kind"
     model: str = "ungm"
     resampling: str = "multinomial"
-    dtype: str = "float64"
     particles: int = 500
     horizon: int = 60
     measurement_budget: int = 21
@@ -90,8 +89,7 @@ def cases(quick: bool) -> Iterator[Case]:
     """Give all cases; with `quick` every second size up to the middle."""
     for model in installed_of(MODELS):
         for resampling in _fitting(model):
-            for dtype in DTYPES:
-                yield Case(model=model, resampling=resampling, dtype=dtype)
+            yield Case(model=model, resampling=resampling)
     for series, sizes in SIZES.items():
         for resampling in ("multinomial", "systematic"):
             for size in sizes[: len(sizes) // 2 + 1 : 2] if quick else sizes:
@@ -154,9 +152,7 @@ def _calls(case: Case) -> Callable[[], None]:
     model = _model(case.model, case.components)
     draws = _draws(case.model, case.components, case.horizon, case.draws)
     times = regular(case.horizon, case.measurement_budget)
-    once = partial(
-        filter_draws, model, draws, times, case.particles, 2, case.resampling, dtype=case.dtype
-    )
+    once = partial(filter_draws, model, draws, times, case.particles, 2, case.resampling)
 
     def call() -> None:
         for _ in range(case.calls):
@@ -191,12 +187,11 @@ def summary(tables: Tables) -> str:
     """Give a summary in Markdown: the cost of a step, how it scales, and the first call."""
     rows = tables["kernel"]
     kinds = rows[rows["series"] == "kind"]
-    wide = kinds.pivot_table(index=["model", "resampling"], columns="dtype", values="ns")
     by_kind = markdown(
-        ["ns a particle-step", *DTYPES],
+        ["model, resampling", "ns a particle-step"],
         (
-            [f"{model}, {resampling}", *(f"{wide.loc[(model, resampling), d]:.2f}" for d in DTYPES)]
-            for model, resampling in kinds[["model", "resampling"]].drop_duplicates().to_numpy()
+            [f"{model}, {resampling}", f"{ns:.2f}"]
+            for model, resampling, ns in kinds[["model", "resampling", "ns"]].to_numpy()
         ),
     )
     spread = (kinds["ns_median"] / kinds["ns"]).max() - 1
@@ -207,7 +202,7 @@ def summary(tables: Tables) -> str:
             f"otherwise. Processor time, least of {rows['repeats'].iloc[0]} repeats in turns; the "
             f"median lies up to {spread:.0%} higher, the least wall time {busy:.0%}.",
             by_kind,
-            "How it grows (multinomial, float64). Power: time grows as size to it, least squares "
+            "How it grows (multinomial). Power: time grows as size to it, least squares "
             "over all sizes.",
             _growth_table(rows),
             "The first call of a fresh process, simulation and filter, in seconds: the "

@@ -107,7 +107,7 @@ def measure(quick: bool, say: Say) -> Tables:
     draws = simulate(load_model("ungm"), HORIZON, range(DRAWS // 10 if quick else DRAWS), 1)
     repeats = 2 if quick else REPEATS
     with one_core():  # before a peer is imported, so that its threads stay on this core, too
-        entrants = {(OURS, dtype): _ours(draws, dtype) for dtype in ("float64", "float32")}
+        entrants = {(OURS, "float64"): _ours(draws)}
         for peer in PEERS:
             if find_spec(peer.package) is None:
                 say(f"{peer.name} is skipped: {peer.package} is not installed")
@@ -139,12 +139,11 @@ def measure(quick: bool, say: Say) -> Tables:
     return {"peers": pd.DataFrame(rows)}
 
 
-def _ours(draws: Draws, dtype: str) -> Filter:
+def _ours(draws: Draws) -> Filter:
     times = regular(HORIZON, BUDGET)
 
     def filter_ours(resampling: str, seed: int) -> NDArray[np.float64]:
-        model = draws.model
-        return filter_draws(model, draws, times, PARTICLES, seed + 1, resampling, dtype=dtype).mse
+        return filter_draws(draws.model, draws, times, PARTICLES, seed + 1, resampling).mse
 
     return filter_ours
 

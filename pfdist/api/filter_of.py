@@ -28,7 +28,6 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         job.seed,
         resampling=job.filter.resampling,
         engine=built.evaluator.engine,
-        dtype=job.filter.dtype,
         prior=prior,
         draw=draw,
         horizon=job.problem.feasible.horizon,

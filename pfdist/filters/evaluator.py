@@ -31,7 +31,6 @@ from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.filters.work import Estimation, Result, Work, columns, cut
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
-from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.models import CarriedModel, StateSpaceModel
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
@@ -55,7 +54,6 @@ class Evaluator:
     model: StateSpaceModel  # the true model: it draws x, y and z, and defines the error
     horizon: int  # T
     filter_model: StateSpaceModel | None = None  # by default the true model
-    dtype: str = "float64"  # type in which the particles' states are stored
     engine: str = "compiled"  # "auto" here means the compiled engine
     # Distribution of x(s), in the place of `initial`: draws and filters start at s. A normal
     # distribution is only for the engine "kalman".
@@ -209,7 +207,6 @@ class Evaluator:
             KERNEL_VERSION,
             *(each.key for each in self.carried),
             self.horizon,
-            self.dtype,
             self.engine,
             vars(estimation),
             *(part for part in (self.clock, self.weights) if part is not None),
@@ -242,7 +239,7 @@ class Evaluator:
         self.compile(*self.estimations)
         names = set(libm_of_simulation(self.model))
         for resampling in {each.resampling for each in self.estimations if not self.exact}:
-            names |= {*libm_of_filter(self.believed, self.model, resampling, self.dtype)}
+            names |= {*libm_of_filter(self.believed, self.model, resampling)}
         return tuple(sorted(names))
 
     @property
@@ -250,7 +247,7 @@ class Evaluator:
         """Whether compiled formulas make arrays for each particle."""
         self.compile(*self.estimations)
         return simulation_makes_arrays(self.model) or any(
-            filter_makes_arrays(self.believed, self.model, each.resampling, self.dtype)
+            filter_makes_arrays(self.believed, self.model, each.resampling)
             for each in self.estimations
         )
 
@@ -265,7 +262,6 @@ class Evaluator:
                 self.model,
                 estimation.particles,
                 estimation.resampling,
-                self.dtype,
                 estimation.estimator,
             )
 
@@ -355,17 +351,9 @@ class Evaluator:
         return Result(values)
 
     def settings(self, estimation: Estimation) -> FilterSettings:
-        """Settings of the filter of an estimation.
-
-        If a particle holds the truth, all states are float64.
-        """
-        holds_truth = ALL_SCHEMES[estimation.resampling].holds_truth
+        """Settings of the filter of an estimation."""
         return FilterSettings(
-            estimation.particles,
-            estimation.resampling,
-            "float64" if holds_truth else self.dtype,
-            estimation.estimator,
-            self.prior,
+            estimation.particles, estimation.resampling, estimation.estimator, self.prior
         )
 
 

@@ -48,24 +48,22 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         stream: int,
         resampling: str = "multinomial",
         trajectories: bool = False,
-        dtype: str = "float64",
         prior: Prior | None = None,
     ) -> Filtered:
         """Filter D draws with one set of measurement times, under the noise of the 64-bit key.
 
-        `model` is the filter's model, which need not be the draws'. `dtype` is that of the
-        particles' states; formulas compute in float64. `trajectories` asks for estimate and
-        variance. The Kalman filter ignores the particles, and only it starts from a normal
-        distribution. If the draws started from the cloud `prior`, no filter starts with the state
-        of its own draw's truth.
+        `model` is the filter's model, which need not be the draws'. `trajectories` asks for
+        estimate and variance. The Kalman filter ignores the particles, and only it starts from a
+        normal distribution. If the draws started from the cloud `prior`, no filter starts with the
+        state of its own draw's truth.
 
         Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError,
         PriorError or ArgumentError.
         """
-        check_filter(model, draws.model, particles, resampling, dtype)
+        check_filter(model, draws.model, particles, resampling)
         check_start(model, draws, prior)
         times = validated_from(draws.start, measurement_times, draws.instants[-1])
-        settings = FilterSettings(particles, resampling, dtype, prior=prior)
+        settings = FilterSettings(particles, resampling, prior=prior)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws

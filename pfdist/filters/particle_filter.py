@@ -82,7 +82,6 @@ def filter_sets(
     particles: int,
     stream: int,
     resampling: str = "multinomial",
-    dtype: str = "float64",
     ends: Sequence[int] | None = None,
     estimator: str = SQUARED_ERROR.name,
 ) -> NDArray[np.float64]:
@@ -93,11 +92,11 @@ def filter_sets(
     their sum is divided by the number of all instants. The draws must start at t = 0. Other
     arguments and errors are those of `filter_draws`.
     """
-    check_filter(model, draws.model, particles, resampling, dtype, estimator)
+    check_filter(model, draws.model, particles, resampling, estimator)
     check_start(model, draws, None)
     last = [draws.instants[-1]] * len(sets) if ends is None else list(ends)
     valid = [validated_from(draws.start, times, end) for times, end in zip(sets, last, strict=True)]
-    settings = FilterSettings(particles, resampling, dtype, estimator)
+    settings = FilterSettings(particles, resampling, estimator)
     return filter_checked_sets(model, draws, valid, last, stream, settings)
 
 
@@ -176,7 +175,7 @@ def _filter(
         return f"the filter of draw {draw.index.start}"
 
     with compiled_formulas(model.name, again):
-        _compiled(model, truth, settings.resampling, settings.dtype)(request, planned, results)
+        _compiled(model, truth, settings.resampling)(request, planned, results)
     return mse
 
 
@@ -204,25 +203,21 @@ def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
 
 
 def libm_of_filter(
-    model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
+    model: StateSpaceModel, truth: StateSpaceModel, resampling: str
 ) -> tuple[str, ...]:
     """Functions of the C library that the compiled filter calls; see `libm_functions`.
 
     The filter must have been called before.
     """
-    return libm_functions(_compiled(model, truth, resampling, dtype).compiled)
+    return libm_functions(_compiled(model, truth, resampling).compiled)
 
 
-def filter_makes_arrays(
-    model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
-) -> bool:
+def filter_makes_arrays(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> bool:
     """Whether the compiled filter, which was called before, makes arrays for each particle."""
-    return makes_arrays(_compiled(model, truth, resampling, dtype).compiled)
+    return makes_arrays(_compiled(model, truth, resampling).compiled)
 
 
-def _compiled(
-    model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
-) -> WithScratch:
+def _compiled(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> WithScratch:
     formulas = (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest)
     return fused_filter(
         (*formulas, truth.error),
@@ -230,5 +225,4 @@ def _compiled(
         model.components,
         (parameter_names(model.parameters), parameter_names(truth.parameters)),
         resampling,
-        dtype,
     )

@@ -91,7 +91,7 @@ def _filter(
     settings: FilterSettings,
 ) -> tuple[Array, Array, Array, Array]:
     """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P)."""
-    particles, dtype = settings.particles, settings.dtype
+    particles = settings.particles
     scheme = ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
@@ -99,14 +99,14 @@ def _filter(
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     if isinstance(settings.prior, Cloud):
         chosen = settings.prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
-        x = _rounded(_flat(tuple(settings.prior.x[:, chosen])), cloud, dtype)
+        x = _states(_flat(tuple(settings.prior.x[:, chosen])), cloud)
     else:
         noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-        x = _rounded(model.initial(_flat(noise), model.p), cloud, dtype)
+        x = _states(model.initial(_flat(noise), model.p), cloud)
     for k, t in enumerate(draws.instants):
         if k > 0:
             w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
-            x = _rounded(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
+            x = _states(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
@@ -168,9 +168,9 @@ def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
     return _like(value, (math.prod(cloud),)).reshape(cloud)
 
 
-def _rounded(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
-    """States (D, particles), rounded to the dtype in which they are stored."""
-    return tuple(_of_cloud(component, shape).astype(dtype).astype(np.float64) for component in x)
+def _states(x: tuple[Any, ...], cloud: tuple[int, ...]) -> tuple[Array, ...]:
+    """States, each (D, particles): copies, because some schemes set one particle to the truth."""
+    return tuple(_of_cloud(component, cloud).copy() for component in x)
 
 
 def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:

@@ -13,7 +13,6 @@ from pfdist.kernels.schemes import MULTINOMIAL, SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 
 RESAMPLING = tuple(SCHEMES)
-DTYPES = ("float64", "float32")
 
 MOST_PARTICLES = 2**31 - 1  # an index of a particle has 32 bits
 
@@ -24,7 +23,6 @@ class FilterSettings:
 
     particles: int
     resampling: str = MULTINOMIAL.name
-    dtype: str = "float64"  # of the particles' states; formulas compute in float64
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.one_by_one`
     prior: Prior | None = None
 
@@ -56,7 +54,6 @@ def check_filter(
     truth: StateSpaceModel,
     particles: int,
     resampling: str,
-    dtype: str,
     estimator: str = SQUARED_ERROR.name,
 ) -> None:
     """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
@@ -67,7 +64,6 @@ def check_filter(
     check_fits(model, truth)
     for name, got, allowed in (
         ("resampling", resampling, RESAMPLING),
-        ("dtype", dtype, DTYPES),
         ("estimator", estimator, ESTIMATORS),
     ):
         if not isinstance(got, str) or got not in allowed:

@@ -65,7 +65,7 @@ class Problem(Shown):
     total_cost : int, optional
         Largest sum of costs, in the place of the measurement budget.
     particles : int
-    resampling, dtype, engine : str
+    resampling, engine : str
         The filter, as in the section [filter] of a job file.
 
     Raises

@@ -120,7 +120,6 @@ class Filter(Section):
 
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
     resampling: Resampling = "multinomial"
-    dtype: Literal["float64", "float32"] = "float64"
     engine: EngineName = AUTO
 
 

@@ -195,7 +195,6 @@ def fused_filter(
     components: tuple[int, int, int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
-    dtype: str,
 ) -> WithScratch:
     """Compile ``filter_draws(request, plan, results)``, or load it from disk.
 
@@ -209,7 +208,7 @@ def fused_filter(
     noise_rows = max(1, *map(len, noise_kinds))
     compiled = cached_on_disk(
         _filter_draws(functions, noise_kinds, components, parameters, resampling),
-        functions, noise_kinds, components, parameters, resampling, dtype,
+        functions, noise_kinds, components, parameters, resampling,
     )  # fmt: skip
 
     def with_scratch(request, plan, results):
@@ -217,7 +216,7 @@ def fused_filter(
         # threads filter at the same time. Python frees it even if a formula raises.
         first_means = (results.mse.shape[1] if len(request.streams) > 1 else 0, request.y.shape[1])
         scratch = filter_scratch(
-            (states, quantities), noise_rows, request.particles, plan.clouds, first_means, dtype
+            (states, quantities), noise_rows, request.particles, plan.clouds, first_means
         )
         compiled(request, plan, results, scratch)
 

@@ -8,7 +8,7 @@ that the earlier set saved. The result has the same bits as if it had begun at 0
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class Planned(NamedTuple):
 class Saved(NamedTuple):
     """Clouds that later sets resume from."""
 
-    clouds: NDArray[Any]  # (slots, n, width(P)), float64 or float32
+    clouds: NDArray[np.float64]  # (slots, n, width(P))
     errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
 
 

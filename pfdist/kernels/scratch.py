@@ -39,8 +39,8 @@ class WithScratch:
 class Scratch(NamedTuple):
     """Arrays that a filter works in; P particles, ``W = width(P)``, ``L = padded(P + SPARE)``."""
 
-    # (2, n, W): the states, float64 or float32; a step reads one half and writes the other
-    cloud: NDArray[Any]
+    # (2, n, W): the states; a step reads one half and writes the other
+    cloud: NDArray[np.float64]
     noise: NDArray[np.float32]  # (rows, L)
     # (2, W): row EQUAL is 1 for each particle and 0 behind the last; row WEIGHTED holds the weights
     # after a measurement
@@ -62,9 +62,8 @@ def filter_scratch(
     particles: int,
     slots: int,
     first_means: tuple[int, int],
-    dtype: Any,
 ) -> Scratch:
-    """Arrays for a filter of draws with states of this dtype.
+    """Arrays for a filter of draws.
 
     `components` are the numbers of components of x and z. `slots` is the largest number of clouds
     that are saved at a time, and `first_means` the numbers of sets and of instants of
@@ -83,14 +82,14 @@ def filter_scratch(
     # Sorting takes the memory of arrays that are idle while it runs: log-weights have become
     # weights before it, and points, shares and ancestors are filled after it.
     return Scratch(
-        aligned((2, states, size), dtype),
+        aligned((2, states, size), np.float64),
         noise,
         weight,
         terms[0],
         terms,
         ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
         SortingScratch(terms[0], aligned((2, DIGITS), np.uint32), points, shares, ancestor),
-        Saved(aligned((slots, states, size), dtype), aligned((slots,), np.float64)),
+        Saved(aligned((slots, states, size), np.float64), aligned((slots,), np.float64)),
         aligned((*first_means, quantities), np.float64),
     )
 

@@ -80,7 +80,6 @@ def build(job: Job) -> Built:
         model,
         filter_model,
         horizon=job.problem.feasible.horizon,
-        dtype=job.filter.dtype,
         engine=job.filter.engine,
         estimations=(_comparing(job), Settings.from_job(job).estimation),
         clock=job.problem.clock.times if job.problem.has_clock else None,

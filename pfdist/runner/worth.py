@@ -119,7 +119,7 @@ def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Arr
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
     job = built.job.filter
-    settings = FilterSettings(job.particles, job.resampling, job.dtype)
+    settings = FilterSettings(job.particles, job.resampling)
     first = begin(built.evaluator.believed, settings, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [

@@ -69,8 +69,6 @@ class Filter:
     engine : {"auto", "compiled", "numpy", "kalman"}
         "auto" is the compiled engine, or NumPy for a model that Numba cannot compile. "kalman" is
         exact, for models that declare themselves linear-Gaussian.
-    dtype : {"float64", "float32"}
-        The dtype of the particles' states.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
         An array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud`
@@ -109,7 +107,6 @@ class Filter:
         *,
         resampling: str = "systematic",
         engine: str = AUTO,
-        dtype: str = "float64",
         prior: Prior | ArrayLike | None = None,
         draw: int = 0,
         horizon: int = LAST,
@@ -123,10 +120,10 @@ class Filter:
         self.horizon = horizon
         self.stream = stream_of("filter", int(seed))
         """Key of the filter's noise, 64 bits."""
-        check_filter(self.model, self.model, particles, resampling, dtype)
+        check_filter(self.model, self.model, particles, resampling)
         start = None if prior is None else as_prior(prior, self.model)
         self._check_prior(start, engine)
-        settings = FilterSettings(particles, resampling, dtype, prior=start)
+        settings = FilterSettings(particles, resampling, prior=start)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at

@@ -33,7 +33,7 @@ FEW = ["search.random.evaluations=3", "search.genetic.generations=1", "compariso
 @pytest.fixture
 def job(finished: Callable[..., Path]) -> Path:
     """The job of a finished run, in the folder of the run."""
-    wrong = ["filter.dtype=float32", "model.filter.parameters.process_sd=1.5"]
+    wrong = ["model.filter.parameters.process_sd=1.5"]
     return finished(*FEW, *wrong) / "job.toml"
 
 
@@ -54,7 +54,7 @@ def test_the_table_is_the_filter_of_the_run_at_every_instant(
     times = (1, 4, 8)
     found = pfdist.filter_measurements(job, _written(tmp_path / "mine.csv", times, y))
     believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
-    filtering = Filter(believed, 40, 1, resampling="multinomial", dtype="float32")
+    filtering = Filter(believed, 40, 1, resampling="multinomial")
     rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
     assert list(found.table.columns) == filtered_schema(numbered_components(1)).names
     assert [row["t"] for row in rows] == list(range(HORIZON + 1))

@@ -83,7 +83,6 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("Filter", ("ungm",), {"particles": "many"}),
     ("Filter", ("ungm",), {"resampling": 5}),
     ("Filter", ("ungm",), {"engine": 5}),
-    ("Filter", ("ungm",), {"dtype": np.float64}),
     ("Filter", ("ungm",), {"horizon": -1}),
     ("Cloud", (0, [[1.0]]), {}),
     ("Cloud", ("first", np.ones((1, 2))), {}),

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from oracles.systems import scalar
 from pfdist.filters import plain
-from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.particle_filter import filter_checked_sets
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Work, with_truth
 from pfdist.models import StateSpaceModel
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)
@@ -100,16 +98,6 @@ def test_the_plain_twin_agrees(particles: int) -> None:
         for function in (filter_checked_sets, plain.filter_checked_sets)
     )
     np.testing.assert_allclose(compiled, twin, rtol=1e-12, atol=1e-15)
-
-
-@pytest.mark.slow
-def test_states_are_float64_beside_the_truth_whatever_the_job_says() -> None:
-    work = Work((TIMES,), (HORIZON,), (7,), 3, (0, 20), with_truth(50))
-    double, single = (
-        Evaluator(system(0.003), HORIZON, dtype=dtype).filtered(work).mse
-        for dtype in ("float64", "float32")
-    )
-    assert np.array_equal(double, single)
 
 
 # --- versions that are wrong, and fail the identity -----------------------------------------------

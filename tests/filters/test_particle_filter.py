@@ -15,7 +15,7 @@ from pfdist import StateSpaceModel, where
 from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_draws
-from pfdist.filters.settings import DTYPES, RESAMPLING
+from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.times.measurement_times import regular
 
@@ -180,21 +180,6 @@ def test_figures_change_only_with_the_kernels_version(ungm: StateSpaceModel) -> 
 
 
 @pytest.mark.slow
-def test_float32_states_give_the_same_mse_within_their_rounding(ungm: StateSpaceModel) -> None:
-    # A rounded state may have another ancestor, and then the draw goes another way: the difference
-    # has mean 0 and is small in most draws.
-    draws = simulate(ungm, 60, range(4000), 5)
-    arguments = (ungm, draws, regular(60, 21), 500, 1, "systematic", False)
-    double, single = (filter_draws(*arguments, dtype=dtype).mse for dtype in DTYPES)
-    difference = single - double
-    standard_error = difference.std() / np.sqrt(difference.size)
-    assert 0 < difference.std() < 0.05 * double.std()
-    assert abs(difference.mean()) < min(4 * standard_error, 1e-3 * double.mean())
-    plainly = plain.filter_draws(ungm, draws[:20], *arguments[2:], dtype="float32").mse
-    np.testing.assert_allclose(single[:20], plainly, rtol=1e-9)
-
-
-@pytest.mark.slow
 def test_compiled_and_plain_filter_have_the_same_mse_on_average(ungm: StateSpaceModel) -> None:
     # Their sums round otherwise, which may decide an ancestor: then a draw differs, else by 1e-9.
     draws = simulate(ungm, 60, range(500), 6)
@@ -263,7 +248,6 @@ def test_a_particle_without_weight_does_not_count(ungm: StateSpaceModel) -> None
     [
         ({"resampling": "best"}, "resampling must be one of multinomial, .* got 'best'"),
         ({"resampling": "conditional"}, "resampling must be one of multinomial"),  # sees the truth
-        ({"dtype": "float16"}, "dtype must be one of float64, float32, got 'float16'"),
         ({"particles": 0}, "particles must be at least 1, got 0"),
         ({"measurement_times": (3, 11)}, r"0\.\.4, got 11"),
         ({"model": THREE.as_model()}, "as many components of y as the model ungm, 1, got 2"),

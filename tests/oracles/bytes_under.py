@@ -10,7 +10,7 @@ from pathlib import Path
 
 from llvmlite import binding
 
-Case = tuple[str, str, str]  # model, resampling, dtype
+Case = tuple[str, str]  # model, resampling
 
 _NEEDED = {
     "haswell": {"avx2", "fma", "bmi2"},
@@ -57,17 +57,15 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
     from pfdist.models import squared_error
 
     found = {}
-    for name, resampling, dtype in cases:
+    for name, resampling in cases:
         model = with_clock(load_model(name), _HORIZON)
         draws = simulate(model, _HORIZON, range(_DRAWS), 7)
-        what = f"{name} {resampling} {dtype}"
+        what = f"{name} {resampling}"
         found[f"{name} simulation"] = _hash(draws.x, draws.y, draws.z)
         for estimator in ESTIMATORS if model.error is squared_error else list(ESTIMATORS)[:1]:
-            mse = filter_sets(
-                model, draws, _SETS, _PARTICLES, 5, resampling, dtype, estimator=estimator
-            )
+            mse = filter_sets(model, draws, _SETS, _PARTICLES, 5, resampling, estimator=estimator)
             found[f"{what} {estimator}"] = _hash(mse)
-        kept = filter_draws(model, draws, _SETS[0], _PARTICLES, 5, resampling, True, dtype)
+        kept = filter_draws(model, draws, _SETS[0], _PARTICLES, 5, resampling, True)
         found[f"{what} estimates"] = _hash(kept.mse, kept.estimate, kept.variance)
     return found
 
