@@ -8,8 +8,10 @@ has no fingerprint is compiled in each process.
 A function is saved only if everything it calls is inlined into it. Numba numbers its symbols, and
 two processes may give the same number to two functions.
 
-The folder is local to a node and belongs to one user, because the files in it are code. Each file
-begins with the hash of its content. A damaged file is ignored, and its function is compiled again.
+The folder is local to a node and belongs to one user, because the files in it are code. It may
+belong to root, who installed the program: an image holds kernels for all its users, who only read
+them. Each file begins with the hash of its content. A damaged file is ignored, and its function is
+compiled again.
 """
 
 import contextlib
@@ -134,8 +136,10 @@ def _folder() -> Path | None:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.lstat()
-        if status.st_uid != os.getuid() or status.st_mode & 0o022:
-            raise PermissionError("it must be this user's, and writable by its owner alone")
+        if status.st_uid not in {os.getuid(), 0} or status.st_mode & 0o022:
+            raise PermissionError(
+                "it must be this user's or root's, and writable by its owner alone"
+            )
     except OSError as error:
         warnings.warn(
             f"compiled code is not kept, so each process compiles for some seconds: {error} "

@@ -25,24 +25,29 @@ class Nodes:
     Attributes
     ----------
     address : str
+    jobs : str
+        The address of the server of ``ray job``, if there is one.
     environment : dict of str
         With which its nodes, and nobody else, can reach it.
     """
 
-    def __init__(self, folder: Path, sockets: str) -> None:
-        with socket.socket() as server:
+    def __init__(self, folder: Path, sockets: str, takes_jobs: bool = False) -> None:
+        with socket.socket() as server, socket.socket() as jobs_server:
             server.bind(("127.0.0.1", 0))
-            port = server.getsockname()[1]
-        self.address = f"127.0.0.1:{port}"
+            jobs_server.bind(("127.0.0.1", 0))
+            port, jobs_port = server.getsockname()[1], jobs_server.getsockname()[1]
+        self.address, self.jobs = f"127.0.0.1:{port}", f"http://127.0.0.1:{jobs_port}"
         self.environment = {
             "RAY_USAGE_STATS_ENABLED": "0",
             "RAY_AUTH_MODE": "token",
             "RAY_AUTH_TOKEN": secrets.token_hex(32),
+            "RAY_JOB_STOP_WAIT_TIME_S": "60",
         }
         self.all: list[Node] = []
         self._folder = folder
         temporary = f"--temp-dir={sockets}"
-        self._start("--head", f"--port={port}", "--include-dashboard=false", temporary)
+        ports = f"--port={port}", f"--dashboard-port={jobs_port}"
+        self._start("--head", *ports, f"--include-dashboard={takes_jobs}", temporary)
 
     def add(self) -> Node:
         """Add a node."""
@@ -52,6 +57,7 @@ class Nodes:
         folder = self._folder / f"node-{len(self.all)}"
         folder.mkdir()
         alone = ["--min-worker-port=0", "--max-worker-port=0", "--object-store-memory=100000000"]
+        alone += ["--dashboard-agent-listen-port=0"]
         here = ["--block", "--num-cpus=1", "--node-ip-address=127.0.0.1"]
         with (folder / "said").open("wb") as said:
             node = subprocess.Popen(
@@ -88,11 +94,11 @@ def kill(node: Node) -> None:
 
 
 @contextmanager
-def nodes(folder: Path, count: int) -> Iterator[Nodes]:
+def nodes(folder: Path, count: int, takes_jobs: bool = False) -> Iterator[Nodes]:
     """So many nodes; when the test is over, whatever way, nothing of them is left."""
     # A short path, for Ray's sockets, and not where other clusters say that they are.
     with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as path:
-        cluster = Nodes(folder, path)
+        cluster = Nodes(folder, path, takes_jobs)
         try:
             for _ in range(count - 1):
                 cluster.add()

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -131,11 +132,29 @@ def test_a_folder_that_others_may_write_to_is_not_used(folder, mode):
     assert not list(folder.iterdir())
 
 
+def given_to(user, monkeypatch):
+    """Make the folder look as if it belonged to this user."""
+    disk_cache._folder.cache_clear()
+    own = Path.lstat
+
+    def lstat(path):
+        status = list(own(path))
+        status[stat.ST_UID] = user
+        return os.stat_result(status)
+
+    monkeypatch.setattr(Path, "lstat", lstat)
+
+
+def test_a_folder_of_root_is_read(folder, monkeypatch):
+    kept(2.0)(5.0)
+    given_to(0, monkeypatch)
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    assert called(kept(2.0), 5.0) == (11.0, False)
+
+
 def test_a_folder_of_somebody_else_is_not_used(folder, monkeypatch):
     kept(2.0)(5.0)
-    disk_cache._folder.cache_clear()
-    user = os.getuid()
-    monkeypatch.setattr(os, "getuid", lambda: user + 1)
+    given_to(os.getuid() + 1, monkeypatch)
     before = only_file(folder).stat()
     with pytest.warns(EngineWarning, match="compiled code is not kept"):
         works_without()
