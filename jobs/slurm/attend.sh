@@ -22,7 +22,7 @@ attend() {
     trap '' USR1 TERM
     wait "$child" || status=$?
     # Not after TERM: `scancel` sends it, and the job would come back; a job that is preempted has been
-    # requeued by Slurm. By the job's number, because the script that runs is a copy.
+    # requeued by Slurm.
     if [[ $status == 75 && ! $ended_by_slurm ]]; then
         scontrol requeue "$SLURM_JOB_ID"
     elif [[ $status != 75 ]]; then

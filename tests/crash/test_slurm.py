@@ -58,7 +58,7 @@ def fake(folder: Path, program: str) -> str:
     (folder / "bin").mkdir()
     (folder / "bin" / "pfdist").write_text(program)
     (folder / "bin" / "pfdist").chmod(0o755)
-    # By a link, because a comma or a quote would end the value.
+    # The value is a link, because a comma or a quote would end it.
     link = folder.parent / "fake"
     link.symlink_to(folder)
     return f"--export=ALL,PFDIST_VENV={link}"
