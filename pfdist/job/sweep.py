@@ -87,7 +87,7 @@ def parts_that_pay(seconds: Sequence[float]) -> int:
     Examples
     --------
     >>> parts_that_pay([600.0] * 12), parts_that_pay([1.0] * 12), parts_that_pay([600.0, 1.0, 1.0])
-    (12, 1, 2)
+    (12, 1, 1)
     """
     work = np.asarray(seconds, float)
     for parts in range(len(work), 1, -1):
