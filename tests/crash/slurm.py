@@ -14,7 +14,7 @@ from pathlib import Path
 from crash.runs import family, until
 from pfdist.pools.guard import end
 
-START_SECONDS = 60.0
+START_SECONDS, END_SECONDS = 60.0, 600.0
 SCRIPTS = Path(__file__).parents[2] / "jobs" / "slurm"
 # One machine plays all nodes (`slurmd -N`). Control groups stay as they are. A job of the partition
 # "urgent" takes the nodes of the other jobs, which are then requeued.
@@ -143,19 +143,23 @@ class Slurm:
             alive = ("PENDING", "RUNNING", "COMPLETING", "CONFIGURING")
             return not self._runs_soon(job) and not any(map(self.state(job).__contains__, alive))
 
-        until(has_ended)
+        until(has_ended, END_SECONDS)
         shown = self.said("scontrol", "show", "job", job).split()
         return " ".join(word for word in shown if word.startswith(("JobState=", "ExitCode=")))
 
     def close(self) -> None:
         """End all jobs and all daemons."""
         self.said("scancel", "--user", getpass.getuser())
-        left = [process for daemon in self._daemons for process in family(daemon.pid)]
-        for daemon in reversed(self._daemons):
-            daemon.terminate()
-        for daemon in self._daemons:
-            daemon.wait(20)
-        end(left)
+        try:
+            # The processes that run jobs are no children of the daemons.
+            until(lambda: not self.said("squeue", "-h"))
+        finally:
+            left = [process for daemon in self._daemons for process in family(daemon.pid)]
+            for daemon in reversed(self._daemons):
+                daemon.terminate()
+            for daemon in self._daemons:
+                daemon.wait(20)
+            end(left)
 
 
 def _free_ports(count: int) -> list[int]:
