@@ -14,6 +14,7 @@ from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
 from pfdist.common.short_names import short_names
 from pfdist.documents.parts import Cell, Page, Section, Table, Text
+from pfdist.job.sweep import parts_that_pay
 
 _LEFT_OUT = ("state", "billion steps")
 
@@ -116,10 +117,13 @@ def foreseen_page(points: pd.DataFrame) -> Page:
         ]
         for row in points.to_dict("records")
     ]
-    left = points.loc[points["state"] != FINISHED, "steps"].sum() / billion
-    text = f"{len(points)} points; about {left:.3f} billion particle-steps are left to do"
+    left = points[["steps", "seconds"]].where(points["state"] != FINISHED, 0)
+    text = f"{len(points)} points; about {left['steps'].sum() / billion:.3f} billion particle-steps"
+    text += f" are left to do, in {formatted_seconds(left['seconds'].sum())} s of a core"
     if "judging_steps" in points:
         judging = points["judging_steps"].sum() / billion
         text += f", and at most {judging:.3f} billion to judge"
     table = Table("", ("point", "state", "billion steps"), rows)
-    return Page("", "", [Section("", [table, Text(text)])])
+    parts = parts_that_pay(left["seconds"].tolist())
+    pays = f"up to {parts} parts pay, on a core each" if parts > 1 else "one part: more do not pay"
+    return Page("", "", [Section("", [table, Text(text), Text(pays)])])

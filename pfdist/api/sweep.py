@@ -96,6 +96,7 @@ def sweep(
     changes: Iterable[str] = (),
     bound_draws: int = 0,
     judge: bool | None = None,
+    part: tuple[int, int] | None = None,
     report: bool = True,
     progress: Show | bool = False,
     say: Say = silent,
@@ -131,6 +132,9 @@ def sweep(
     judge : bool, optional
         Whether the times found at each point are judged at every point, too, by comparisons in the
         folder ``judged``; by default as the sweep file says.
+    part : tuple of two int, optional
+        ``(k, n)`` computes every n-th point, from the k-th, and looks at no other. Neither judges
+        nor reports the sweep: that needs all points.
     report : bool
         Whether every run has a report, and the sweep has one with links to them.
     progress : callable or bool
@@ -159,9 +163,10 @@ def sweep(
     path, judges_points = checked_folder(sweep_job, results, judge)
     check_pool(sweep_job.execution)
     bound = bound_settings(bound_draws)
+    own = sweep_job.part(part)
     with following(progress, say) as (show, tell):
-        say_model_files(sweep_job.jobs.values(), tell)
-        searched, refused = PointsAtWork(sweep_job, path, bound, show, tell), None
+        say_model_files(own.jobs.values(), tell)
+        searched, refused = PointsAtWork(own, path, bound, show, tell), None
         stages = [searched]
 
         def drivers() -> Iterator[Driver | None]:
@@ -171,7 +176,7 @@ def sweep(
                 stages.append(PointsAtWork(judged, folder, None, show, tell))
                 yield from stages[-1].drivers()
 
-        engines = [each.filter.engine for each in sweep_job.jobs.values()]
+        engines = [each.filter.engine for each in own.jobs.values()]
         workers_at_work = at_work(sweep_job.execution, engines, tell)
         try:
             Loop(workers_at_work, searched.at_once, searched.begun()).serve(drivers())
@@ -180,14 +185,15 @@ def sweep(
         searches, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
         if report:
             _report(searches.runs, tell)
-            try_sweep_report(path, tell)
+            if part is None:
+                try_sweep_report(path, tell)
     if refused is not None:
         raise refused
     if failed := searches.failed | judges.failed:
         first = "; ".join(f"{name}: {reason}" for name, reason in [*failed.items()][:_SHOWN])
         more = f"; {len(failed) - _SHOWN} more" * (len(failed) > _SHOWN)
         raise SweepError(
-            f"{len(failed)} of {len(sweep_job.points)} points failed, the others are finished in "
+            f"{len(failed)} of {len(own.points)} points failed, the others are finished in "
             f"{path}: {first}{more}",
             failed,
         )
@@ -279,9 +285,9 @@ def foreseen(
     -------
     DataFrame
         A row for each point: its name, its values, the state of its run ("none" if it has not
-        begun, "other run" if another run is in the way), and ``steps``, the particle-steps that
-        the whole run takes. If the sweep judges, ``judging_steps`` are those that judge all found
-        times there, if all differ.
+        begun, "other run" if another run is in the way), ``steps``, the particle-steps that the
+        whole run takes, and ``seconds``, about how long they take a worker. If the sweep judges,
+        ``judging_steps`` are those that judge all found times there, if all differ.
 
     Raises
     ------
@@ -295,7 +301,8 @@ def foreseen(
         folder, built = path / point.name, build(sweep_job.jobs[point.name])
         state = _state(folder, sweep_job.jobs[point.name])
         steps = foreseen_steps(built)
-        rows.append({"point": point.name, **point.chosen, "state": state, "steps": steps})
+        work = {"steps": steps, "seconds": steps * built.evaluator.seconds_a_step}
+        rows.append({"point": point.name, **point.chosen, "state": state, **work})
         steps_a_set.append(comparison_steps(built) // len(built.names))
         number_of_sets += len(built.names) - len(built.study.unsearched)
     points_of_sweep = pd.DataFrame(rows)

@@ -1,21 +1,25 @@
 """A sweep: a job, and the points at which it is run."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.explained import explained
 from pfdist.common.section import Section
-from pfdist.errors import JobError, shown_text
+from pfdist.errors import ArgumentError, JobError, shown_text
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
 from pfdist.job.sections import Execution
 from pfdist.job.source import JobSource, as_job
 from pfdist.store import folder_of_run
+
+START_SECONDS = 10.0
+"""About how long a process takes on a new node until it has loaded and compiled what it needs."""
 
 
 class SweepFile(Section):
@@ -46,6 +50,51 @@ class SweepJob:
     def execution(self) -> Execution:
         """How all points are computed: they share the workers."""
         return next(iter(self.jobs.values())).execution
+
+    def part(self, part: tuple[int, int] | None) -> "SweepJob":
+        """Part k of n: every n-th point, from the k-th; None is the whole sweep.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such part, or it has no point.
+        """
+        if part is None:
+            return self
+        number, parts = part
+        if not 1 <= number <= parts <= len(self.points):
+            raise ArgumentError(
+                f"part must be K/N with 1 <= K <= N <= {len(self.points)}, the number of points, "
+                f"got {shown_text(f'{number}/{parts}')}",
+                argument="part",
+            )
+        points = self.points[number - 1 :: parts]
+        return replace(
+            self, points=points, jobs={each.name: self.jobs[each.name] for each in points}
+        )
+
+
+def parts_that_pay(seconds: Sequence[float]) -> int:
+    """The largest number of parts of a sweep that compute for at least half of their time.
+
+    Parts begin together. The others wait for the longest, and each needs a while to start.
+
+    Parameters
+    ----------
+    seconds : sequence of float
+        How long each point takes a worker; 0 if it is finished.
+
+    Examples
+    --------
+    >>> parts_that_pay([600.0] * 12), parts_that_pay([1.0] * 12), parts_that_pay([600.0, 1.0, 1.0])
+    (12, 1, 1)
+    """
+    work = np.asarray(seconds, float)
+    for parts in range(len(work), 1, -1):
+        longest = np.bincount(np.arange(len(work)) % parts, work).max() + START_SECONDS
+        if work.sum() >= parts * longest / 2:
+            return parts
+    return 1
 
 
 def read_sweep(

@@ -20,6 +20,7 @@ from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
 from pfdist.job.judging import judged_sets
+from pfdist.job.sweep import START_SECONDS, parts_that_pay
 from pfdist.runner.progress import Progress
 from pfdist.store import held
 
@@ -95,6 +96,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
     points = foreseen(sweep_file, results=tmp_path / "sweep", judge=True)
     assert points["state"].tolist() == ["none"] * 5
     assert (points["steps"] > 0).all()
+    assert (points["seconds"] > 0).all()
     job = small_job.with_changes(["comparison.draws=60"])
     filtered = 60 * job.filter.particles * (job.problem.feasible.horizon + 1)
     judging = filtered * (1 + 5 * len(job.search))  # the reference and all found
@@ -230,6 +232,55 @@ def test_results_have_the_name_of_the_sweep_file(
     sweep_file.write_text('job = "small.toml"\n[over]\nseed = [3]\n')
     assert sweep(sweep_file).path == Path("results/study")
     assert sweep(small_job, {"seed": [3]}).path == Path("results/small-sweep")
+
+
+# --- In parts -----------------------------------------------------------------------------------
+
+
+def test_parts_look_at_no_other_point_and_together_are_the_sweep(
+    sweep_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Others hold all points but those of a part; afterwards nothing is left to compute."""
+    start = partial(pfdist.sweep, sweep_file, judge=False)
+    whole = start(results=tmp_path / "whole", report=False)
+    said: list[str] = []
+    for number in (1, 2):
+        with contextlib.ExitStack() as others:
+            for name in [*whole.runs][2 - number :: 2]:
+                others.enter_context(held(tmp_path / "parts" / name))
+            part = start(results=tmp_path / "parts", part=(number, 2), judge=True, say=said.append)
+        assert [*part.runs] == [*whole.runs][number - 1 :: 2]
+        assert part.busy == ()
+        assert not part.judges
+    assert said.count("the found times are not judged, because not all points are finished") == 2
+    assert not (tmp_path / "parts" / "report.html").exists()
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("pfdist.pools.base.SerialPool.__enter__", refuse)
+    joined = start(results=tmp_path / "parts")
+    assert bytes_of(joined) == bytes_of(whole)
+    assert (joined.path / "report.html").exists()
+
+
+@pytest.mark.parametrize("part", [(0, 2), (3, 2), (1, 3), (-1, 2)])
+def test_a_part_that_has_no_point_is_refused(part: tuple[int, int], swept: Sweeping) -> None:
+    words = r"part must be K/N with 1 <= K <= N <= 2, the number of points, got "
+    with pytest.raises(PfdistError, match=words):
+        swept(SEEDS, part=part)
+
+
+@pytest.mark.parametrize("seconds", [[5.0] * 40, [200.0] * 7, [1000.0, *[10.0] * 20], [0.0, 9e9]])
+def test_parts_that_pay_compute_for_half_of_their_time_and_more_do_not(
+    seconds: list[float],
+) -> None:
+    def share(parts: int) -> float:
+        longest = max(sum(seconds[part::parts]) for part in range(parts))
+        return sum(seconds) / parts / (longest + START_SECONDS)
+
+    pay = [parts for parts in range(2, len(seconds) + 1) if share(parts) >= 0.5]
+    assert parts_that_pay(seconds) == max(pay, default=1)
 
 
 # --- Points that fail ---------------------------------------------------------------------------

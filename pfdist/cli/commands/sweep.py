@@ -1,12 +1,12 @@
 """The command ``pfdist sweep``."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from typing import TYPE_CHECKING
 
 from pfdist.cli.answers import print_page, print_records
 from pfdist.cli.arguments import add_changes, add_json, computing, whole
 from pfdist.cli.command import command
-from pfdist.errors import one_line
+from pfdist.errors import one_line, shown
 
 if TYPE_CHECKING:
     from pfdist.api.sweep import Sweep
@@ -41,11 +41,33 @@ def _add_sweep(parser: ArgumentParser) -> None:
         help="also judge the times found at each point at every point, in the folder "
         "judged of the sweep (default: judge of the sweep file)",
     )
-    parser.add_argument(
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "--part",
+        type=_part,
+        metavar="K/N",
+        help="compute every N-th point, from the K-th, and look at no other, as tasks of a batch "
+        "array do; then the same command without --part judges and reports the whole sweep",
+    )
+    either.add_argument(
         "--dry-run",
         action="store_true",
-        help="print the points and their work, and compute nothing",
+        help="print the points, their work, and the number of parts that pays; compute nothing",
     )
+
+
+def _part(text: str) -> tuple[int, int]:
+    """The numbers of ``3/200``; `SweepJob.part` knows which are allowed.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text is no pair of numbers.
+    """
+    number, slash, parts = text.partition("/")
+    if not slash:
+        raise ArgumentTypeError(f"must be K/N, as 3/200, got {shown(text)}")
+    return whole(number), whole(parts)
 
 
 @command(
@@ -67,6 +89,7 @@ def _add_sweep(parser: ArgumentParser) -> None:
             "Run every combination of two keys"
         ),
         "pfdist sweep jobs/budgets.toml --dry-run": "List the points of a sweep file",
+        "pfdist sweep jobs/budgets.toml --part 3/12": "Compute the third of twelve parts",
     },
 )
 def sweep_command(options: Namespace) -> None:
@@ -78,18 +101,17 @@ def sweep_command(options: Namespace) -> None:
     from pfdist.job.points import values_by_key
 
     over = values_by_key(options.over)
-    shared_options = {"results": options.results, "changes": options.set}
+    shared = {"results": options.results, "changes": options.set, "judge": options.judge}
     if options.dry_run:
-        points = foreseen(options.job, over, **shared_options, judge=options.judge)
+        points = foreseen(options.job, over, **shared)
         if options.json:
             print_records("points", points, options)
         else:
             print_page(foreseen_page(points), options)
         return
     with Display() as display:
-        chosen = {**settings(options, display), **shared_options}
-        chosen |= {"bound_draws": options.bound_draws, "judge": options.judge}
-        finished = sweep(options.job, over, **chosen)
+        chosen = {**settings(options, display), **shared, "part": options.part}
+        finished = sweep(options.job, over, **chosen, bound_draws=options.bound_draws)
     _print_sweep(finished, options)
 
 
