@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -41,6 +40,7 @@ REPEATS = 5
 STANDARD_ERRORS = 4  # largest difference of a peer's mean from that of pfdist
 OURS = "pfdist"
 THREADS = 2
+_BUSY = 0.1  # share of wall time above which the machine does other things
 
 Filter = Callable[[Draws, str, int], NDArray[np.float64]]  # (draws, resampling, seed) -> mse (D,)
 
@@ -249,7 +249,8 @@ def _check(rows: list[dict[str, float | str]]) -> None:
 def summary(tables: Tables) -> str:
     """Give a summary of the times and the agreement in Markdown."""
     rows = tables["peers"]
-    lines = []
+    busy = max(0.0, (rows["ns_wall"] / rows["ns"]).median() - 1)
+    is_idle, lines = busy < _BUSY, []
     for (who, dtype), filters in rows.groupby(["who", "dtype"], sort=False):
         cells = [f"{who}, {dtype}"]
         for scheme in SCHEMES:
@@ -257,33 +258,35 @@ def summary(tables: Tables) -> str:
             cells += [
                 f"{row['ns']:.2f}",
                 f"{row['ratio']:.1f} ({row['ratio_low']:.1f} to {row['ratio_high']:.1f})",
-                _shown(
-                    row["difference"], f"{row['difference']:+.3f} ± {row['standard_error']:.3f}"
-                ),
-                f"{row['first_seconds']:.1f}",
-                _shown(row["speedup"], f"{row['speedup']:.2f}"),
+                _shown("{:+.3f} ± {:.3f}", row["difference"], row["standard_error"]),
             ]
+            if is_idle:
+                cells += [f"{row['first_seconds']:.1f}", _shown("{:.2f}", row["speedup"])]
         lines.append(cells)
     header = ["one core"]
     for scheme in SCHEMES:
         header += [f"{scheme}: ns a particle-step", "times ours", "MSE minus ours"]
-        header += ["first call, s", "two threads"]
+        header += ["first call, s", "two threads"] if is_idle else []
     first = rows.iloc[0]
-    busy = max(0.0, (rows["ns_wall"] / rows["ns"]).median() - 1)
+    wall = (
+        "First call: its seconds, less those of a later call; that of the first scheme also makes "
+        "all that both need. Two threads: how many times faster they are, with half of the draws "
+        "each."
+        if is_idle
+        else "The machine was busy: wall times, of first calls and of two threads, are left out."
+    )
     return (
         f"UNGM, T = {HORIZON}, {BUDGET} regular times, {PARTICLES} particles, "
         f"{first['draws']:,} draws. Processor time, least of {first['repeats']} repeats in turns "
         f"(the least wall time lies {busy:.0%} higher); in brackets the ratios of single rounds. "
         f"Each peer is written by its own best idioms (`peer_filters/`) and has our mean MSE "
         f"within {STANDARD_ERRORS} standard errors of the paired difference, or nothing is "
-        f"written. First call: its seconds, less those of a later call; the first scheme also pays "
-        f"what both need. Two threads: how many times faster they do half of the draws each. "
-        f"The limit makes the same noise and copies the same states, and filters nothing."
-        f"\n\n{markdown(header, lines)}"
+        f"written. The limit makes the same noise, moves and copies the states, and filters "
+        f"nothing. {wall}\n\n{markdown(header, lines)}"
     )
 
 
-def _shown(form: str, *values: Any) -> str:
+def _shown(form: str, *values: float) -> str:
     return "" if math.isnan(values[0]) else form.format(*values)
 
 

@@ -66,23 +66,18 @@ def plan(
     1
     """
     wanted = [instants] * len(sets) if ends is None else list(ends)
-    # If sets differ only in their ends, the longest comes first, so the others can share it.
-    order = sorted(set(zip(sets, wanted, strict=True)), key=_word)
-    index = {key: position for position, key in enumerate(order)}
-    measured = np.zeros((len(order), instants), np.bool_)
-    for row, (times, _) in zip(measured, order, strict=True):
+    unique = dict[tuple[tuple[int, ...], int], int]()
+    numbers = [unique.setdefault(key, len(unique)) for key in zip(sets, wanted, strict=True)]
+    measured = np.zeros((len(unique), instants), np.bool_)
+    for row, (times, _) in zip(measured, unique, strict=True):
         row[list(times)] = True
-    ends_ = np.array([end for _, end in order])
+    words, ends_ = np.packbits(measured, axis=1), np.array([end for _, end in unique])
+    # If sets differ only in their ends, the longest comes first, so the others can share it.
+    order = sorted(range(len(unique)), key=lambda number: (words[number].tobytes(), -ends_[number]))
+    measured, ends_ = measured[order], ends_[order]
     begins, givers = _shared(measured, ends_)
     filter_plan = Plan(measured, begins, ends_, *_slot_plan(begins, givers, ends_))
-    places = np.array([index[key] for key in zip(sets, wanted, strict=True)])
-    return Planned(filter_plan, places, givers)
-
-
-def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
-    """Sort key: rows of zeros and ones in lexicographic order, and the latest end first."""
-    times, end = key
-    return tuple(-time for time in times), -end
+    return Planned(filter_plan, np.argsort(order)[numbers], givers)
 
 
 def _shared(
