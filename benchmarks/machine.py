@@ -8,7 +8,9 @@ from pathlib import Path
 
 import llvmlite.binding
 
-_PACKAGES = ("pfdist", "numba", "llvmlite", "numpy", "jax", "jaxlib", "particles", "ray")
+_PACKAGES = (
+    "pfdist", "numba", "llvmlite", "numpy", "jax", "jaxlib", "cuthbert", "torch", "particles", "ray"
+)  # fmt: skip
 
 
 def provenance() -> dict[str, str]:

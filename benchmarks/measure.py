@@ -21,10 +21,13 @@ class Timing:
 
     Parameters
     ----------
+    first : float
+        Wall seconds of the call before the rounds, which compiles.
     processor, wall : tuple of float
         Seconds.
     """
 
+    first: float
     processor: tuple[float, ...]
     wall: tuple[float, ...]
 
@@ -60,8 +63,11 @@ def take_turns(
     dict
         A `Timing` for each key.
     """
-    for function in functions.values():
+    first = {}
+    for key, function in functions.items():
+        start = perf_counter()
         function()
+        first[key] = perf_counter() - start
     taken: dict[Any, list[tuple[float, float]]] = {key: [] for key in functions}
     for turn in range(repeats):
         for key, function in functions.items():
@@ -69,7 +75,7 @@ def take_turns(
             function()
             taken[key].append((process_time() - processor, perf_counter() - wall))
         say(f"round {turn + 1} of {repeats}")
-    return {key: Timing(*zip(*pairs, strict=True)) for key, pairs in taken.items()}
+    return {key: Timing(first[key], *zip(*pairs, strict=True)) for key, pairs in taken.items()}
 
 
 @contextmanager

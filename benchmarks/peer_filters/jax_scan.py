@@ -20,6 +20,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+# Threads that call a compiled function each compute it themselves, and do not wait for each other.
+jax.config.update("jax_cpu_enable_async_dispatch", False)
+
 _DRAWS_AT_ONCE = 50
 
 
@@ -42,7 +45,7 @@ def filter_draws(
 def _filter_draws(
     key: Any, y: Any, z: Any, measured: Any, particles: int, resampling: str
 ) -> jax.Array:
-    resample = _systematic if resampling == "systematic" else _multinomial
+    ancestors = ANCESTORS[resampling]
 
     def observe(x: Any, t: Any, y_t: Any, z_t: Any, measured_t: Any, key: Any) -> Any:
         def weigh_and_resample(x: Any) -> Any:
@@ -50,7 +53,7 @@ def _filter_draws(
             log_weight = -0.5 * ((y_t - x**2 / 20) / sd) ** 2
             weight = jnp.exp(log_weight - log_weight.max())
             weight /= weight.sum()
-            return jnp.sum(weight * x), resample(key, weight, x)
+            return jnp.sum(weight * x), x[ancestors(key, weight)]
 
         def leave(x: Any) -> Any:
             return x.mean(), x
@@ -80,13 +83,17 @@ def _filter_draws(
     return mse
 
 
-def _multinomial(key: Any, weight: Any, x: Any) -> Any:
-    return jax.random.choice(key, x, x.shape, p=weight)
+def _multinomial(key: Any, weight: Any) -> Any:
+    return jax.random.choice(key, weight.size, weight.shape, p=weight)
 
 
-def _systematic(key: Any, weight: Any, x: Any) -> Any:
+def _systematic(key: Any, weight: Any) -> Any:
     cumulative = jnp.cumsum(weight)
-    scale = x.size / cumulative[-1]
+    scale = weight.size / cumulative[-1]
     ends = jnp.ceil(cumulative * scale - jax.random.uniform(key)).astype(jnp.int32)
-    passed = jnp.zeros(x.size, jnp.int32).at[ends].add(1, mode="drop")
-    return x[jnp.minimum(jnp.cumsum(passed), x.size - 1)]
+    passed = jnp.zeros(weight.size, jnp.int32).at[ends].add(1, mode="drop")
+    return jnp.minimum(jnp.cumsum(passed), weight.size - 1)
+
+
+ANCESTORS = {"multinomial": _multinomial, "systematic": _systematic}
+"""Each scheme's function from a key and weights to indices of ancestors."""

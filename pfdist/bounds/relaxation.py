@@ -18,6 +18,7 @@ Abate, Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems"
 dynamic programs", Operations Research 58, 2010.
 """
 
+from bisect import bisect_right
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -139,8 +140,8 @@ class Relaxation:
 
     def filtered(self, window: Window) -> Times:
         """The measurement times of the filter of a window."""
-        filled = (time for time in self.constraints.allowed if time <= window[0])
-        return (*filled, *window[1:])
+        allowed = self.constraints.allowed
+        return allowed[: bisect_right(allowed, window[0])] + window[1:]
 
     @cached_property
     def single(self) -> Indices:

@@ -131,10 +131,12 @@ def sum_errors(
     nothing. The memory does not grow with the draws. Arguments are those of `filter_checked_sets`.
     """
     instants = draws.z.shape[1]
-    planned, columns, rows = _planned(draws, sets, ends)
+    planned, columns, givers = _planned(draws, sets, ends)
     errors = np.zeros((len(planned.measured), instants))
     mse = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
-    sums = errors[rows[columns], np.arange(instants)]
+    for row, giver, begin in zip(errors, givers, planned.begins, strict=True):
+        row[:begin] = errors[giver, :begin]
+    sums = errors[columns]
     sums[~np.isfinite(mse[:, columns]).all(axis=0)] = np.nan
     return sums
 

@@ -277,17 +277,17 @@ def _filter_draw(
         particles, p, truth = request.particles, models.p, models.truth
         cloud, noise, weight, terms = scratch.cloud, scratch.noise, scratch.weight, scratch.terms
         weights, saved, first_means = request.weights, scratch.saved, scratch.first_means
-        measured, begins, ends, sources, stops, slots = plan
-        by_error = weights.squared_error != 0.0
+        measured, begins, ends, sources, first_stops, stops, slots = plan
         only_by_error = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
-        goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # its last cloud counts
-        source = sources[s] if begins[s] > 0 else np.int64(-1)
-        here, stop, error = np.int64(0), begins[s], begin(at, request, p, scratch, source)
+        k, behind = first_stops[s], first_stops[s + 1]  # of its next stop, and of all its stops
+        goes_on = slots[behind - 1] >= 0 or results.cloud.size > 0  # its last cloud counts
+        here, stop, source = np.int64(0), begins[s], sources[s] if begins[s] > 0 else np.int64(-1)
+        error = begin(at, request, p, scratch, source)
         # At each instant: propagate, weight, estimate, resample. The estimate comes before
         # resampling, which adds noise. The loop pauses at each instant whose cloud a later set
         # needs: cloud[here] is then resampled, but not yet propagated to that instant.
-        while stop < ends[s] and error < np.inf:
-            first, stop = stop, stops[s, stop]
+        while k < behind and error < np.inf:
+            first, stop, k = stop, stops[k], k + 1
             for t in range(first, stop):
                 instant = request.start + t
                 if t > 0:
@@ -299,7 +299,7 @@ def _filter_draw(
                     here, total = weigh_cloud(scratch, here, request, p, d, t)
                     row = WEIGHTED
                 if total == 0.0:
-                    return _end(saved.errors, slots, s, t, np.nan)  # degenerate
+                    return _end(saved.errors, slots[k - 1 : behind], np.nan)  # degenerate
                 fill_terms(cloud, here, instant, p, weight, row, terms)
                 mean = mean_of(terms, total)
                 if not only_by_error:
@@ -313,17 +313,17 @@ def _filter_draw(
                     error += weighed_variance
                     _add(results.errors, s, t, weighed_variance)
                 z = read_z(request.z, d, t)
-                squared = error_of(z, mean, instant, truth) if by_error else 0.0
+                squared = error_of(z, mean, instant, truth) if weights.squared_error != 0.0 else 0.0
                 squared = _weighed(squared, request.instant_weights[t] * weights.squared_error)
                 error += squared
                 _add(results.errors, s, t, squared)
                 if not error < np.inf:
-                    return _end(saved.errors, slots, s, t, np.inf)
+                    return _end(saved.errors, slots[k - 1 : behind], np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):
                     here = resample_cloud(scratch, here, particles, stream, draw, instant)
-            _save(cloud, here, saved, slots[s, stop], error)  # inside the loop over t it costs 3 %
+            _save(cloud, here, saved, slots[k - 1], error)  # inside the loop over t it costs 3 %
         _keep(cloud, here, results.cloud, d)
-        return _mean(error, measured.shape[1], saved.errors, slots, s, stop)
+        return _mean(error, measured.shape[1], saved.errors, slots[k:behind])
 
     return filter_draw
 
@@ -375,15 +375,15 @@ def _keep(cloud, here, result, d):
 
 
 @melted
-def _end(saved_errors, slots, s, t, mse):
-    """End a set at t with this MSE, NaN or inf, and with it the sets that would resume from it."""
-    for later in range(t + 1, slots.shape[1]):
-        if slots[s, later] >= 0:
-            saved_errors[slots[s, later]] = mse
+def _end(saved_errors, slots, mse):
+    """End a set with this MSE, NaN or inf, and with it the sets that would resume from it."""
+    for slot in slots:
+        if slot >= 0:
+            saved_errors[slot] = mse
     return mse
 
 
 @melted
-def _mean(error, instants, saved_errors, slots, s, stop):
+def _mean(error, instants, saved_errors, slots):
     """The sum of errors over the number of instants, or NaN or inf if a shared prefix ended so."""
-    return error / instants if error < np.inf else _end(saved_errors, slots, s, stop, error)
+    return error / instants if error < np.inf else _end(saved_errors, slots, error)

@@ -23,10 +23,11 @@ class Plan(NamedTuple):
     ends: NDArray[np.int64]  # (U,): the instant after a set's last
     # (U,): slot of the saved cloud from which a set resumes, unless it begins at 0
     sources: NDArray[np.int64]
-    # (U, T+2): for each instant, the next instant before which the cloud is saved, or the set's end
-    stops: NDArray[np.int64]
-    # (U, T+2): slot in which the cloud is saved before each instant, or -1
-    slots: NDArray[np.int64]
+    # (U+1,): where the stops of each set begin. The filter of a set stops before the instants at
+    # which it saves its cloud, and at its end.
+    first_stops: NDArray[np.int64]
+    stops: NDArray[np.int64]  # (K,): ascending in each set
+    slots: NDArray[np.int64]  # (K,): slot in which the cloud is saved at each stop, or -1
 
     @property
     def clouds(self) -> int:
@@ -39,9 +40,7 @@ class Planned(NamedTuple):
 
     plan: Plan
     places: NDArray[np.int64]  # (S,): index of each wanted set in the plan
-    # (U, T+1): for each set of the plan and each instant, the index of the set that filters this
-    # instant
-    rows: NDArray[np.int64]
+    givers: list[int]  # for each of the U sets, the set that filters its shared prefix; -1 for none
 
 
 class Saved(NamedTuple):
@@ -51,7 +50,7 @@ class Saved(NamedTuple):
     errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def plan(
     sets: tuple[tuple[int, ...], ...], instants: int, ends: tuple[int, ...] | None = None
 ) -> Planned:
@@ -60,33 +59,25 @@ def plan(
     `instants` is T + 1. `ends` has, for each set, the instant after the last instant whose error
     counts, by default T + 1. All of the set's times must lie before it.
 
-    >>> filter_plan, places, rows = plan(((0, 2), (1, 2), (0, 1)), 3)
+    >>> filter_plan, places, givers = plan(((0, 2), (1, 2), (0, 1)), 3)
     >>> places, filter_plan.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
     (array([1, 0, 2]), array([0, 0, 1]))
-    >>> rows[2]  # the error of (0, 1) at t = 0 is that of (0, 2)
-    array([1, 2, 2])
+    >>> givers[2]  # the error of (0, 1) at t = 0 is that of (0, 2)
+    1
     """
     wanted = [instants] * len(sets) if ends is None else list(ends)
-    # If sets differ only in their ends, the longest comes first, so the others can share it.
-    order = sorted(set(zip(sets, wanted, strict=True)), key=_word)
-    index = {key: position for position, key in enumerate(order)}
-    measured = np.zeros((len(order), instants), np.bool_)
-    for row, (times, _) in zip(measured, order, strict=True):
+    unique = dict[tuple[tuple[int, ...], int], int]()
+    numbers = [unique.setdefault(key, len(unique)) for key in zip(sets, wanted, strict=True)]
+    measured = np.zeros((len(unique), instants), np.bool_)
+    for row, (times, _) in zip(measured, unique, strict=True):
         row[list(times)] = True
-    ends_ = np.array([end for _, end in order])
+    words, ends_ = np.packbits(measured, axis=1), np.array([end for _, end in unique])
+    # If sets differ only in their ends, the longest comes first, so the others can share it.
+    order = sorted(range(len(unique)), key=lambda number: (words[number].tobytes(), -ends_[number]))
+    measured, ends_ = measured[order], ends_[order]
     begins, givers = _shared(measured, ends_)
-    stops, slots, sources = _slot_plan(begins, givers, ends_, instants)
-    filter_plan = Plan(measured, begins, ends_, sources, stops, slots)
-    rows = np.repeat(np.arange(len(order))[:, None], instants, axis=1)
-    for row, giver, begin in zip(rows, givers, begins, strict=True):
-        row[:begin] = rows[giver, :begin]
-    return Planned(filter_plan, np.array([index[k] for k in zip(sets, wanted, strict=True)]), rows)
-
-
-def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
-    """Sort key: rows of zeros and ones in lexicographic order, and the latest end first."""
-    times, end = key
-    return tuple(-time for time in times), -end
+    filter_plan = Plan(measured, begins, ends_, *_slot_plan(begins, givers, ends_))
+    return Planned(filter_plan, np.argsort(order)[numbers], givers)
 
 
 def _shared(
@@ -118,9 +109,9 @@ def _shared(
 
 
 def _slot_plan(
-    begins: NDArray[np.int64], givers: Sequence[int], ends: NDArray[np.int64], instants: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """For each set: the instants before which it saves clouds, their slots, and its source's slot.
+    begins: NDArray[np.int64], givers: Sequence[int], ends: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """`Plan.sources`, `first_stops`, `stops` and `slots`.
 
     Slots are reused.
     """
@@ -135,21 +126,23 @@ def _slot_plan(
         if begin:
             last_use[origins[index]] = index
             begins_of_takers[origins[index][0]].add(origins[index][1])
-    stops = np.repeat(ends[:, None], instants + 1, axis=1)
-    slots, sources = np.full_like(stops, -1), np.zeros_like(ends)
+    # With a stop for each instant, the memory would grow with the horizon times the sets.
+    first_stops, stops, slots = [0], list[int](), list[int]()
+    sources = np.zeros_like(ends)
     held: dict[tuple[int, int], int] = {}
     freed = set(last_use.values())
-    for index, begins_later in enumerate(begins.tolist()):
+    for index, (begins_later, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
         # The set copies its source before it saves anything. So a slot that it is the last to read
         # is free for the clouds that it saves itself.
         if begins_later:
             sources[index] = held[origins[index]]
         if index in freed:
             held = {what: slot for what, slot in held.items() if last_use[what] > index}
-        if index not in begins_of_takers:
-            continue
-        for begin in sorted(begins_of_takers[index], reverse=True):
+        saved = sorted(begins_of_takers.get(index, ()), reverse=True)
+        for begin in saved:
             held[index, begin] = min(set(range(len(held) + 1)) - set(held.values()))
-            stops[index, :begin] = begin
-            slots[index, begin] = held[index, begin]
-    return stops, slots, sources
+        here = {end: -1} | {begin: held[index, begin] for begin in saved}
+        stops += sorted(here)
+        slots += [here[stop] for stop in sorted(here)]
+        first_stops.append(len(stops))
+    return sources, np.array(first_stops), np.array(stops), np.array(slots)

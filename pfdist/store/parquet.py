@@ -106,8 +106,9 @@ class Store:
         parts = self._parts(table, phase)
         for path in parts:
             files.remove(path)
-        for holders in (self._holders or {}).values():
-            holders.difference_update(parts)
+        holders, gone = self._holders or {}, {*parts}
+        for id_ in holders:
+            holders[id_] -= gone.intersection(holders[id_])  # of all parts, few are holders
 
     def _prepared(self, rows: pa.Table) -> pa.Table:
         """Rows in the form in which files hold them."""

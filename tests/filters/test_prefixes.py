@@ -80,14 +80,17 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
     # kept it there, and no other has overwritten it.
     kept: dict[int, tuple[bool, ...]] = {}
     for index, (row, end) in enumerate(ordered):
-        stop = begin = int(planned.begins[index])
+        begin = int(planned.begins[index])
         if begin > 0:
             assert kept[int(planned.sources[index])] == tuple(row[:begin].tolist())
-        while stop < end:
-            stop = int(planned.stops[index, stop])
-            assert begin < stop <= end
-            if planned.slots[index, stop] >= 0:
-                kept[int(planned.slots[index, stop])] = tuple(row[:stop].tolist())
+        own = slice(*planned.first_stops[index : index + 2])
+        stops, slots = planned.stops[own].tolist(), planned.slots[own].tolist()
+        assert stops == sorted(set(stops))
+        assert stops[-1] == end
+        for stop, slot in zip(stops, slots, strict=True):
+            assert stop > begin or (slot, stop) == (-1, end)
+            if slot >= 0:
+                kept[slot] = tuple(row[:stop].tolist())
     assert len(kept) <= planned.clouds
 
 
@@ -104,3 +107,14 @@ def test_what_is_wanted_up_to_an_end_is_the_sum_of_the_errors_up_to_there() -> N
     nothing = (draws.z - blind)[:, 0, 0] ** 2 / (HORIZON + 1)
     np.testing.assert_allclose(upto[:, 0], nothing, rtol=1e-12)
     np.testing.assert_allclose(upto[:, 1:], errors[:, list(ends[1:])], rtol=1e-12)
+
+
+def test_a_plan_of_neighbours_on_a_long_horizon_fits_into_little_memory() -> None:
+    """Only `measured` has an entry for each instant of each set: a byte."""
+    regular = tuple(range(0, 600, 10))
+    sets = [
+        tuple(sorted({*regular} - {out} | {out + step})) for out in regular for step in range(1, 9)
+    ]
+    planned = plan(tuple(sets), 601)
+    size = sum(array.nbytes for array in (*planned.plan, planned.places))
+    assert size < 1.5 * len(sets) * 601
