@@ -38,6 +38,12 @@ def test_a_worker_does_not_wait_for_what_it_does_not_need() -> None:
     assert _printed(f"{imports}; print({heavy} & {{*sys.modules}})") == "set()\n"
 
 
+def test_a_plan_loads_pandas_when_it_reads_tables() -> None:
+    heavy = "{'pandas', 'matplotlib', 'jinja2', 'ray', 'scipy.stats', 'scipy.special'}"
+    imports = "import sys, pfdist; pfdist.plan, pfdist.run"
+    assert _printed(f"{imports}; print({heavy} & {{*sys.modules}})") == "set()\n"
+
+
 def test_a_compiled_formula_may_call_where_before_anyone_else_has() -> None:
     code = (
         "import numpy as np, pfdist; from pfdist.kernels.formulas import formula;"

@@ -1,8 +1,12 @@
 """Lower bounds in a run's tables."""
 
-from typing import Any
+from __future__ import annotations
 
-import pandas as pd
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 _OF_THE_SET = ["position", "name", "measurement_times"]
 

@@ -1,16 +1,20 @@
 """Compared sets by number of measurements: expected MSE, and how many reach a target."""
 
+from __future__ import annotations
+
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.streaming_moments import Moments
 from pfdist.common.estimate import CONFIDENCE, student_quantile
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FOUND, GIVEN = "found", "given"
 
@@ -60,6 +64,8 @@ def budget_table(
                 "search_standard_error": float(entry["search_standard_error"]),
             }
         )
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
     table = pd.DataFrame(rows)
     worse = _worse(table, blocks)
     table["worse_than"] = pd.array([worse.get(name) for name in table["name"]], dtype="Int64")
@@ -171,5 +177,5 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     return answer
 
 
-def _least(costs: "pd.Series[float]", target: float) -> int | None:
+def _least(costs: pd.Series[float], target: float) -> int | None:
     return next((int(number) for number, cost in costs.items() if cost <= target), None)  # type: ignore[call-overload]

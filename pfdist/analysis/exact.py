@@ -1,8 +1,7 @@
 """Expected MSEs that a run's tables hold exactly, because its engine needs no draws."""
 
+import math
 from typing import TYPE_CHECKING
-
-import pandas as pd
 
 from pfdist.filters.engines import is_exact
 
@@ -36,4 +35,4 @@ def exact_costs(run: "Run") -> dict[str, float]:
     if run.has("bound"):
         proved = run.bounds().drop_duplicates("name", keep="last")
         costs |= dict(zip(proved["name"], proved["expected_mse"], strict=True))
-    return {str(name): float(cost) for name, cost in costs.items() if pd.notna(cost)}
+    return {str(name): float(cost) for name, cost in costs.items() if not math.isnan(cost)}

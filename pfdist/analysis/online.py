@@ -3,12 +3,13 @@
 All of them filter the same fresh draws, so the errors are compared draw by draw.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.analysis.gains import Gain
@@ -17,6 +18,8 @@ from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pfdist.analysis.stored_run import Run
 
 
@@ -94,7 +97,7 @@ class OnlineDraws:
         return self.rows[[f"mse_{name}" for name in names]].notna().all(axis=1).to_numpy()
 
 
-def online_draws(run: "Run") -> OnlineDraws:
+def online_draws(run: Run) -> OnlineDraws:
     """Read the draws that have both online times and errors in the comparison.
 
     Parameters

@@ -8,17 +8,21 @@ and academic achievement across countries", Review of Economic Studies 91, 2024 
 from simultaneous intervals of all differences; here Bonferroni's).
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from pfdist.analysis.streaming_moments import Array, Moments, Pairs
 from pfdist.common.estimate import CONFIDENCE, wilson_interval
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _ROUNDING = 1e-12  # relative difference of two exact expected MSEs that counts as none
 PAIR_COLUMNS = (
@@ -129,6 +133,8 @@ def pairs_table(
         first, second = (names[place] for place in places)
         exact_pair = (exact[first], exact[second]) if first in exact and second in exact else None
         rows.append({"first": first, "second": second} | pair.columns(confidence, exact_pair))
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
     return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
 
 
@@ -176,6 +182,8 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
         (name, *costs[name], 1 + better[name], len(costs) - worse[name], *to_best[name])
         for name in order
     ]
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
     return pd.DataFrame(rows, columns=list(RANK_COLUMNS))
 
 

@@ -1,12 +1,13 @@
 """A run as pandas DataFrames and as a summary."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
@@ -29,6 +30,9 @@ from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
 from pfdist.store import QUESTIONS, Store, check_entries, schema
 from pfdist.times.measurement_times import Times
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Run(Shown):
@@ -94,6 +98,8 @@ class Run(Shown):
         Without such times the table is empty.
         """
         if not self.has("online"):
+            import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
             return pd.DataFrame(columns=schema("online").names)
         return self._store.read("online")
 
@@ -151,6 +157,8 @@ class Run(Shown):
             gains[f"gain_{name}"] = relative_gain(
                 rows[f"mse_{name}"].to_numpy(), rows[f"mse_{reference}"].to_numpy()
             )
+        import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
         return pd.DataFrame(gains)
 
     @cached_property

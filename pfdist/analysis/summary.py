@@ -4,8 +4,6 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from pfdist.analysis.belief import belief_of
 from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import FOUND
@@ -247,6 +245,8 @@ def _results(run: "Run") -> dict[str, SetResult]:
 
 def _compared(run: "Run") -> dict[str, Row]:
     """Costs of each set, facts about it, and its gains over its reference."""
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
     results, statistics = dict[str, Row](), run.statistics()
     for row in run.budget(statistics).to_dict("records"):
         result: Row = {str(key): value for key, value in row.items()}

@@ -1,10 +1,10 @@
 """The question of a run, how it was computed, how to load its tables, and how to cite."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import pandas as pd
 import tomli_w
 
 from pfdist.analysis import read_recorded
@@ -213,4 +213,4 @@ def _without_none(value: Any) -> Any:
         return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):
         return [_without_none(entry) for entry in value]
-    return value if not (isinstance(value, float) and pd.isna(value)) else "nan"
+    return value if not (isinstance(value, float) and math.isnan(value)) else "nan"

@@ -110,7 +110,7 @@ def _compile(
     rows = max(map(len, noise))
     named = naming(parameters)
 
-    @njit(nogil=True, error_model="numpy", _nrt=False)
+    @njit(nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
     def simulate_draws(stream, first, start, begun, parameters, noise, drawn, at):  # type: ignore[no-untyped-def]
         p, (x, y, z) = named(parameters), drawn
         for begin in range(0, x.shape[0], _TOGETHER):

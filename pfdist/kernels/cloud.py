@@ -5,6 +5,7 @@ half, whose index is `here`, and writes the other half.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +32,7 @@ class Prior(NamedTuple):
 FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64))
 
 
+@lru_cache(maxsize=32)
 def cloud_steps(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],

@@ -6,6 +6,7 @@ import math
 import re
 import types
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,7 @@ _TUPLES = ("w", "x", "v", "y", "z", "estimate")
 """Arguments of formulas that are tuples, whose constant indices Numba checks when it compiles."""
 
 
+@lru_cache(maxsize=128)
 def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
     """Compile a formula; `name` is its name in errors, by default the function's name.
 

@@ -65,6 +65,7 @@ def _leave_unsorted(cloud, here, particles, weight, row, scratch):
     return here
 
 
+@lru_cache(maxsize=32)
 def moments(
     quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
 ) -> tuple[Callable[..., Any], ...]:
@@ -100,6 +101,7 @@ def moments(
     return fill_terms, fill_squares, mean_of
 
 
+@lru_cache(maxsize=32)
 def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[..., Any], ...]:
     """Compile what records mean and variance, and the part of an instant's error they estimate.
 
@@ -236,7 +238,7 @@ def _filter_draws(
     noise_rows = max(1, *map(len, noise_kinds))
     states, _, quantities = components
 
-    @njit(nogil=True, error_model="numpy", _nrt=False)
+    @njit(nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
     def filter_draws(request, plan, results, scratch):
         models = _Models(named(request.parameters), named_truth(request.true_parameters))
         sized = with_sizes(scratch, states, quantities, noise_rows, request.particles)

@@ -1,5 +1,6 @@
 """Replacements in formulas for elementary functions of NumPy and the standard library."""
 
+import inspect
 import math
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +15,7 @@ from pfdist.kernels.melting import MELTING
 
 def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable[..., Any]:
     """A function that compiles to `scalar` on numbers and to NumPy's own on arrays."""
-    arguments = "xy"[: original.nin]
+    arguments = inspect.signature(scalar).parameters  # the names must be the same
     names = ", ".join(arguments)
     floats = ", ".join(f"float64({name})" for name in arguments)
     scope: dict[str, Any] = {"scalar": scalar, "original": original, "float64": np.float64}
@@ -23,10 +24,12 @@ def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable
         f"def on_numbers({names}):\n    return scalar({floats})\n"
         f"def on_arrays({names}):\n    return original({names})\n"
         "def chosen(kinds):\n"
-        "    return on_numbers if all(map(is_number, kinds)) else on_arrays\n"
+        "    on_any_numbers = scalar if are_floats(kinds) else on_numbers\n"
+        "    return on_any_numbers if all(map(is_number, kinds)) else on_arrays\n"
         f"def overloaded({names}):\n    return chosen(({names},))\n"
     )
     scope["is_number"] = lambda kind: isinstance(kind, types.Float | types.Integer | types.Boolean)
+    scope["are_floats"] = lambda kinds: all(kind == types.float64 for kind in kinds)
     exec(source, scope)  # noqa: S102  the source above depends on a number only
     overload(scope["stub"], jit_options=MELTING)(scope["overloaded"])
     return scope["stub"]

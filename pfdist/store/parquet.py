@@ -11,15 +11,16 @@ process may die at any instant of it. A commit reads and lists nothing, so it co
 much was committed before.
 """
 
+from __future__ import annotations
+
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -38,6 +39,9 @@ from pfdist.store.tables import (
     signed,
     unique,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
@@ -129,6 +133,8 @@ class Store:
 
         It may be limited to the first draws, or to the rows of a phase.
         """
+        import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
         condition = None if draws is None else pc.field("draw") < draws
         pieces = self._load(table, phase, filters=condition)
         if not pieces:

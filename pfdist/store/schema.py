@@ -4,18 +4,22 @@ Every file carries the schema's version, its table's name and the key of its run
 every column a unit and a description. ``mse`` and the like are in the square of the unit of z.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.errors import StoreError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA_VERSION = 3
 _RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions

@@ -23,6 +23,9 @@ PUBLIC = {
 # Methods and attributes that the package overrides, or uses of objects it is given.
 BESIDES = {
     "numba.core.codegen:JITCodeLibrary._optimize_final_module": "kernels/melting.py",
+    "numba.core.codegen:JITCodeLibrary._finalize_dynamic_globals": "kernels/melting.py",
+    "numba.core.codegen:JITCodeLibrary._finalize_final_module": "kernels/melting.py",
+    "numba.core.codegen:JITCodeLibrary.codegen": "kernels/melting.py",
     "numba.core.codegen:JITCodeLibrary.enable_object_caching": "kernels/melting.py",
     "numba.core.compiler:Compiler.define_pipelines": "kernels/melting.py",
     "numba.core.compiler:CompileResult._rebuild": "kernels/disk_cache.py",
