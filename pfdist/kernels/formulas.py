@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 from numba import errors
-from numba.extending import is_jitted
+from numba.extending import is_jitted, overload
 
 import pfdist.elementwise  # noqa: F401  registers the compiled versions of where and clip
+from pfdist.densities import draws, log_densities, quantiles, special
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.choices import CHOICES
-from pfdist.kernels.melting import melted
+from pfdist.kernels.melting import MELTING, melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 from pfdist.models.mistakes import error_line, frames_of, is_interrupt, place_of, remedy
 from pfdist.models.seeing import seeing
@@ -212,7 +213,9 @@ def _indexes_an_array(node: ast.AST) -> bool:
 def is_ours(function: types.FunctionType) -> bool:
     """Whether a function is pfdist's own, which is compiled in its own way."""
     module = str(function.__globals__.get("__name__"))
-    return module == "pfdist.elementwise" or module.startswith("pfdist.kernels.")
+    return module == "pfdist.elementwise" or module.startswith(
+        ("pfdist.kernels.", "pfdist.densities.")
+    )
 
 
 def _replaced(module: types.ModuleType, others: Mapping[str, Any]) -> types.ModuleType:
@@ -231,6 +234,21 @@ _INSTEAD: dict[int, Any] = {
     **{id(getattr(math, name)): function for name, function in _MATH.items()},
 }
 """The replacements that a formula sees, by the identity of the original module or function."""
+
+
+def _compile_like_formulas(module: types.ModuleType) -> None:
+    """Let Numba compile the functions of a module as formulas, wherever a formula calls them."""
+    for function in vars(module).values():
+        if isinstance(function, types.FunctionType) and function.__module__ == module.__name__:
+            compilable = seeing(function, lambda value: _INSTEAD.get(id(value), value))
+            options = MELTING | {"error_model": "numpy"}
+            overload(function, jit_options=options, strict=False)(
+                lambda *_, compilable=compilable, **__: compilable
+            )
+
+
+for _module in (special, log_densities, quantiles, draws):
+    _compile_like_formulas(_module)
 
 
 # --- errors of formulas -------------------------------------------------------------------------

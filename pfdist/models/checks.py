@@ -17,7 +17,7 @@ from pfdist.errors import ModelError, shown
 from pfdist.models.mistakes import error_line, is_interrupt, place_of, place_of_function, remedy
 from pfdist.models.parameters import Parameter, values_of_parameter
 
-NOISE_KINDS = ("normal", "uniform")
+NOISE_KINDS = ("normal", "uniform", "centred")
 ARGUMENTS = {
     "initial": ("w", "p"),
     "transition": ("x", "t", "w", "p"),
