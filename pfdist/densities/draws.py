@@ -205,7 +205,6 @@ def poisson_draw(u: Any, mean: Any) -> Any:
     -------
     float or array
     """
-    mean = np.where(mean == 0.0, 1e-300, mean)
     return count_quantile(u, mean, mean, 1.0, None)
 
 

@@ -151,6 +151,7 @@ def count_quantile(u, mean, variance, skewness, n):
     low, high = tails(u)
     is_low, log_low, log_high = low < high, log_tail(low, high), log_tail(high, low)
     largest = math.inf if n is None else n
+    mean = np.where(mean == 0.0, 1e-300, mean)  # so that no probability is 0 / 0
     z = _normal_quantile(low, high)
     k = mean + z * np.sqrt(variance) + skewness * (z * z - 1.0) / 6.0
     k = np.floor(np.minimum(np.maximum(k, 0.0), largest))

@@ -18,7 +18,15 @@ from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.melting import MELTING, melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
-from pfdist.models.mistakes import error_line, frames_of, is_interrupt, place_of, remedy
+from pfdist.models.mistakes import (
+    advice_on_density,
+    advice_on_special,
+    error_line,
+    frames_of,
+    is_interrupt,
+    place_of,
+    remedy,
+)
 from pfdist.models.seeing import seeing
 from pfdist.models.syntax import Function, node_of
 
@@ -77,7 +85,10 @@ def _no_opcode(match: re.Match[str], _: str) -> str:
 
 def _no_global(match: re.Match[str], _: str) -> str:
     reason = _RECURSION if "function" in match[2] else _plain(match[2])
-    return f"it cannot use {match[1]}, {reason}"
+    kind = re.search(r"(\w+)'>", match[2])
+    advice = advice_on_density(kind[1]) if kind and "scipy" in match[2] else ""
+    advice = advice_on_special(match[1]) if kind and kind[1] == "ufunc" else advice
+    return f"it cannot use {match[1]}, {reason}{advice}"
 
 
 def _no_function(match: re.Match[str], text: str) -> str:
@@ -88,7 +99,9 @@ def _no_function(match: re.Match[str], text: str) -> str:
 
 def _no_attribute(match: re.Match[str], _: str) -> str:
     module = "np" if match[2] == "numpy" else match[2].replace("numpy.", "np.")
-    return f"it has no {module}.{match[1]}{_PLAIN_NUMPY.get(match[1], '')}"
+    advise = {"scipy.stats": advice_on_density, "scipy.special": advice_on_special}.get(module)
+    advice = advise(match[1]) if advise else _PLAIN_NUMPY.get(match[1], "")
+    return f"it has no {module}.{match[1]}{advice}"
 
 
 _REASONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], str], str]], ...] = (
@@ -267,7 +280,8 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
     except NOT_COMPILED as error:
         raise CompileError(
             f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
-            "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
+            "operators, NumPy's elementwise functions on numbers, pfdist.where, pfdist.clip and "
+            "pfdist.densities"
         ) from error
     except (MemoryError, PfdistError, KeyboardInterrupt):
         raise
