@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
+    densities,
     estimators,
     genetic,
     growth,
@@ -30,6 +31,7 @@ from benchmarks.results import Benchmark, redraw, save, write_readme
 # Peers come last: JAX leaves threads behind, and later benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
+    "densities": densities,
     "prefixes": prefixes,
     "growth": growth,
     "estimators": estimators,
