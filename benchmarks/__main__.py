@@ -11,6 +11,7 @@ import matplotlib as mpl
 
 from benchmarks import (
     beside_c,
+    densities,
     driver,
     estimators,
     genetic,
@@ -33,6 +34,7 @@ from benchmarks.results import Benchmark, redraw, save, write_readme
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
     "beside_c": beside_c,
+    "densities": densities,
     "prefixes": prefixes,
     "growth": growth,
     "estimators": estimators,

@@ -11,10 +11,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, get_args
 
+import pandas as pd
 from pydantic.fields import FieldInfo
 
 from pfdist import plots
 from pfdist.cli.command import COMMANDS, Command
+from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import ESTIMATORS, Estimator
 from pfdist.kernels.schemes import SCHEMES
@@ -131,10 +133,38 @@ def pools() -> str:
     return _table(["pool", "where tasks are computed", "workers"], rows)
 
 
+def densities() -> str:
+    """Give the table of densities, with the times of the benchmark."""
+    times = pd.read_csv(FOLDER.parent / "benchmarks" / "results" / "densities.csv", comment="#")
+    measured = times.set_index("name")
+    rows = []
+    for name, density in DENSITIES.items():
+        nanoseconds = measured.loc[name, ["ns_log_density", "ns_draw"]]
+        rows.append(
+            [
+                f"`{name}`",
+                ", ".join(density.parameters),
+                density.support,
+                " and ".join(density.noise),
+                *(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in nanoseconds),
+            ]
+        )
+    head = [
+        "density",
+        "parameters",
+        "support",
+        "draw from",
+        "ns of the log density",
+        "ns of the draw",
+    ]
+    return _table(head, rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, engines, estimators, schemes, commands, figures, panels, pools,
+        densities,
     )
 }  # fmt: skip
 

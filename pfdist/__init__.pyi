@@ -1,3 +1,4 @@
+from . import densities as densities
 from . import plots as plots
 from .analysis import Run as Run
 from .analysis import open_run as open_run

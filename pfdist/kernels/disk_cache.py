@@ -153,7 +153,9 @@ def _folder() -> Path | None:
 
 def _hash_of_own_source() -> str:
     """Hash of the package's source from which compiled code is made."""
-    files = sorted((_PACKAGE / "kernels").glob("*.py"))
+    files = sorted(
+        path for room in ("densities", "kernels") for path in (_PACKAGE / room).glob("*.py")
+    )
     names = ("elementwise.py", "models/seeing.py", "filters/simulation.py")
     files += [_PACKAGE / name for name in names]
     return _hash(*(file.read_bytes() for file in files))

@@ -11,14 +11,23 @@ from typing import Any
 
 import numpy as np
 from numba import errors
-from numba.extending import is_jitted
+from numba.extending import is_jitted, overload
 
 import pfdist.elementwise  # noqa: F401  registers the compiled versions of where and clip
+from pfdist.densities import draws, log_densities, quantiles, special
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.choices import CHOICES
-from pfdist.kernels.melting import melted
+from pfdist.kernels.melting import MELTING, melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
-from pfdist.models.mistakes import error_line, frames_of, is_interrupt, place_of, remedy
+from pfdist.models.mistakes import (
+    advice_on_density,
+    advice_on_special,
+    error_line,
+    frames_of,
+    is_interrupt,
+    place_of,
+    remedy,
+)
 from pfdist.models.seeing import seeing
 from pfdist.models.syntax import Function, node_of
 
@@ -77,7 +86,10 @@ def _no_opcode(match: re.Match[str], _: str) -> str:
 
 def _no_global(match: re.Match[str], _: str) -> str:
     reason = _RECURSION if "function" in match[2] else _plain(match[2])
-    return f"it cannot use {match[1]}, {reason}"
+    kind = re.search(r"(\w+)'>", match[2])
+    advice = advice_on_density(kind[1]) if kind and "scipy" in match[2] else ""
+    advice = advice_on_special(match[1]) if kind and kind[1] == "ufunc" else advice
+    return f"it cannot use {match[1]}, {reason}{advice}"
 
 
 def _no_function(match: re.Match[str], text: str) -> str:
@@ -88,7 +100,9 @@ def _no_function(match: re.Match[str], text: str) -> str:
 
 def _no_attribute(match: re.Match[str], _: str) -> str:
     module = "np" if match[2] == "numpy" else match[2].replace("numpy.", "np.")
-    return f"it has no {module}.{match[1]}{_PLAIN_NUMPY.get(match[1], '')}"
+    advise = {"scipy.stats": advice_on_density, "scipy.special": advice_on_special}.get(module)
+    advice = advise(match[1]) if advise else _PLAIN_NUMPY.get(match[1], "")
+    return f"it has no {module}.{match[1]}{advice}"
 
 
 _REASONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], str], str]], ...] = (
@@ -214,7 +228,9 @@ def _indexes_an_array(node: ast.AST) -> bool:
 def is_ours(function: types.FunctionType) -> bool:
     """Whether a function is pfdist's own, which is compiled in its own way."""
     module = str(function.__globals__.get("__name__"))
-    return module == "pfdist.elementwise" or module.startswith("pfdist.kernels.")
+    return module == "pfdist.elementwise" or module.startswith(
+        ("pfdist.kernels.", "pfdist.densities.")
+    )
 
 
 def _replaced(module: types.ModuleType, others: Mapping[str, Any]) -> types.ModuleType:
@@ -235,6 +251,21 @@ _INSTEAD: dict[int, Any] = {
 """The replacements that a formula sees, by the identity of the original module or function."""
 
 
+def _compile_like_formulas(module: types.ModuleType) -> None:
+    """Let Numba compile the functions of a module as formulas, wherever a formula calls them."""
+    for function in vars(module).values():
+        if isinstance(function, types.FunctionType) and function.__module__ == module.__name__:
+            compilable = seeing(function, lambda value: _INSTEAD.get(id(value), value))
+            options = MELTING | {"error_model": "numpy"}
+            overload(function, jit_options=options, strict=False)(
+                lambda *_, compilable=compilable, **__: compilable
+            )
+
+
+for _module in (special, log_densities, quantiles, draws):
+    _compile_like_formulas(_module)
+
+
 # --- errors of formulas -------------------------------------------------------------------------
 
 
@@ -251,7 +282,8 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
     except NOT_COMPILED as error:
         raise CompileError(
             f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
-            "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
+            "operators, NumPy's elementwise functions on numbers, pfdist.where, pfdist.clip and "
+            "pfdist.densities"
         ) from error
     except (MemoryError, PfdistError, KeyboardInterrupt):
         raise

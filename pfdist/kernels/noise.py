@@ -5,8 +5,10 @@ Threefry-4x32 with 13 rounds, gets two arguments:
 
 ======= ============================== =========================================
 key     stream (64 bits), draw, t      which simulation or filter, which draw, when
-counter block, component, role, 0      which particles, which noise component, what for
+counter block, component, role, part   which particles, which noise component, what for
 ======= ============================== =========================================
+
+The part is 0, and 1 for the low bits of centred noise.
 
 A role is for instance the process noise of the truth, or the resampling of the filter. So a variate
 depends neither on how draws are cut into tasks, nor on the order of the tasks, nor on the number of
@@ -98,7 +100,7 @@ def padded(particles: int) -> int:
 
 
 @inlined
-def _words(stream, draw, t, role, component, block):
+def _words(stream, draw, t, role, component, block, part=0):
     return threefry4x32(
         np.uint32(stream & np.uint64(0xFFFFFFFF)),
         np.uint32(stream >> np.uint64(32)),
@@ -107,7 +109,7 @@ def _words(stream, draw, t, role, component, block):
         np.uint32(block),
         np.uint32(component),
         np.uint32(role),
-        np.uint32(0),
+        np.uint32(part),
     )
 
 
@@ -141,6 +143,14 @@ def _exponential(word):
 def _uniform(word):
     """A number in (0, 1), ends excluded: the 23 high bits and a half, exact in float32."""
     return (np.float32(word >> np.uint32(9)) + np.float32(0.5)) * np.float32(2.0**-23)
+
+
+@inlined
+def _centred(high, low):
+    """A number in -1/2..1/2, uniform, never 0, from 63 bits and a sign; rounded to float32."""
+    size = np.float32(low) * np.float32(2.0**-64) + np.float32(2.0**-65)
+    size = np.float32(high >> np.uint32(1)) * np.float32(2.0**-32) + size
+    return size * (np.float32(1.0) - np.float32(2.0) * np.float32(high & np.uint32(1)))
 
 
 @inlined
@@ -186,6 +196,13 @@ def _four_uniforms(stream, draw, t, role, component, block):
 
 
 @inlined
+def _four_centred(stream, draw, t, role, component, block):
+    a, b, c, d = _words(stream, draw, t, role, component, block)
+    e, f, g, h = _words(stream, draw, t, role, component, block, 1)
+    return _centred(a, e), _centred(b, f), _centred(c, g), _centred(d, h)
+
+
+@inlined
 def _four_exponentials(stream, draw, t, role, component, block):
     a, b, c, d = _words(stream, draw, t, role, component, block)
     return _exponential(a), _exponential(b), _exponential(c), _exponential(d)
@@ -194,6 +211,7 @@ def _four_exponentials(stream, draw, t, role, component, block):
 FOUR: dict[str, Callable[..., Any]] = {
     "normal": _four_normals,
     "uniform": _four_uniforms,
+    "centred": _four_centred,
     "exponential": _four_exponentials,
 }
 
@@ -251,25 +269,30 @@ def filler(kinds: tuple[str, ...], *, of_draws: bool = False) -> Callable[..., A
     on; `out` is (components or more, draws or more).
     """
     fills = FILL_DRAWS if of_draws else FILL
-    count = len(kinds)
-    normal = np.array([kind == "normal" for kind in kinds], np.bool_)
-    fill_normal, fill_uniform = fills["normal"], fills["uniform"]
-    fill_all = fills[kinds[0]] if kinds else fill_normal
+    count, (first, *others) = len(kinds), sorted(set(kinds)) or ["normal"]
+    fill_row = fills[first]
+    for kind in others:
+        fill_row = _either(fill_row, fills[kind], np.array([each == kind for each in kinds]))
 
     @melted
-    def fill_alike(out, size, stream, draw, t, role):
+    def fill_all(out, size, stream, draw, t, role):
         for component in range(count):
-            fill_all(out, np.uintp(component), size, stream, draw, t, role, component)
+            fill_row(out, np.uintp(component), size, stream, draw, t, role, component)
 
+    return fill_all
+
+
+def _either(
+    fill: Callable[..., Any], other: Callable[..., Any], is_other: NDArray[np.bool_]
+) -> Callable[..., Any]:
     @melted
-    def fill_each(out, size, stream, draw, t, role):
-        for component in range(count):
-            if normal[component]:
-                fill_normal(out, np.uintp(component), size, stream, draw, t, role, component)
-            else:
-                fill_uniform(out, np.uintp(component), size, stream, draw, t, role, component)
+    def fill_row(out, row, size, stream, draw, t, role, component):
+        if is_other[component]:
+            other(out, row, size, stream, draw, t, role, component)
+        else:
+            fill(out, row, size, stream, draw, t, role, component)
 
-    return fill_alike if len(set(kinds)) < 2 else fill_each
+    return fill_row
 
 
 def variates(

@@ -56,9 +56,10 @@ class StateSpaceModel:
         not depend on x.
     quantity_of_interest : callable
         ``(x, t, p) -> z(t)``, the paper's h_t.
-    initial_noise, process_noise, measurement_noise : tuple of {"normal", "uniform"}
-        Distribution of each component of w and v: standard normal, or uniform on (0, 1). Any other
-        distribution is a transform of these, written in the formula.
+    initial_noise, process_noise, measurement_noise : tuple of {"normal", "uniform", "centred"}
+        Distribution of each component of w and v: standard normal, uniform on (0, 1), or uniform
+        on (-1/2, 1/2) and as fine as 2^-64 near 0. Any other distribution is a transform of these,
+        written in the formula: see `pfdist.densities`.
     parameters : mapping of str to float or sequence of float
         Values of the parameters p. A job may override them. A sequence has a value for each instant
         0..T.

@@ -13,11 +13,19 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.densities import DENSITIES
 from pfdist.errors import ModelError, shown
-from pfdist.models.mistakes import error_line, is_interrupt, place_of, place_of_function, remedy
+from pfdist.models.mistakes import (
+    density_named,
+    error_line,
+    is_interrupt,
+    place_of,
+    place_of_function,
+    remedy,
+)
 from pfdist.models.parameters import Parameter, values_of_parameter
 
-NOISE_KINDS = ("normal", "uniform")
+NOISE_KINDS = ("normal", "uniform", "centred")
 ARGUMENTS = {
     "initial": ("w", "p"),
     "transition": ("x", "t", "w", "p"),
@@ -77,8 +85,21 @@ def _check_noise(model: Any, name: str) -> None:
         allowed = " or ".join(map(repr, NOISE_KINDS))
         raise ModelError(
             f"model {model.name}: {name} must be a tuple of {allowed}, an entry for each "
-            f"component, got {kinds!r}"
+            f"component, got {kinds!r}{_advice_on_noise(name, kinds)}"
         )
+
+
+def _advice_on_noise(name: str, kinds: Any) -> str:
+    """Advice how to draw noise of another kind, if a kind is the name of a density."""
+    named = (density_named(str(kind)) for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+    densities = [DENSITIES[density] for density in named if density not in ("", "normal")]
+    if not densities:
+        return ""
+    draw, noise = densities[0].draw.__name__, densities[0].noise
+    w = "v" if name == "measurement_noise" else "w"
+    variates = ", ".join(f"{w}[{i}]" for i in range(len(noise)))
+    arguments = ", ".join((variates, *densities[0].parameters))
+    return f"; declare {noise!r}, and write pfdist.densities.{draw}({arguments}) in the formula"
 
 
 def _check_data_files(model: Any) -> None:

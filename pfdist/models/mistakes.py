@@ -13,6 +13,8 @@ from typing import Any
 import numba
 import numpy as np
 
+from pfdist.densities import DENSITIES
+
 _LONGEST = 500  # characters of an error's text
 _PACKAGE = Path(__file__).parents[1]
 _MACHINERY = {
@@ -126,28 +128,75 @@ _REMEDIES = {
     "doesn't define __round__": _ONE_NUMBER,
     "math domain error": "np.log and np.sqrt give nan or inf where math.log and math.sqrt end",
 }
+_LOG = "pfdist.densities.lgamma"
 _CALLED = re.compile(r"(?:\w+\.)?(\w+)\(")
 _INSTEAD = {
+    "comb": f"np.rint(np.exp({_LOG}(a + 1) - {_LOG}(b + 1) - {_LOG}(a - b + 1)))",
     "dist": "np.hypot(a - c, b - d)",
+    "erf": "pfdist.densities.erf",
+    "erfc": "pfdist.densities.erfc",
+    "factorial": f"np.rint(np.exp({_LOG}(a + 1)))",
     "fma": "a * b + c",
     "frexp": "np.floor(np.log2(np.abs(a))) + 1 for the exponent",
     "fsum": "a + b",
+    "gamma": f"np.exp({_LOG}(a))",
     "gcd": "np.gcd(np.int64(a), np.int64(b))",
     "hypot": "np.hypot, or np.hypot(np.hypot(a, b), c) for three components,",
     "isqrt": "np.floor(np.sqrt(a))",
     "lcm": "np.lcm(np.int64(a), np.int64(b))",
+    "lgamma": _LOG,
     "log": "np.log, or np.log(a) / np.log(b) for the base b,",
     "modf": "a - np.trunc(a) and np.trunc(a)",
+    "perm": f"np.rint(np.exp({_LOG}(a + 1) - {_LOG}(a - b + 1)))",
     "pow": "np.power",
     "remainder": "a - b * np.rint(a / b)",
     "ulp": "np.spacing(np.abs(a))",
 }
-"""Replacements in formulas for functions of `math` that differ from those of NumPy."""
+"""Replacements in formulas for functions of `math` that NumPy lacks or has otherwise."""
+_NOT_IN_NUMPY = re.compile(r"module 'numpy' has no attribute '(\w+)'")
+_DENSITIES_ELSEWHERE = {
+    "norm": "normal",
+    "gaussian": "normal",
+    "t": "student_t",
+    "student": "student_t",
+    "lognorm": "lognormal",
+    "expon": "gamma",
+    "exponential": "gamma",
+    "vonmises": "von_mises",
+    "binom": "binomial",
+    "nbinom": "negative_binomial",
+}
+"""Names of densities in SciPy and elsewhere."""
+_SPECIAL_ELSEWHERE = {"gammaln": "lgamma", "loggamma": "lgamma"}
+
+
+def density_named(name: str) -> str:
+    """The name in `DENSITIES` of a density that has another name elsewhere; empty if none fits."""
+    name = name.lower().removesuffix("_gen")
+    name = _DENSITIES_ELSEWHERE.get(name, name)
+    return name if name in DENSITIES else ""
+
+
+def advice_on_special(name: str) -> str:
+    """Advice on a special function that NumPy lacks, as ``; advice``; empty if there is none."""
+    name = _SPECIAL_ELSEWHERE.get(name, name)
+    if name == "logsumexp":
+        return "; write pfdist.densities.logsumexp((a, b))"
+    return f"; write {_INSTEAD[name]}" if "densities" in _INSTEAD.get(name, "") else ""
+
+
+def advice_on_density(name: str) -> str:
+    """Advice on a density of SciPy, as ``; advice``; empty if there is none."""
+    if density := DENSITIES.get(density_named(name)):
+        return f"; write pfdist.densities.{density.log_density.__name__}"
+    return ""
 
 
 def remedy(error: BaseException) -> str:
     """Advice on what to write instead, as ``; advice``; empty if there is none."""
     text = text_of(error)
+    if missing := _NOT_IN_NUMPY.search(text):
+        return advice_on_special(missing[1])
     advice = next((cure for words, cure in _REMEDIES.items() if words in text), "")
     if advice is _ONE_NUMBER:
         advice = f"a component may be an array: {_of_one_number(_called(error))}"
@@ -165,13 +214,7 @@ def _of_one_number(name: str) -> str:
     if not hasattr(math, name):
         return _ONE_NUMBER
     in_numpy = re.sub(r"^a(?=sin|cos|tan)", "arc", name)
-    if name in _INSTEAD or hasattr(np, in_numpy):
-        return f"write {_INSTEAD.get(name, f'np.{in_numpy}')} in the place of math.{name}"
-    return (
-        f"NumPy has no {name}: leave out a term of log_likelihood that does not depend on x, or "
-        f"write np.interp(a, GRID, TABLE) with an array TABLE of math.{name} at the points GRID, "
-        "made above the formula"
-    )
+    return f"write {_INSTEAD.get(name, f'np.{in_numpy}')} in the place of math.{name}"
 
 
 def _called(error: BaseException) -> str:

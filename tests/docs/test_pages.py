@@ -110,6 +110,20 @@ def test_the_worked_example_prints_what_its_page_shows(
 
 
 @pytest.mark.slow
+def test_the_model_of_the_page_about_densities_is_checked_as_its_page_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (_, code), (_, console) = _blocks(DOCS / "densities.md")
+    file, _, source = code.partition("\n")
+    Path(file.removeprefix("# ")).write_text(source, encoding="utf-8")
+    command, _, shown = console.partition("\n")
+    assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
+    printed = capsys.readouterr().out
+    assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
+
+
+@pytest.mark.slow
 def test_the_page_about_figures_draws_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

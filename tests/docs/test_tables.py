@@ -7,6 +7,7 @@ from types import ModuleType
 
 import pytest
 
+from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
@@ -47,6 +48,7 @@ def test_a_table_names_everything_that_is_declared(tables: ModuleType) -> None:
         ("engines", ENGINES),
         ("estimators", ESTIMATORS),
         ("schemes", SCHEMES),
+        ("densities", DENSITIES),
     ):
         assert [name for name in declared if f"| `{name}`" not in tables.TABLES[table]()] == []
 

@@ -22,7 +22,12 @@ from pfdist.kernels.noise import (
 )
 
 KINDS = tuple(FILL)
-DISTRIBUTIONS = {"normal": stats.norm(), "uniform": stats.uniform(), "exponential": stats.expon()}
+DISTRIBUTIONS = {
+    "normal": stats.norm(),
+    "uniform": stats.uniform(),
+    "centred": stats.uniform(-0.5, 1),
+    "exponential": stats.expon(),
+}
 STREAM = 0x0123456789ABCDEF
 WORDS = 2**32
 
@@ -111,7 +116,9 @@ def test_a_particle_has_its_variate_whatever_the_number_of_particles(kind):
     np.testing.assert_array_equal(variates(kind, 100, STREAM, 1, 2, 3, 4), many[:100])
 
 
-@pytest.mark.parametrize("kinds", [(), ("uniform",), ("normal", "uniform", "normal")])
+@pytest.mark.parametrize(
+    "kinds", [(), ("uniform",), ("normal", "uniform", "normal"), ("centred", "normal", "uniform")]
+)
 def test_filler_gives_each_component_its_kind_and_its_key(kinds):
     out = np.zeros((4, padded(70)), np.float32)
     filler(kinds)(out, 70, np.uint64(STREAM), 1, 2, 3)
@@ -131,7 +138,7 @@ def test_moments_are_those_of_the_distribution(kind):
     assert abs(values.var() - variance) < 5 * variance * np.sqrt((kurtosis + 2) / n)
     # The same for the mean of the standardised cubes, by the moments 6 and 3.
     cubes = (values - mean) ** 3 / variance**1.5
-    sixth = {"normal": 15, "uniform": 27 / 7, "exponential": 265}[kind]
+    sixth = {"normal": 15, "uniform": 27 / 7, "centred": 27 / 7, "exponential": 265}[kind]
     assert abs(cubes.mean() - skewness) < 5 * np.sqrt((sixth - skewness**2) / n)
 
 
@@ -179,6 +186,20 @@ def test_uniforms_lie_strictly_inside_the_unit_interval_for_every_word():
     np.testing.assert_array_equal(
         noise._uniform(EXTREME[[0, -1]]).astype(np.float64), [2.0**-24, 1 - 2.0**-24]
     )
+
+
+def test_centred_noise_is_never_0_and_reaches_2_to_the_minus_65_on_both_sides():
+    high, low = np.array([0, 1, 2, WORDS - 1], np.uint32), np.array([0, 0, 0, WORDS - 1], np.uint32)
+    expected = [2.0**-65, -(2.0**-65), 2.0**-32, -0.5]
+    np.testing.assert_array_equal(noise._centred(high, low).astype(np.float64), expected)
+
+
+def test_few_centred_variates_lie_near_0_and_as_many_as_a_uniform_distribution_has():
+    near = np.abs(cloud("centred").ravel())
+    for width in (2.0**-10, 2.0**-14, 2.0**-17):  # 2^20 variates: 2048, 128 and 16 are expected
+        expected = 2 * width * near.size
+        assert abs((near < width).sum() - expected) < 5 * np.sqrt(expected)
+    assert np.unique(near).size > 0.9 * near.size  # they are finer than 2^-23
 
 
 def test_exponentials_are_positive_and_finite_for_every_word():

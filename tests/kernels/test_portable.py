@@ -16,7 +16,8 @@ from pfdist.models import installed_models
 from pfdist.pools.cores import usable_cores
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
-FEW = [("ungm", "multinomial"), ("xray_tumour", "systematic")]
+DRAWN = ("oracles/drawn.py:model", "systematic")
+FEW = [("ungm", "multinomial"), ("xray_tumour", "systematic"), DRAWN]
 
 
 def fitting(model: str) -> list[str]:
@@ -26,9 +27,9 @@ def fitting(model: str) -> list[str]:
 
 
 def every_scheme_and_model() -> list[Case]:
-    """Each scheme with the paper's model, and each model with a scheme in turn."""
+    """Each scheme with the paper's model, each model with a scheme in turn, and the draws."""
     turns = cycle(range(len(RESAMPLING)))
-    cases = [("ungm", scheme) for scheme in RESAMPLING]
+    cases = [DRAWN, *(("ungm", scheme) for scheme in RESAMPLING)]
     for model in SHIPPED:
         schemes = fitting(model)
         cases.append((model, schemes[next(turns) % len(schemes)]))

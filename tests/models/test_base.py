@@ -184,3 +184,18 @@ def test_with_parameters_changes_these_and_leaves_the_model():
     assert type(wide.p.scale) is float
     assert wide.initial((np.ones(2), np.zeros(2)), wide.p)[0].tolist() == [10.0, 10.0]
     assert GOOD.p._asdict() == {"scale": 2.0, "shift": -1.0}
+
+
+@pytest.mark.parametrize(
+    ("field", "kinds", "says"),
+    [
+        ("measurement_noise", ("poisson",), "poisson_draw(v[0], mean) in the formula"),
+        ("process_noise", ("t",), "student_t_draw(w[0], w[1], df, location, scale) in the formula"),
+        ("process_noise", ("gaussian",), "got ('gaussian',)"),
+        ("process_noise", "normal", "got 'normal'"),
+    ],
+)
+def test_noise_of_the_name_of_a_density_is_answered_by_its_draw(field, kinds, says):
+    with pytest.raises(ModelError, match="'normal' or 'uniform' or 'centred'") as raised:
+        changed(**{field: kinds})
+    assert str(raised.value).endswith(says)
