@@ -38,7 +38,7 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
 
     @property
     def codegen(self) -> Any:
-        """What is given the address of the constants."""
+        """The object that receives the address of the constants."""
         return super().codegen if self._translated else _NoCode
 
 
