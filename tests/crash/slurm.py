@@ -125,7 +125,7 @@ class Slurm:
 
     def requeued(self, job: str, times: int) -> None:
         """Wait until a job runs after so many requeues."""
-        until(lambda: self._runs_soon(job) and self.started(job) == times)
+        until(lambda: self._runs_soon(job) and self.started(job) == times, END_SECONDS)
 
     def _runs_soon(self, job: str) -> bool:
         """Whether a job runs; a requeued job is let go without the two minutes' wait of Slurm."""
