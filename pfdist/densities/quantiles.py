@@ -29,8 +29,8 @@ _HALF_OF_NODES = (  # of Gauss and Legendre, 20 nodes in -1..1, and their weight
 _NODES = [
     (0.5 + 0.5 * side * node, 0.5 * weight) for side in (-1, 1) for node, weight in _HALF_OF_NODES
 ]
-_STEPS = 16
-_DEEP = 40.0
+_STEPS = 16  # a shape is raised by so much, and the difference is a sum of so many terms
+_DEEP = 40.0  # exp(-40) is 4e-18
 _SMALLEST = -700.0  # of logarithms: exp(-700) has all its digits
 
 
@@ -73,7 +73,7 @@ _beyond_angle = _integral("c, angle, cosine", "np.exp(-c * (cosine - np.cos(angl
 
 
 def _gamma_tails(shape, x):
-    """The probabilities below and above x of a gamma variable of scale 1, and the part."""
+    """The probabilities below and above x, and x^shape exp(-x) / gamma(shape); the scale is 1."""
     part, is_below = np.exp(log_gamma_part(shape, x)), x < np.maximum(shape, 1.0)
     raised = shape + np.where(is_below, _STEPS, 0.0)  # so that D has no two scales
     lower, upper = _reach(raised - x, 0.6 * x), np.log1p(_DEEP / x + _reach(x - shape, x))

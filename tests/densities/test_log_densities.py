@@ -5,10 +5,12 @@ import pytest
 from numba import njit
 from scipy import special, stats
 
+import pfdist
 from pfdist import densities
-from pfdist.densities import DENSITIES
+from pfdist.densities import DENSITIES, poisson_logpmf
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.libm import libm_functions
+from pfdist.models.fingerprint import formulas_key
 
 RNG = np.random.default_rng(1)
 COUNT = 400
@@ -205,3 +207,18 @@ def test_special_functions_at_their_ends():
     assert densities.erfc(ends).tolist() == [2, 0]
     assert densities.logsumexp((-np.inf, -np.inf)) == -np.inf
     assert densities.logsumexp((np.inf, 0.0)) == np.inf
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda y, x: 1 * densities.poisson_logpmf(y, x),
+        lambda y, x: 1 * pfdist.densities.poisson_logpmf(y, x),
+        lambda y, x: 1 * poisson_logpmf(y, x),
+    ],
+    ids=["densities.f", "pfdist.densities.f", "f"],
+)
+def test_a_formula_may_import_a_density_in_any_way(function):
+    exact = stats.poisson.logpmf(3, 2.5)
+    assert formula(function)(3.0, 2.5) == pytest.approx(exact, rel=1e-14)
+    assert formulas_key("", {"log_likelihood": function}) is not None
