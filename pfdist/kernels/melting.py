@@ -20,6 +20,10 @@ _CONSTANTS = "NumbaEnv"  # in the name of the variable that holds their address
 class _Library(JITCodeLibrary):  # type: ignore[misc]
     """The library of a function that is only inlined: its module is linked, and nothing else."""
 
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self._finalized = self._translated = False
+
     def _optimize_final_module(self) -> None:
         """Do nothing: the callers are optimised."""
 

@@ -19,8 +19,10 @@ from concurrent.futures import Future
 from importlib.metadata import version
 from typing import Any
 
-# Before Ray is imported: by default it writes to standard error and reports its usage.
+# Before Ray is imported: by default it writes to standard error, reports its usage, and replaces
+# `print`, which Numba then cannot compile.
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+os.environ.setdefault("RAY_TQDM_PATCH_PRINT", "0")
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 # Answers of more bytes go through Ray's object store, for which a driver may wait for ever.
 os.environ.setdefault("RAY_max_direct_call_object_size", f"{8 * 1024**2}")

@@ -176,7 +176,8 @@ def test_a_sweep_without_workers_ends_with_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("ray.is_initialized", lambda: False)  # other tests share a cluster
+    monkeypatch.setattr("ray.is_initialized", lambda: False)  # other tests share a cluster,
+    monkeypatch.setattr("ray.shutdown", lambda: None)  # which must stay
     words = ["sweep", str(small_job.path), "--over", "seed=1:2", "--results", str(tmp_path / "s")]
     assert main([*words, "--pool", "ray", "--address", "127.0.0.1:1"]) == 1
     last = capsys.readouterr().err.splitlines()[-1]
