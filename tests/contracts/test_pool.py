@@ -311,7 +311,7 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
         with pytest.raises(SilenceError, match=r"no worker has answered for \d s .*no answer in"):
             list(pool.run(_tasks_in(tmp_path, 20, stop_all)))
         assert time.monotonic() - start < 60
-    assert time.monotonic() - start < 25
+    assert time.monotonic() - start < 90
     stopped = [int(file.name) for file in tmp_path.iterdir()]
     _until(lambda: all(map(_gone, stopped)))
     record_property("faults", f"{HANGS}: {len(stopped)}")
