@@ -47,7 +47,7 @@ JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 CORES = (10, 100, 1_000, 10_000)
 NODE = 64  # cores of a simulated node
 SECONDS = (0.3, 1.0, 10.0)  # of a task
-ROUNDS = 20  # tasks of each core
+TASKS = 50_000  # at most; and 20 for each core
 AS_CHOSEN = "chosen"  # by the driver, for the number of cores
 _DRAWS_A_TASK = 20
 _FIRST = 2_000  # draws that are compared before: some of them are filtered several times
@@ -220,14 +220,15 @@ def measure(quick: bool, say: Say) -> Tables:
 
 def run(cores: int, wanted: float | str) -> dict[str, float]:
     """One comparison: its tasks, the time of the driver, and how busy the cores were."""
-    draws = ROUNDS * cores * _DRAWS_A_TASK
+    tasks_a_core = min(20, TASKS // cores)
+    draws = tasks_a_core * cores * _DRAWS_A_TASK
     few, built = (
         build(load_job(JOB, [*_SMALL, f"comparison.draws={count}"]))
         for count in (_FIRST, draws + _FIRST)
     )
     steps = comparison_steps(built)
     length = 1.0 if wanted == AS_CHOSEN else float(wanted)
-    nodes = Nodes(cores, length * cores * ROUNDS / (steps * draws / (draws + _FIRST)))
+    nodes = Nodes(cores, length * cores * tasks_a_core / (steps * draws / (draws + _FIRST)))
     process = psutil.Process()
     with contextlib.ExitStack() as stack:
         if wanted != AS_CHOSEN:
