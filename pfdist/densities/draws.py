@@ -167,7 +167,7 @@ def mixture_draw(u: Any, draws: Any, weights: Any) -> Any:
     float or array
     """
     number, chosen = categorical_draw(u, weights), draws[0]
-    for k in range(len(weights)):
+    for k in range(1, len(weights)):
         chosen = np.where(number == k, draws[k], chosen)
     return chosen
 

@@ -2,7 +2,7 @@
 
 Numba usually optimises each function on its own, translates it to machine code, and adds entry
 points for Python and C. A function that is inlined into all its callers needs none of this, because
-each caller is optimised as a whole. Without this work a filter compiles in half of the time.
+each caller is optimised as a whole. Without this work a filter compiles in at most 0.6 of the time.
 """
 
 from collections.abc import Callable

@@ -10,8 +10,9 @@ These things happen to a batch, in this order; a kill at each point costs:
    Nothing is computed yet, so a kill costs nothing.
 2. If another run computes an evaluation at this moment, the batch waits for it. The id of the
    evaluation says so.
-3. Missing works are cut into tasks of about 0.3 s; a slow model has longer tasks at first, and a
-   block of sums is never cut. A worker holds a task or two: these are lost with it.
+3. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; a slow model
+   has longer tasks at first, and a block of sums is never cut. A worker holds a task or two: these
+   are lost with it.
 4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait.
 5. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
