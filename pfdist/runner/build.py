@@ -210,7 +210,12 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
 
 def check_pool(execution: Execution) -> None:
     """Raise a `JobError` if [execution] has settings that its pool does not take."""
-    pool = execution.pool
+    pool, cores = execution.pool, execution.wait_for_cores
+    if pool in (AUTO_POOL, "ray") and cores and not cluster_at_hand(execution.address):
+        raise JobError(
+            f"execution.wait_for_cores must be 0 without a Ray cluster that runs already, got "
+            f"{cores}: give its execution.address, or set RAY_ADDRESS"
+        )
     if pool == AUTO_POOL:
         return
     for name, without in (("workers", (0, 1)), ("address", ("",)), ("wait_for_cores", (0,))):

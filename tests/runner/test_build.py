@@ -13,12 +13,12 @@ import pfdist
 from oracles.every_set import every_set
 from pfdist import Job, load_job
 from pfdist.cli.main import main
-from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
+from pfdist.errors import CompileError, EngineWarning, JobError, ModelError, RunMismatchError
 from pfdist.filters.work import Estimation
 from pfdist.job.sections import Execution
 from pfdist.kernels import disk_cache
 from pfdist.runner.block_sums import BlockSums, Counted
-from pfdist.runner.build import build, chosen_pool
+from pfdist.runner.build import build, check_pool, chosen_pool
 
 OTHER = """
 import numpy as np
@@ -254,3 +254,14 @@ def test_auto_is_ray_where_a_cluster_is_at_hand_and_else_threads(
     assert (execution.pool, why) == (pool, reason)
     assert execution.address == ("auto" if environment else address)
     assert chosen_pool(execution, threaded=threaded) == (execution, "")
+
+
+@pytest.mark.parametrize("pool", ["auto", "ray"])
+def test_cores_are_waited_for_only_in_a_cluster_that_runs_already(
+    pool: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    monkeypatch.delitem(sys.modules, "ray", raising=False)  # another test may have joined one
+    with pytest.raises(JobError, match=r"wait_for_cores must be 0 .* got 64: give its .*address"):
+        check_pool(Execution(pool=pool, wait_for_cores=64))
+    check_pool(Execution(pool=pool, wait_for_cores=64, address="10.0.0.1:6379"))
