@@ -28,6 +28,7 @@ from .filters.estimate import Evaluation as Evaluation
 from .job.job import Job as Job
 from .job.job import load_job as load_job
 from .job.problem import Problem as Problem
+from .models import Sensor as Sensor
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian

@@ -129,7 +129,7 @@ def _are_comparable(judge: Run, times: Times, own: Times, smaller: bool) -> bool
     feasible = replace(judge.problem.feasible, smaller=smaller)
     if feasible.counted:
         feasible = replace(feasible, measurement_budget=len(own))
-    return feasible.accepts(judge.problem.clock.instants(times))
+    return feasible.accepts(judge.problem.clock.measurements(times))
 
 
 def _loss(gain: Gain) -> Loss:

@@ -167,8 +167,8 @@ def bound(
 
 def _on_clock(gap: Gap, clock: Clock) -> Gap:
     """A gap with times on the clock in the place of instants."""
-    times: Any = tuple(clock.times_of(gap.measurement_times))
-    path: Any = tuple(clock.times_of(gap.path))
+    times: Any = tuple(clock.written_of(gap.measurement_times))
+    path: Any = tuple(clock.written_of(gap.path))
     return replace(gap, measurement_times=times, path=path)
 
 

@@ -119,6 +119,7 @@ def prepare(
         draws=(0, evaluation.draws),
         estimation=evaluation.estimation,
         ids=tuple(sets),
+        sensors=evaluator.sensors,
     )
     return partial(_estimated, evaluator, work, policy, clock)
 
@@ -160,5 +161,5 @@ def _estimated(
 
 def _on_clock(evaluation: Evaluation, clock: Clock) -> Evaluation:
     """An evaluation with times on the clock in the place of instants."""
-    times: Any = tuple(clock.times_of(evaluation.measurement_times))
+    times: Any = tuple(clock.written_of(evaluation.measurement_times))
     return replace(evaluation, measurement_times=times)

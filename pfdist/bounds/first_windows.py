@@ -33,8 +33,11 @@ def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> 
         if len(shorter) == window:
             continue
         last = shorter[-1]
-        until = constraints.horizon if last == NOTHING else last + longest_gap
-        longer = [(*shorter, time) for time in followers(constraints, last) if time <= until]
+        sensors = constraints.sensors
+        until = constraints.horizon if last == NOTHING else last // sensors + longest_gap
+        longer = [
+            (*shorter, time) for time in followers(constraints, last) if time // sensors <= until
+        ]
         new += longer
         windows.update(longer)
     return Relaxation(constraints, in_order(windows), longest_gap)
@@ -91,8 +94,9 @@ def _longest_gap(
 
 def _cells(constraints: Constraints, window: int, longest_gap: int) -> int:
     """About how many errors count."""
-    instants = constraints.horizon + 1
-    return int(instants * longest_gap ** (window - 1) * longest_gap) + instants**2
+    instants, sensors = constraints.horizon + 1, constraints.sensors
+    windows = instants * sensors * (longest_gap * sensors) ** (window - 1)
+    return int(windows * longest_gap) + instants**2 * sensors
 
 
 def _relaxation(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:

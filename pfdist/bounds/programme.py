@@ -82,7 +82,7 @@ class Programme:
         for moves in self.relaxation.moves:
             price = self._prices[moves.time]
             if price <= self.most:
-                between = self._between(moves.before, moves.time)
+                between = self._between(moves.before, self._instant(moves.time))
                 reached = between[:, None] + cost[moves.before, : self.most + 1 - price]
                 cost[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
         return cost
@@ -104,7 +104,7 @@ class Programme:
             price = self._prices[moves.time]
             if price <= self.most:
                 after = relaxation.after[moves.before, moves.time]
-                between = self._between(moves.before, moves.time)
+                between = self._between(moves.before, self._instant(moves.time))
                 onward = between[:, None] + cost[after, : self.most + 1 - price]
                 known, times = cost[moves.before, price:], following[moves.before, price:]
                 # Between equal sums, the end wins, then the earliest time.
@@ -153,6 +153,10 @@ class Programme:
             summed[places + windows + 1] = np.cumsum(self.errors[places], axis=1)
         return summed
 
+    def _instant(self, time: int) -> int:
+        """The instant of a measurement, whose own error counts after it."""
+        return time // self.relaxation.constraints.sensors
+
     @property
     def _prices(self) -> tuple[int, ...]:
         return self.relaxation.prices
@@ -168,7 +172,8 @@ class Programme:
             time = int(relaxation.last[window])
             spent -= self._prices[time]
             before = self._moves_by_time[time].leading_to(window)
-            window = int(before[np.argmin(self._between(before, time) + self._to[before, spent])])
+            between = self._between(before, self._instant(time))
+            window = int(before[np.argmin(between + self._to[before, spent])])
             times.append(time)
         return tuple(reversed(times))
 

@@ -112,13 +112,15 @@ class Relaxation:
     @cached_property
     def first(self) -> Indices:
         """The first instant at which the error of each window counts, (W,)."""
-        return np.maximum(self.last, 0)
+        return np.maximum(self.last, 0) // self.constraints.sensors
 
     @cached_property
     def ends(self) -> Indices:
         """The last instant at which the error of each window counts, (W,)."""
         far = [len(window) == 1 or window in self.far for window in self.windows]
-        near = np.minimum(self.last + self.longest_gap, self.horizon + 1) - 1
+        # The window START, whose errors count from 0, ends as if its last measurement were at -1.
+        since = np.where(self.last < 0, -1, self.first)
+        near = np.minimum(since + self.longest_gap, self.horizon + 1) - 1
         return np.where(self.passable, np.where(far, self.horizon, near), self.first - 1)
 
     @cached_property
@@ -153,12 +155,13 @@ class Relaxation:
         """Index of the window after a measurement at each time, (W, T+1); -1 if it is forbidden."""
         # Short windows come first: a window takes the row of its longest known end, which is
         # shorter, and then the windows that continue it replace entries (Aho and Corasick).
-        after = np.full((len(self.windows), self.horizon + 1), -1, np.int32)
+        possible = self.constraints.possible
+        after = np.full((len(self.windows), possible), -1, np.int32)
         following = dict[int, list[int]]()
         for number, window in enumerate(self.windows):
             if len(window) > 1:
                 following.setdefault(self.index[window[:-1]], []).append(number)
-        single = [self.index.get((time,), -1) for time in range(self.horizon + 1)]
+        single = [self.index.get((time,), -1) for time in range(possible)]
         for number in sorted(range(len(after)), key=lambda number: len(self.windows[number])):
             window = self.windows[number]
             after[number] = single if len(window) == 1 else after[self._suffix(window)]
@@ -225,11 +228,11 @@ class Relaxation:
     def overreached(self, times: Times) -> list[Window]:
         """The windows of a set whose errors do not count up to the next measurement."""
         numbers = self.windows_of(times)
-        following = (*times, self.horizon + 1)
+        following = (*times, self.constraints.possible)
         return [
             self.windows[number]
             for number, until in zip(numbers, following, strict=True)
-            if self.ends[number] + 1 < until
+            if self.ends[number] + 1 < until // self.constraints.sensors
         ]
 
     def without(self, windows: Collection[Window]) -> "Relaxation":
@@ -247,9 +250,9 @@ class Relaxation:
     @cached_property
     def _follows(self) -> NDArray[np.bool_]:
         """Whether a time may follow the last time, or none, (T+2, T+1): by last time + 1."""
-        constraints, instants = self.constraints, self.horizon + 1
-        follows = np.zeros((instants + 1, instants), np.bool_)
-        for last in (NOTHING, *range(instants)):
+        constraints, possible = self.constraints, self.constraints.possible
+        follows = np.zeros((possible + 1, possible), np.bool_)
+        for last in (NOTHING, *range(possible)):
             follows[last + 1, list(followers(constraints, last))] = True
         return follows
 
@@ -262,7 +265,7 @@ class Relaxation:
 def followers(constraints: Constraints, last: int) -> Iterator[int]:
     """The times that may be measured after a last time; none lies behind a required time."""
     first = constraints.spacing.after(last)
-    until = min((t for t in constraints.required if t > last), default=constraints.horizon)
+    until = min((t for t in constraints.required if t > last), default=constraints.possible)
     return (time for time in constraints.allowed if first <= time <= until)
 
 

@@ -103,6 +103,10 @@ def check_object(
     states, measurements, quantities = model.components
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
+    for part in model.parts if model.sensors else ():  # the system with each sensor alone
+        yield from check_object(part.model, horizon, particles, times)
+    if model.sensors:
+        return
     if times or model.reads_clock:
         clock = tuple(times) or tuple(map(float, range(horizon + 1)))
         horizon = len(clock) - 1

@@ -1,6 +1,6 @@
 """Sentences that explain pydantic's validation errors, made from their types and contexts."""
 
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -110,6 +110,9 @@ def _section(section: str, model: type[BaseModel]) -> Any:
     kind: Any = model
     parts = iter(section.split(".") if section else [])
     for part in parts:
+        if get_origin(kind) is dict:  # sections by names
+            kind = get_args(kind)[1]
+            continue
         if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
             return kind
         field = kind.model_fields[part]

@@ -97,9 +97,13 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
         if np.isfinite(values).all():
             continue
         row, k, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        formula, arguments = _given(model, name, draws[row : row + 1], k, stream)
+        by, number = model, component
+        if name == "y":
+            part = next(part for part in model.parts if component < part.y.stop)
+            by, number = part.model, component - part.y.start
+        formula, arguments = _given(model, name, draws[row : row + 1], k, stream, component)
         got, t = values[row, k, component], draws.instants[k]
-        raise ModelError(not_finite(model, formula, arguments, f"{name}[{component}] = {got}", t))
+        raise ModelError(not_finite(by, formula, arguments, f"{name}[{number}] = {got}", t))
 
 
 def not_finite(
@@ -126,9 +130,12 @@ def not_finite(
 
 
 def _given(
-    model: StateSpaceModel, name: str, draw: Draws, k: int, stream: int
+    model: StateSpaceModel, name: str, draw: Draws, k: int, stream: int, component: int
 ) -> tuple[str, tuple[Any, ...]]:
-    """The formula that gave x, y or z of a single draw at the instant k of K, and its arguments."""
+    """The formula that gave a component of x, y or z of a single draw, and its arguments.
+
+    k is the number of the instant in the draw.
+    """
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
         index = np.array(draw.index)
@@ -140,7 +147,9 @@ def _given(
     x, before = (tuple(draw.x[0, max(0, i)][:, None]) for i in (k, k - 1))
     t = draw.instants[k]
     if name == "y":
-        return "measurement", (x, t, noise(model.measurement_noise, t, TRUTH_MEASUREMENT), model.p)
+        v = noise(model.noise_of_measurements, t, TRUTH_MEASUREMENT)
+        of_sensor = next(part.v for part in model.parts if component < part.y.stop)
+        return "measurement", (x, t, v[of_sensor], model.p)
     if name == "z":
         return "quantity_of_interest", (x, t, model.p)
     if k == 0:

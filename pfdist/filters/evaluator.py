@@ -123,6 +123,11 @@ class Evaluator:
         return ENGINES.get(self.engine, COMPILED)
 
     @property
+    def sensors(self) -> int:
+        """The number of ways to measure at an instant."""
+        return len(self.model.parts)
+
+    @property
     def exact(self) -> bool:
         """Whether the engine knows the expected MSE without draws; see `expected_mse`."""
         return self.computed_by.exact
@@ -278,7 +283,7 @@ class Evaluator:
         """
         self.check(work.estimation)
         for times, end in zip(work.measurement_times, work.ends, strict=True):
-            validated_from(self.start, times, end)
+            validated_from(self.start, times, end, self.sensors)
         return self.filtered(work)
 
     def draws(self, index: range, stream: int) -> Draws:

@@ -62,22 +62,28 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         """
         check_filter(model, draws.model, particles, resampling)
         check_start(model, draws, prior)
-        times = validated_from(draws.start, measurement_times, draws.instants[-1])
+        last, sensors = draws.instants[-1], len(model.parts)
+        times = validated_from(draws.start, measurement_times, last, sensors)
         settings = FilterSettings(particles, resampling, prior=prior)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws
 
 
-def validated_from(start: int, measurement_times: Iterable[int], end: int) -> Times:
-    """A set of measurement times, sorted.
+def validated_from(
+    start: int, measurement_times: Iterable[int], end: int, sensors: int = 1
+) -> Times:
+    """A set of measurement times, sorted; with several sensors a set of possible measurements.
 
     A `MeasurementTimesError` says that a time is not an integer, lies outside start..end, or is
     given twice.
     """
-    times = validated(measurement_times, end)
-    if times and times[0] < start:
-        raise MeasurementTimesError(f"measurement_times must lie in {start}..{end}, got {times[0]}")
+    first, last = start * sensors, (end + 1) * sensors - 1
+    times = validated(measurement_times, last)
+    if times and times[0] < first:
+        raise MeasurementTimesError(
+            f"measurement_times must lie in {first}..{last}, got {times[0]}"
+        )
     return times
 
 

@@ -58,16 +58,19 @@ def expected_errors(
     start = 0 if prior is None else prior.t
     matrices = cached_matrices(model, horizon).since(start)
     instants = horizon + 1 - start
-    measured = np.zeros((len(sets), instants), np.bool_)
+    sensors = len(model.parts)
+    measured = np.zeros((len(sets), instants * sensors), np.bool_)
     for row, times in zip(measured, sets, strict=True):
-        row[[time - start for time in validated_from(start, times, horizon)]] = True
+        valid = validated_from(start, times, horizon, sensors)
+        row[[time - start * sensors for time in valid]] = True
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.empty((len(sets), instants))
     for t in range(instants):
-        here = measured[:, t]
-        gain, observation_matrix = _gain(covariance[here], matrices.measurement[t])
-        covariance[here] -= gain @ observation_matrix @ covariance[here]
+        for place in range(t * sensors, (t + 1) * sensors):
+            here = measured[:, place]
+            gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])
+            covariance[here] -= gain @ observation_matrix @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
         errors[:, t] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t + 1 < instants:
@@ -94,8 +97,11 @@ def filter_checked_draws(
     mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
     for k, t in enumerate(instants):
-        if t in measurement_times:
-            seen, measurement = _seen(draws.y[:, k], matrices.measurement[k])
+        for number, part in enumerate(model.parts):
+            if t * len(model.parts) + number not in measurement_times:
+                continue
+            measurement = matrices.measurement[k * len(model.parts) + number]
+            seen, measurement = _seen(draws.y[:, k, part.y], measurement)
             gain, observation_matrix = _gain(covariance, measurement)
             innovation = seen - measurement.offset - _times(observation_matrix, mean)
             mean = mean + _times(gain, innovation)
@@ -120,11 +126,13 @@ def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
 
     A `ModelError` says that the model is not linear-Gaussian.
     """
-    (measurement,) = matrices_of(model, state.t, state.t).measurement
-    states = state.components
-    matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
-    mean = measurement.offset + matrix @ state.mean
-    return Gaussian(state.t, mean, matrix @ state.covariance @ matrix.T + _square(noise))
+    sensors, states = matrices_of(model, state.t, state.t).measurement, state.components
+    matrix = np.concatenate([each.matrix[:, :states] for each in sensors])
+    noise = np.zeros((matrix.shape[0], matrix.shape[0]))
+    for part, each in zip(model.parts, sensors, strict=True):
+        noise[part.y, part.y] = _square(each.matrix[:, states:])
+    mean = np.concatenate([each.offset for each in sensors]) + matrix @ state.mean
+    return Gaussian(state.t, mean, matrix @ state.covariance @ matrix.T + noise)
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

@@ -34,15 +34,17 @@ class LinearGaussian:
 
     initial: Affine  # from w to x(0)
     transition: tuple[Affine, ...]  # (T-s,): from (x(t), w) to x(t+1)
-    measurement: tuple[Affine, ...]  # (T-s+1,): from (x(t), v) to y(t)
+    # (S (T-s+1),): from (x(t), v) to y(t), for each instant and each of S sensors
+    measurement: tuple[Affine, ...]
     quantity_of_interest: tuple[Affine, ...]  # (T-s+1,): from x(t) to z(t)
 
     def since(self, start: int) -> "LinearGaussian":
         """The matrices without those of the first `start` instants."""
+        sensors = len(self.measurement) // len(self.quantity_of_interest)
         return LinearGaussian(
             self.initial,
             self.transition[start:],
-            self.measurement[start:],
+            self.measurement[start * sensors :],
             self.quantity_of_interest[start:],
         )
 
@@ -72,11 +74,12 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
     A `ModelError` says that the model does not declare itself linear-Gaussian, or is not: a noise
     is not normal, the error is not the squared Euclidean norm, or a formula is not linear.
     """
-    _check_declared(model)
+    for part in model.parts:
+        _check_declared(part.model)
     p, states = model.p, model.components[0]
 
-    def affine(name: str, t: int, split: int, inputs: int) -> Affine:
-        formula = getattr(model, name)
+    def affine(name: str, t: int, split: int, inputs: int, of: StateSpaceModel = model) -> Affine:
+        formula = getattr(of, name)
 
         def at(u: Array) -> tuple[Any, ...]:
             x, noise = tuple(u[:split]), tuple(u[split:])
@@ -84,16 +87,19 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
             value: tuple[Any, ...] = formula(*given, p)
             return value
 
-        return _probed(at, inputs, f"model {model.name}: {name} at t = {t}")
+        return _probed(at, inputs, f"model {of.name}: {name} at t = {t}")
 
     instants = range(start, horizon + 1)
     process_inputs = states + len(model.process_noise)
-    measurement_inputs = states + len(model.measurement_noise)
     with formulas_of(model.name, model.formulas):
         return LinearGaussian(
             affine("initial", 0, 0, len(model.initial_noise)),
             tuple(affine("transition", t, states, process_inputs) for t in instants[:-1]),
-            tuple(affine("measurement", t, states, measurement_inputs) for t in instants),
+            tuple(
+                affine("measurement", t, states, states + len(each.measurement_noise), each)
+                for t in instants
+                for each in (part.model for part in model.parts)
+            ),
             tuple(affine("quantity_of_interest", t, states, states) for t in instants),
         )
 

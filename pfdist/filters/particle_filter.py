@@ -24,7 +24,7 @@ from pfdist.kernels.estimators import ALL_ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import compiled_formulas
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
-from pfdist.kernels.prefixes import Plan, Planned, plan
+from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import flat_parameters, parameter_names
@@ -95,7 +95,11 @@ def filter_sets(
     check_filter(model, draws.model, particles, resampling, estimator)
     check_start(model, draws, None)
     last = [draws.instants[-1]] * len(sets) if ends is None else list(ends)
-    valid = [validated_from(draws.start, times, end) for times, end in zip(sets, last, strict=True)]
+    sensors = len(model.parts)
+    valid = [
+        validated_from(draws.start, times, end, sensors)
+        for times, end in zip(sets, last, strict=True)
+    ]
     settings = FilterSettings(particles, resampling, estimator)
     return filter_checked_sets(model, draws, valid, last, stream, settings)
 
@@ -171,9 +175,11 @@ def _filter(
     def again() -> str:
         """Filter the failed draw in NumPy."""
         row, number = results.at
-        times = draws.start + np.flatnonzero(planned.measured[number])
+        sensors = len(model.parts)
+        measured = measurements_of(planned.measured[number], sensors)
+        times = tuple(draws.start * sensors + measurement for measurement in measured)
         end, draw = draws.start + planned.ends[number] - 1, draws[row : row + 1]
-        plain.filter_checked_sets(model, draw, [tuple(times)], [end], stream, settings)
+        plain.filter_checked_sets(model, draw, [times], [end], stream, settings)
         return f"the filter of draw {draw.index.start}"
 
     with compiled_formulas(model.name, again):
@@ -183,11 +189,11 @@ def _filter(
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:
     """Plan the filter of several sets, with instants counted from the draws' first."""
-    start, instants = draws.start, draws.z.shape[1]
+    start, instants, sensors = draws.start, draws.z.shape[1], len(draws.model.parts)
     if start:
-        sets = [tuple(time - start for time in times) for times in sets]
+        sets = [tuple(time - start * sensors for time in times) for times in sets]
     stops = None if ends is None else tuple(end + 1 - start for end in ends)
-    return plan(tuple(sets), instants, stops)
+    return plan(tuple(sets), instants, stops, sensors)
 
 
 def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
@@ -220,11 +226,12 @@ def filter_makes_arrays(model: StateSpaceModel, truth: StateSpaceModel, resampli
 
 
 def _compiled(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> WithScratch:
-    formulas = (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest)
+    formulas = (model.quantity_of_interest, truth.error, model.initial, model.transition)
+    states, _, quantities = model.components
     return fused_filter(
-        (*formulas, truth.error),
+        (*formulas, *(part.model.log_likelihood for part in model.parts)),
         (model.initial_noise, model.process_noise),
-        model.components,
+        (states, tuple(part.model.components[1] for part in model.parts), quantities),
         (parameter_names(model.parameters), parameter_names(truth.parameters)),
         resampling,
     )

@@ -51,9 +51,10 @@ def simulate(
         else:
             state = tuple(draws.x[:, 0].T)
         for k, t in enumerate(draws.instants):
-            v = noise(model.measurement_noise, t, TRUTH_MEASUREMENT)
+            v = noise(model.noise_of_measurements, t, TRUTH_MEASUREMENT)
             _put(draws.x, k, state)
-            _put(draws.y, k, model.measurement(state, t, v, model.p))
+            y = [part.model.measurement(state, t, v[part.v], model.p) for part in model.parts]
+            _put(draws.y, k, sum(y, ()))
             _put(draws.z, k, model.quantity_of_interest(state, t, model.p))
             if t == horizon:
                 break
@@ -91,7 +92,7 @@ def _filter(
     settings: FilterSettings,
 ) -> tuple[Array, Array, Array, Array]:
     """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P)."""
-    particles = settings.particles
+    particles, sensors = settings.particles, len(model.parts)
     scheme = ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
@@ -110,15 +111,9 @@ def _filter(
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
-        weight = np.ones(cloud)
-        if t in times:
-            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
-            log_weight = model.log_likelihood(y, _flat(x), t, model.p)
-            weight = plain_weights(_of_cloud(log_weight, cloud))
-            if scheme.sorts:
-                x, weight = _in_line(x, weight)
-            degenerate = alive & ~weight.any(axis=1)
-            total[degenerate], alive[degenerate] = np.nan, False
+        x, weight, degenerate = _weighed(model, draws, k, x, times, stream, settings)
+        degenerate &= alive
+        total[degenerate], alive[degenerate] = np.nan, False
         share = weight / weight.sum(axis=1, keepdims=True)
         for c, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
             counted = np.where(weight > 0, _of_cloud(values, cloud), 0.0)
@@ -129,12 +124,54 @@ def _filter(
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
-        if t in times:
-            ancestors = plain_ancestors(settings.resampling, weight, stream, draws.index, t)
-            x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
+        if any(time // sensors == t for time in times):
+            x = _resampled(x, settings, weight, stream, draws.index, (t + 1) * sensors - 1)
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
     return total / instants, mean, variance, last
+
+
+def _weighed(
+    model: StateSpaceModel,
+    draws: Draws,
+    k: int,
+    x: tuple[Array, ...],
+    times: Times,
+    stream: int,
+    settings: FilterSettings,
+) -> tuple[tuple[Array, ...], Array, NDArray[np.bool_]]:
+    """Particles and weights after the measurements at an instant, and which draws degenerate.
+
+    The sensors weigh in their order. The particles are resampled in between, but not propagated.
+    """
+    count, particles = cloud = x[0].shape
+    weight, degenerate = np.ones(cloud), np.zeros(count, np.bool_)
+    first, weighs = draws.instants[k] * len(model.parts), False
+    for number, (_, sensor, of_sensor, _) in enumerate(model.parts):
+        if first + number not in times:
+            continue
+        if weighs:
+            x = _resampled(x, settings, weight, stream, draws.index, first + number - 1)
+        weighs = True
+        y = tuple(np.repeat(values, particles) for values in draws.y[:, k, of_sensor].T)
+        log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p)
+        weight = plain_weights(_of_cloud(log_weight, cloud))
+        if ALL_SCHEMES[settings.resampling].sorts:
+            x, weight = _in_line(x, weight)
+        degenerate |= ~weight.any(axis=1)
+    return x, weight, degenerate
+
+
+def _resampled(
+    x: tuple[Array, ...],
+    settings: FilterSettings,
+    weight: Array,
+    stream: int,
+    index: range,
+    key: int,
+) -> tuple[Array, ...]:
+    ancestors = plain_ancestors(settings.resampling, weight, stream, index, key)
+    return tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
 
 
 def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:

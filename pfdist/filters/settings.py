@@ -47,6 +47,11 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
                 f"the filter's model must have as many components of {component} as the model "
                 f"{truth.name}, {true}, got {believed}"
             )
+    if [*model.sensors] != [*truth.sensors]:
+        raise ModelError(
+            f"the filter's model must have the sensors of the model {truth.name}, "
+            f"{', '.join(truth.sensors) or 'none'}, got {', '.join(model.sensors) or 'none'}"
+        )
 
 
 def check_filter(

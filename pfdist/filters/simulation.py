@@ -10,16 +10,17 @@ from numba import njit
 from pfdist.filters import plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.kernels.components import naming, reader, writer
+from pfdist.kernels.components import in_turn, naming, reader, writer
 from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.formulas import compiled_formulas, formula
 from pfdist.kernels.libm import libm_functions, makes_arrays
+from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import flat_parameters, parameter_names
 
-_FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
+_FORMULAS = ("initial", "transition", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side: their noise fits into a few vectors
 
 
@@ -73,10 +74,13 @@ def simulate(
 
 def compiled_simulation(model: StateSpaceModel) -> WithScratch:
     """The compiled function that simulates draws of a model into given arrays."""
+    sensors = [part.model for part in model.parts]
+    formulas = model.initial, model.transition, model.quantity_of_interest
+    noise, (states, _, quantities) = (model.initial_noise, model.process_noise), model.components
     return _compile(
-        (model.initial, model.transition, model.measurement, model.quantity_of_interest),
-        (model.initial_noise, model.process_noise, model.measurement_noise),
-        model.components,
+        (*formulas, *(sensor.measurement for sensor in sensors)),
+        (*noise, *(sensor.measurement_noise for sensor in sensors)),
+        (states, tuple(sensor.components[1] for sensor in sensors), quantities),
         parameter_names(model.parameters),
     )
 
@@ -94,20 +98,50 @@ def simulation_makes_arrays(model: StateSpaceModel) -> bool:
     return makes_arrays(compiled_simulation(model).compiled)
 
 
+def _measured(
+    measurement: Callable[..., Any], read_v: Callable[..., Any], write_y: Callable[..., Any]
+) -> Callable[..., None]:
+    """Compile the simulation of the measurement of a draw by one sensor."""
+
+    @melted
+    def measure(place, noise, given):  # type: ignore[no-untyped-def]
+        (y, d, k), (v, i), (state, t, p) = place, noise, given
+        write_y(y, d, k, measurement(state, t, read_v(v, i), p))
+
+    return measure
+
+
 @lru_cache(maxsize=32)
 def _compile(
     functions: tuple[Callable[..., Any], ...],
     noise: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
+    components: tuple[int, tuple[int, ...], int],
     parameters: tuple[str, ...],
 ) -> WithScratch:
-    """Compile the simulation; models with the same formulas and parameter names share the code."""
-    initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
-    fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
-    read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
-    read_x = reader(components[0], "d, t, c")
-    write_x, write_y, write_z = (writer(count, "d, t, c") for count in components)
-    rows = max(map(len, noise))
+    """Compile the simulation; models with the same formulas and parameter names share the code.
+
+    `functions` ends with measurement of each sensor, and `noise` with its noise. `components` are
+    the numbers of components of x, of the y of each sensor, and of z.
+    """
+    initial, transition, quantity = map(formula, functions, _FORMULAS)
+    noise_of_measurements: tuple[str, ...] = sum(noise[2:], ())
+    kinds = (*noise[:2], noise_of_measurements)
+    fill_w0, fill_w, fill_v = (filler(each, of_draws=True) for each in kinds)
+    read_w0, read_w = (reader(len(each), "c, i") for each in kinds[:2])
+    states, measurements, quantities = components
+    read_x = reader(states, "d, t, c")
+    write_x, write_z = (writer(count, "d, t, c") for count in (states, quantities))
+    measure = in_turn(
+        [
+            _measured(
+                formula(measurement, "measurement"),
+                reader(len(noise[2 + number]), "c, i", sum(map(len, noise[2 : 2 + number]))),
+                writer(measurements[number], "d, t, c", sum(measurements[:number])),
+            )
+            for number, measurement in enumerate(functions[3:])
+        ]
+    )
+    rows = max(map(len, kinds))
     named = naming(parameters)
 
     @njit(nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
@@ -125,7 +159,7 @@ def _compile(
                 fill_v(noise, count, stream, draw, t, TRUTH_MEASUREMENT)
                 for i in range(count):
                     state = read_x(x, begin + i, k)
-                    write_y(y, begin + i, k, measurement(state, t, read_v(noise, i), p))
+                    measure((y, begin + i, k), (noise, i), (state, t, p))
                     write_z(z, begin + i, k, quantity(state, t, p))
                 if k + 1 == x.shape[1]:
                     break

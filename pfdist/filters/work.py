@@ -72,6 +72,7 @@ class Work:
     knows_truth: bool = False
     # whether errors of instants have the evaluator's weights; otherwise all count alike
     weighted: bool = True
+    sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
@@ -105,7 +106,7 @@ class Work:
     @property
     def steps_a_draw(self) -> int:
         """Particle-steps of one draw; instants that sets share count once."""
-        instants = _instants(self.measurement_times, self.ends, self.filter_streams)
+        instants = _instants(self.measurement_times, self.ends, self.filter_streams, self.sensors)
         return instants * self.estimation.steps_an_instant
 
     @property
@@ -123,14 +124,17 @@ def columns(streams: Sequence[int]) -> dict[int, list[int]]:
 
 
 @lru_cache(maxsize=64)
-def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...]) -> int:
+def _instants(
+    sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...], sensors: int
+) -> int:
     """The number of instants that are filtered for one draw, over all sets."""
     if len(sets) == 1:
         return ends[0] + 1
     total = 0
     for same_noise in columns(streams).values():
         stops = tuple(ends[column] + 1 for column in same_noise)
-        planned = plan(tuple(sets[column] for column in same_noise), max(stops), stops).plan
+        same = tuple(sets[column] for column in same_noise)
+        planned = plan(same, max(stops), stops, sensors).plan
         total += int(np.sum(planned.ends - planned.begins))
     return total
 

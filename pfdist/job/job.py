@@ -136,10 +136,13 @@ def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Tim
     if first not in written:
         written = {first: ("comparison.reference", comparison.reference), **written}
     written = {first: written[first], **written}
+    references = problem.feasible.references if problem.sensors else {}
     return {
-        name: None if times == REGULAR else validated_instants(times, problem.clock, key, key)
+        name: None if times == REGULAR
+        else references[times[0]] if len(times) == 1 and times[0] in references
+        else validated_instants(times, problem.clock, key, key)
         for name, (key, times) in written.items()
-    }
+    }  # fmt: skip
 
 
 def check_names(comparison: Comparison, searches: Iterable[str]) -> None:
@@ -290,6 +293,20 @@ class Job(Section):
                 "online needs comparison.until.half_width = 0, got "
                 f"{self.comparison.until.half_width:g}: the comparison must not end early"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _compares_sensors(self) -> Self:
+        """Compare with each sensor alone and with rotation, unless the job names its own sets."""
+        feasible = self.problem.feasible
+        if self.problem.sensors and self.comparison.sets is None and self.budget is None:
+            sets = {
+                name: (name,)
+                for name, times in feasible.references.items()
+                if times != feasible.regular()
+            }
+            comparison = self.comparison.model_copy(update={"sets": sets or None})
+            object.__setattr__(self, "comparison", comparison)
         return self
 
     @model_validator(mode="after")

@@ -64,6 +64,9 @@ class Problem(Shown):
         Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2}``.
     total_cost : int, optional
         Largest sum of costs, in the place of the measurement budget.
+    sensors : mapping of str to mapping, optional
+        For each sensor of the model its cost, forbidden times, the largest number of its
+        measurements (most) and their minimum_spacing. By default the costs that the model gives.
     particles : int
     resampling, engine : str
         The filter, as in the section [filter] of a job file.
@@ -104,6 +107,11 @@ class Problem(Shown):
                 self._model if filter_model is model else _given(filter_model, "filter_model")
             )
         self._filter_model = None if believed is self._model else believed
+        if keys.get("sensors") is None and isinstance(model, StateSpaceModel) and model.sensors:
+            costs = {name: sensor.cost for name, sensor in model.sensors.items()}
+            keys["sensors"] = {
+                name: {} if cost is None else {"cost": cost} for name, cost in costs.items()
+            }
         self._arguments = {"model": self._model, "filter_model": believed, **keys}
         self._keys = _by_section(_plain_keys(keys))
         self.job()

@@ -5,7 +5,9 @@ its name, and this module puts ``problem.`` before it.
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
+from itertools import chain
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -14,13 +16,69 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.clock import Clock, Time, plain_time
+from pfdist.times.constraints import Limit
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.times.written import RANGES, instants_of
+from pfdist.times.spacing import Spacing
+from pfdist.times.written import RANGES, instants_of, measurements_of
 
 _MOST_INSTANTS = 32_001
+_MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
 _Numbers = tuple[Time, ...]
+
+
+_Cost = tuple[int, ...] | dict[str, int]
+_Budget = Annotated[int, Field(ge=1, lt=2**63)]
+
+
+def _checked_times(value: Any, key: str) -> Any:
+    if value is not None and not isinstance(value, (list, tuple)):
+        raise ValueError(
+            f"{key} must be a list of times and of ranges as {RANGES}, got {shown(value)}"
+        )
+    for entry in value or ():
+        if type(entry) not in (int, float, str):
+            raise ValueError(
+                f"{key} must name times, as 20, and ranges, as {RANGES}, got {shown(entry)}"
+            )
+    return None if value is None else tuple(map(plain_time, value))
+
+
+def _checked_costs(value: Any, key: str) -> Any:
+    if value is not None and not isinstance(value, (list, tuple, dict)):
+        raise ValueError(
+            f"{key} must be a list with a number for each instant, or a section of "
+            f'ranges as "20:30" = 2, got {shown(value)}'
+        )
+    for cost in value.values() if isinstance(value, dict) else value or ():
+        if not isinstance(cost, int) or isinstance(cost, bool):
+            raise ValueError(f"{key} must be whole numbers, got {shown(cost)}")
+    return tuple(value) if isinstance(value, list) else value
+
+
+class SensorSection(Section):
+    """The price of a sensor's measurements, and constraints on them.
+
+    The lower bound leaves out `most` and `minimum_spacing`.
+    """
+
+    cost: int | _Cost | None = None
+    forbidden: tuple[Time | str, ...] | None = None
+    most: _Budget | None = None
+    minimum_spacing: Time | None = None
+
+    @field_validator("forbidden", mode="before")
+    @classmethod
+    def _are_times(cls, value: Any) -> Any:
+        return _checked_times(value, "problem.sensors.NAME.forbidden")
+
+    @field_validator("cost", mode="before")
+    @classmethod
+    def _are_costs(cls, value: Any) -> Any:
+        if isinstance(value, int) and not isinstance(value, bool):
+            return value
+        return _checked_costs(value, "problem.sensors.NAME.cost")
 
 
 class ProblemSection(Section):
@@ -35,12 +93,13 @@ class ProblemSection(Section):
     time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
     times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
     instant_weights: _Numbers | None = None
-    measurement_budget: Annotated[int, Field(ge=1, lt=2**63)] | None = None
+    measurement_budget: _Budget | None = None
     forbidden: tuple[Time | str, ...] | None = None
     required: tuple[Time | str, ...] | None = None
     minimum_spacing: Time | None = None
-    cost: tuple[int, ...] | dict[str, int] | None = None
-    total_cost: Annotated[int, Field(ge=1, lt=2**63)] | None = None
+    cost: _Cost | None = None
+    total_cost: _Budget | None = None
+    sensors: dict[str, SensorSection] | None = None
 
     @field_validator("horizon", "minimum_spacing", mode="before")
     @classmethod
@@ -66,31 +125,24 @@ class ProblemSection(Section):
     @field_validator("forbidden", "required", mode="before")
     @classmethod
     def _are_times(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None and not isinstance(value, (list, tuple)):
-            raise ValueError(
-                f"problem.{info.field_name} must be a list of times and of ranges as "
-                f"{RANGES}, got {shown(value)}"
-            )
-        for entry in value or ():
-            if type(entry) not in (int, float, str):
-                raise ValueError(
-                    f"problem.{info.field_name} must name times, as 20, and ranges, as {RANGES}, "
-                    f"got {shown(entry)}"
-                )
-        return None if value is None else tuple(map(plain_time, value))
+        return _checked_times(value, f"problem.{info.field_name}")
 
     @field_validator("cost", mode="before")
     @classmethod
     def _are_costs(cls, value: Any) -> Any:
-        if value is not None and not isinstance(value, (list, tuple, dict)):
+        return _checked_costs(value, "problem.cost")
+
+    @field_validator("sensors", mode="before")
+    @classmethod
+    def _are_sensors(cls, value: Any) -> Any:
+        if isinstance(value, (list, tuple)) and all(isinstance(name, str) for name in value):
+            value = {name: {} for name in value}
+        if value is not None and not (isinstance(value, dict) and len(value) > 1):
             raise ValueError(
-                "problem.cost must be a list with a number for each instant, or a section of "
-                f'ranges as "20:30" = 2, got {shown(value)}'
+                "problem.sensors must be the names of two sensors or more, or a section for each "
+                f"of them, got {shown(value)}"
             )
-        for cost in value.values() if isinstance(value, dict) else value or ():
-            if not isinstance(cost, int) or isinstance(cost, bool):
-                raise ValueError(f"problem.cost must be whole numbers, got {shown(cost)}")
-        return tuple(value) if isinstance(value, list) else value
+        return value
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -107,10 +159,22 @@ class ProblemSection(Section):
 
     @cached_property
     def clock(self) -> Clock:
-        """The time of each instant; without a clock, the number of the instant.
+        """The time of each instant, and the sensors; without a clock, the number of the instant.
 
         Raises `MeasurementTimesError` if the values contradict each other; it begins with the key.
         """
+        clock = self._clock
+        if not self.sensors:
+            return clock
+        clock = replace(clock, sensors=tuple(self.sensors))
+        if clock.possible > _MOST_POSSIBLE:
+            raise MeasurementTimesError(
+                f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {clock.possible:,}"
+            )
+        return clock
+
+    @property
+    def _clock(self) -> Clock:
         if self.times is not None:
             for name in ("horizon", "time_step"):
                 if getattr(self, name) is not None:
@@ -137,18 +201,66 @@ class ProblemSection(Section):
         clock, spacing = self.clock, self.minimum_spacing
         if spacing is not None and self.has_clock and not 0 < spacing < np.inf:
             raise MeasurementTimesError(f"minimum_spacing must be above 0, got {spacing:g}")
-        if not self.has_clock:
+        if not self.has_clock and not (spacing is None and self.sensors):
             spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
+        limits = self._limits
         return Feasible(
             horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
-            forbidden=_union(self.forbidden or (), clock, "forbidden"),
+            forbidden=self._forbidden,
             required=_union(self.required or (), clock, "required"),
             minimum_spacing=spacing or 0.0,
             cost=self._costs_of_instants,
             total_cost=self.total_cost,
-            clock=clock if self.has_clock else None,
+            clock=clock if self.has_clock or self.sensors else None,
+            # To sets within limits, money left over may buy nothing.
+            smaller=bool(limits) and self.total_cost is not None,
+            limits=limits,
+            cheapest=self._cheapest,
         )
+
+    @property
+    def _forbidden(self) -> Times:
+        times = {*measurements_of(self.forbidden or (), self.clock, "forbidden", of_all=True)}
+        for number, (name, sensor) in enumerate((self.sensors or {}).items()):
+            instants = instants_of(sensor.forbidden or (), self._clock, f"sensors.{name}.forbidden")
+            times.update(t * len(self.clock.sensors) + number for t in instants)
+        return tuple(sorted(times))
+
+    @property
+    def _limits(self) -> tuple[Limit, ...]:
+        limits = []
+        for name, sensor in (self.sensors or {}).items():
+            spacing = sensor.minimum_spacing
+            if spacing is not None and not 0 < spacing < np.inf:
+                raise MeasurementTimesError(
+                    f"sensors.{name}.minimum_spacing must be above 0, got {spacing:g}"
+                )
+            apart = None if spacing is None else Spacing(self.clock.successors(spacing))
+            limits.append(Limit(sensor.most, apart))
+        return tuple(limits) if any(limit != Limit() for limit in limits) else ()
+
+    @property
+    def _cheapest(self) -> int:
+        """Number of the sensor that measures at regular times: the cheapest, or the first."""
+        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
+        return costs.index(min(costs))
+
+    @property
+    def _costs_of_sensors(self) -> list[tuple[int, ...]]:
+        """The cost of each sensor at each instant; empty for a sensor without a cost."""
+        instants = len(self._clock.times)
+        costs = list[tuple[int, ...]]()
+        for name, sensor in (self.sensors or {}).items():
+            given = () if sensor.cost is None else sensor.cost
+            key = f"sensors.{name}.cost"
+            costs.append((given,) * instants if isinstance(given, int) else self._costs(key, given))
+            if given and len(costs[-1]) != instants:
+                raise MeasurementTimesError(
+                    f"{key} must have a number for each of {instants} instants, got "
+                    f"{len(costs[-1])}"
+                )
+        return costs
 
     @cached_property
     def weights(self) -> tuple[float, ...] | None:
@@ -177,37 +289,55 @@ class ProblemSection(Section):
     @property
     def is_constrained(self) -> bool:
         """Whether a constraint excludes sets that have as many measurements, or cost no more."""
-        return bool(self.forbidden or self.required) or not self.feasible.spacing.is_free
+        sets = self.feasible
+        return bool(sets.forbidden or sets.required or sets.limits) or not sets.spacing.is_free
 
-    def broken(self, times: Iterable[Time]) -> list[str]:
+    def broken(self, times: Iterable[Time | str]) -> list[str]:
         """The constraints that a set of times breaks, one sentence each.
 
         The times are instants, or times on the clock. Each sentence begins with the key, for
         instance ``problem.forbidden: 4 is measured``.
         """
-        instants = self.clock.instants(times)
-        return [f"problem.{sentence}" for sentence in self.feasible.broken(instants)]
+        measured = self.clock.measurements(times)
+        return [f"problem.{sentence}" for sentence in self.feasible.broken(measured)]
 
     @property
     def _costs_of_instants(self) -> tuple[int, ...] | None:
-        if not isinstance(self.cost, dict):
-            return self.cost
-        clock, costs = self.clock, dict[int, int]()
+        """The cost of each possible measurement; None if measurements are counted."""
+        if not self.sensors:
+            return None if self.cost is None else self._costs("cost", self.cost)
+        if self.cost is not None:
+            raise MeasurementTimesError(
+                "cost must be left out with sensors: each has a cost of its own, "
+                f"sensors.{next(iter(self.sensors))}.cost"
+            )
+        if self.total_cost is None:
+            return None
+        lacking = [name for name, sensor in self.sensors.items() if sensor.cost is None]
+        if lacking:
+            raise MeasurementTimesError(f"sensors.{lacking[0]}.cost must be given with total_cost")
+        return tuple(chain.from_iterable(zip(*self._costs_of_sensors, strict=True)))
+
+    def _costs(self, name: str, given: _Cost) -> tuple[int, ...]:
+        """The cost of each instant."""
+        if not isinstance(given, dict):
+            return given
+        clock, costs = self._clock, dict[int, int]()
         ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
-        for key, cost in self.cost.items():
-            for t in instants_of(key, clock, "cost"):
+        for key, cost in given.items():
+            for t in instants_of(key, clock, name):
                 is_instant = 0 <= t <= clock.horizon
                 if t in costs or not is_instant:
                     what = "twice" if t in costs else f"for a horizon of {clock.horizon}"
                     time = f"{clock.times[t]:.10g}" if is_instant else t
                     raise MeasurementTimesError(
-                        f"cost must name every time in {ends} once, got {time} {what}"
+                        f"{name} must name every time in {ends} once, got {time} {what}"
                     )
                 costs[t] = cost
         lacking = [t for t in range(clock.horizon + 1) if t not in costs]
         if lacking:
             raise MeasurementTimesError(
-                f"cost must name every time in {ends} once, got none for "
+                f"{name} must name every time in {ends} once, got none for "
                 f"{clock.times[lacking[0]]:.10g}"
             )
         return tuple(costs[t] for t in range(clock.horizon + 1))
@@ -227,4 +357,4 @@ class ProblemSection(Section):
 
 
 def _union(entries: Iterable[Time | str], clock: Clock, name: str) -> Times:
-    return tuple(sorted(set(instants_of(entries, clock, name))))
+    return tuple(sorted(set(measurements_of(entries, clock, name))))

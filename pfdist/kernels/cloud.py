@@ -17,7 +17,7 @@ from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler
 from pfdist.kernels.weights import IMPOSSIBLE
 
-_FORMULAS = ("initial", "transition", "log_likelihood")
+_FORMULAS = ("initial", "transition")
 
 
 class Prior(NamedTuple):
@@ -36,24 +36,24 @@ FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64))
 def cloud_steps(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
+    states: int,
 ) -> tuple[Callable[..., Any], ...]:
     """Compile what a model does to a cloud: begin, propagate, and compute log-weights.
 
-    `functions` are initial, transition and log_likelihood. `noise_kinds` are those of the initial
-    state and of the process, and `components` the numbers of components of x, y and z. The results
-    are
+    `functions` are initial, transition, and log_likelihood of each sensor. `noise_kinds` are those
+    of the initial state and of the process, and `states` is the number of components of x. The
+    results are
 
     - ``begin(at, request, p, scratch, source)``, which fills the first half and returns the sum of
       the errors so far. It copies the saved cloud number `source`. If `source` is -1, it takes the
       request's prior for the draw ``at.d``, or without a prior x(0);
     - ``propagate(cloud, here, noise, particles, p, stream, draw, t)``: x(t+1) from x(t);
-    - ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a measurement y at t.
+    - for each sensor, ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a
+      measurement y at t.
     """
-    initial, transition, log_likelihood = map(formula, functions, _FORMULAS)
+    initial, transition = map(formula, functions[:2], _FORMULAS)
     fill_w0, fill_w = map(filler, noise_kinds)
     read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
-    states = components[0]
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
 
     @melted
@@ -79,6 +79,13 @@ def cloud_steps(
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
 
+    fillers = [_log_weights(formula(each, "log_likelihood"), read_x) for each in functions[2:]]
+    return begin, propagate, *fillers
+
+
+def _log_weights(
+    log_likelihood: Callable[..., Any], read_x: Callable[..., Any]
+) -> Callable[..., None]:
     @melted
     def fill_log_weights(cloud, here, particles, p, y, t, log_weight):
         for i in range(log_weight.size):
@@ -87,7 +94,7 @@ def cloud_steps(
         for i in range(particles, log_weight.size):
             log_weight[i] = IMPOSSIBLE
 
-    return begin, propagate, fill_log_weights
+    return fill_log_weights
 
 
 @melted

@@ -7,7 +7,7 @@ source for each number of components.
 
 import re
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -31,25 +31,46 @@ def tuple_of(
     return _made(f"def result({arguments}):\n    return ({entries})\n", **functions)
 
 
-def reader(components: int, axes: str) -> Callable[..., Any]:
+def reader(components: int, axes: str, first: int = 0) -> Callable[..., Any]:
     """Compile ``read(array, ...)``, which gives a tuple of float64 along the axis called c.
 
-    For instance the axes ``"c, i"`` give ``read(array, i) -> (array[0, i], array[1, i], ...)``.
+    For instance the axes ``"c, i"`` give ``read(array, i) -> (array[0, i], array[1, i], ...)``. The
+    components begin with number `first`.
     """
-    return tuple_of(components, f"array, {_other(axes)}", f"float64(array[{axes}])")
+    return tuple_of(components, f"array, {_other(axes)}", f"float64(array[{_from(first, axes)}])")
 
 
 @cache
-def writer(components: int, axes: str) -> Callable[..., Any]:
+def writer(components: int, axes: str, first: int = 0) -> Callable[..., Any]:
     """Compile ``write(array, ..., values)``, which writes a tuple; see `reader`."""
+    place = _from(first, axes)
     lines = "".join(
-        f"    {_for_component(c, f'array[{axes}] = values[c]')}\n" for c in range(components)
+        f"    {_for_component(c, f'array[{place}] = values[c]')}\n" for c in range(components)
     )
     return _made(f"def result(array, {_other(axes)}, values):\n{lines or '    pass'}\n")
 
 
 def _for_component(component: int, text: str) -> str:
     return re.sub(r"\bc\b", str(component), text)
+
+
+def _from(first: int, axes: str) -> str:
+    return re.sub(r"\bc\b", f"c + {first}", axes) if first else axes
+
+
+def in_turn(steps: Sequence[Callable[..., None]]) -> Callable[..., None]:
+    """Compile a function of three arguments that calls several functions with them in turn."""
+    first, *others = steps
+    if not others:
+        return first
+    rest = in_turn(others)
+
+    @melted
+    def both(a, b, c):
+        first(a, b, c)
+        rest(a, b, c)
+
+    return both
 
 
 def _other(axes: str) -> str:

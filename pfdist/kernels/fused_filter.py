@@ -4,7 +4,7 @@ Named tuples hold the filter's request, the draws at hand, and the arrays it wor
 time: LLVM sees through them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -27,36 +27,81 @@ from pfdist.kernels.weights import cumulate, weigh
 
 
 def measuring(
-    fill_log_weights: Callable[..., None], measurements: int, resampling: str
+    fillers: Sequence[Callable[..., None]], measurements: Sequence[int], resampling: str
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Compile the two steps of a measurement, for a model with this number of components of y.
+    """Compile the two steps of the measurements at an instant.
 
-    - ``weigh_cloud(scratch, here, request, p, d, t) -> here, total``: the half that then holds the
-      cloud, and the sum of the weights;
-    - ``resample_cloud(scratch, here, particles, stream, draw, instant) -> here``.
+    - ``weigh_cloud(scratch, here, request, p, at, t, sensors) -> here, total``: the half that then
+      holds the cloud, and the sum of the weights. `sensors` has a bit for each sensor that
+      measures. Each weighs in its turn, and the cloud is resampled in between;
+    - ``resample_cloud(scratch, here, request, at, t, left) -> here``, where so many sensors may
+      still measure at t. Each number has noise of its own.
 
-    `fill_log_weights` is described at `pfdist.kernels.cloud.cloud_steps`.
+    `fillers` compute the log-weights of each sensor; see `pfdist.kernels.cloud.cloud_steps`.
+    `measurements` are the numbers of components of their y.
     """
-    read_y, resample = reader(measurements, "d, t, c"), RESAMPLE[resampling]
+    resample, number_of_sensors = RESAMPLE[resampling], len(fillers)
     sort = sort_by_state if ALL_SCHEMES[resampling].sorts else _leave_unsorted
+    fill_log_weights = _of_sensor(fillers, measurements)
 
     @melted
-    def weigh_cloud(scratch, here, request, p, d, t):
+    def weigh_by(scratch, here, request, p, at, t, sensor):
         cloud, weight, log_weight = scratch.cloud, scratch.weight, scratch.log_weight
-        particles, y, instant = request.particles, read_y(request.y, d, t), request.start + t
-        fill_log_weights(cloud, here, particles, p, y, instant, log_weight)
+        fill_log_weights(cloud, here, request, p, at.d, t, log_weight, sensor)
         weigh(log_weight, weight, WEIGHTED)
-        here = sort(cloud, here, particles, weight, WEIGHTED, scratch.sorting)
+        here = sort(cloud, here, request.particles, weight, WEIGHTED, scratch.sorting)
         cumulative = scratch.resampling.cumulative
         return here, cumulate(weight, WEIGHTED, log_weight.size, cumulative)
 
     @melted
-    def resample_cloud(scratch, here, particles, stream, draw, instant):
-        resample(scratch.resampling, particles, stream, draw, instant)
-        copy_ancestors(scratch.cloud, here, particles, scratch.resampling.ancestor)
+    def resample_cloud(scratch, here, request, at, t, left):
+        key = (request.start + t + 1) * number_of_sensors - 1 - left
+        resample(scratch.resampling, request.particles, at.stream, at.draw, key)
+        copy_ancestors(scratch.cloud, here, request.particles, scratch.resampling.ancestor)
         return 1 - here
 
-    return weigh_cloud, resample_cloud
+    @melted
+    def weigh_cloud(scratch, here, request, p, at, t, sensors):
+        total, weighted = 1.0, False
+        for sensor in range(number_of_sensors):
+            if (sensors >> sensor) & 1 and total > 0.0:
+                if weighted:
+                    here = resample_cloud(scratch, here, request, at, t, number_of_sensors - sensor)
+                here, total = weigh_by(scratch, here, request, p, at, t, sensor)
+                weighted = True
+        return here, total
+
+    @melted
+    def weigh_by_the_only_sensor(scratch, here, request, p, at, t, sensors):
+        return weigh_by(scratch, here, request, p, at, t, 0)
+
+    return weigh_cloud if number_of_sensors > 1 else weigh_by_the_only_sensor, resample_cloud
+
+
+def _of_sensor(
+    fillers: Sequence[Callable[..., None]], measurements: Sequence[int], number: int = 0
+) -> Callable[..., None]:
+    """Compile the computation of log-weights by the sensor of a number."""
+    fill = fillers[number]
+    read_y = reader(measurements[number], "d, t, c", sum(measurements[:number]))
+
+    @melted
+    def fill_log_weights(cloud, here, request, p, d, t, log_weight, sensor):
+        y, instant = read_y(request.y, d, t), request.start + t
+        fill(cloud, here, request.particles, p, y, instant, log_weight)
+
+    if number + 1 == len(fillers):
+        return fill_log_weights
+    others = _of_sensor(fillers, measurements, number + 1)
+
+    @melted
+    def fill_by_one(cloud, here, request, p, d, t, log_weight, sensor):
+        if sensor == number:
+            fill_log_weights(cloud, here, request, p, d, t, log_weight, sensor)
+        else:
+            others(cloud, here, request, p, d, t, log_weight, sensor)
+
+    return fill_by_one
 
 
 @melted
@@ -67,14 +112,13 @@ def _leave_unsorted(cloud, here, particles, weight, row, scratch):
 
 @lru_cache(maxsize=32)
 def moments(
-    quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
+    quantity_of_interest: Callable[..., Any], states: int, quantities: int
 ) -> tuple[Callable[..., Any], ...]:
     """Compile the weighted mean of z, and its variance.
 
     A particle of weight 0 does not count. The terms are computed first, in vectors whose length
     depends on the processor. Then `row_sum` adds them in a fixed order.
     """
-    states, _, quantities = components
     quantity = formula(quantity_of_interest, "quantity_of_interest")
     read_x = reader(states, "half, c, i")
     weighted = tuple_of(
@@ -194,17 +238,17 @@ class _Models(NamedTuple):
 def fused_filter(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
+    components: tuple[int, tuple[int, ...], int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
 ) -> WithScratch:
     """Compile ``filter_draws(request, plan, results)``, or load it from disk.
 
     It takes a `Request`, a `pfdist.kernels.prefixes.Plan` and `Results`, which it fills.
-    `functions` are initial, transition, log_likelihood and quantity_of_interest of the filter's
-    model, and error of the truth. `noise_kinds` are those of the initial state and of the process,
-    and `components` the numbers of components of x, y and z. `parameters` names those of the
-    filter's model, and of the truth.
+    `functions` are quantity_of_interest of the filter's model, error of the truth, and initial,
+    transition and log_likelihood of each sensor of the filter's model. `noise_kinds` are those of
+    the initial state and of the process, and `components` the numbers of components of x, of the y
+    of each sensor, and of z. `parameters` names those of the filter's model, and of the truth.
     """
     states, _, quantities = components
     noise_rows = max(1, *map(len, noise_kinds))
@@ -228,7 +272,7 @@ def fused_filter(
 def _filter_draws(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
+    components: tuple[int, tuple[int, ...], int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
 ) -> Callable[..., None]:
@@ -259,19 +303,21 @@ def _filter_draws(
 def _filter_draw(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
+    components: tuple[int, tuple[int, ...], int],
     resampling: str,
 ) -> Callable[..., float]:
     """Compile the filter of one draw with one set of times, which returns the draw's MSE.
 
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
-    begin, propagate, fill_log_weights = cloud_steps(functions[:3], noise_kinds, components)
-    weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
-    fill_terms, fill_squares, mean_of = moments(functions[3], components)
-    read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
-    record, error_by_variance = recorders(functions[4], components[2])
-    put_truth = _truth_put(components[0]) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
+    quantity_of_interest, error, *of_particles = functions
+    states, measurements, quantities = components
+    begin, propagate, *fillers = cloud_steps(tuple(of_particles), noise_kinds, states)
+    weigh_cloud, resample_cloud = measuring(fillers, measurements, resampling)
+    fill_terms, fill_squares, mean_of = moments(quantity_of_interest, states, quantities)
+    read_z, error_of = reader(quantities, "d, t, c"), formula(error, "error")
+    record, error_by_variance = recorders(error, quantities)
+    put_truth = _truth_put(states) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
@@ -298,7 +344,7 @@ def _filter_draw(
                 put_truth(cloud, here, request.x, d, t)
                 row, total = EQUAL, float(particles)
                 if measured[s, t]:
-                    here, total = weigh_cloud(scratch, here, request, p, d, t)
+                    here, total = weigh_cloud(scratch, here, request, p, at, t, measured[s, t])
                     row = WEIGHTED
                 if total == 0.0:
                     return _end(saved.errors, slots[k - 1 : behind], np.nan)  # degenerate
@@ -322,7 +368,7 @@ def _filter_draw(
                 if not error < np.inf:
                     return _end(saved.errors, slots[k - 1 : behind], np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):
-                    here = resample_cloud(scratch, here, particles, stream, draw, instant)
+                    here = resample_cloud(scratch, here, request, at, t, 0)
             _save(cloud, here, saved, slots[k - 1], error)  # inside the loop over t it costs 3 %
         _keep(cloud, here, results.cloud, d)
         return _mean(error, measured.shape[1], saved.errors, slots[k:behind])

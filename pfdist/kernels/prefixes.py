@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 class Plan(NamedTuple):
     """The order in which the filter does U different sets, and the clouds it saves and resumes."""
 
-    measured: NDArray[np.bool_]  # (U, T+1): whether each set measures at each instant
+    # (U, T+1): the sensors with which each set measures at each instant, a bit for each; 1 and 0
+    # say whether a set measures, if there is a single sensor
+    measured: NDArray[np.uint8]
     # (U,): the first instant that a set does not share with an earlier set
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]  # (U,): the instant after a set's last
@@ -52,11 +54,15 @@ class Saved(NamedTuple):
 
 @lru_cache(maxsize=16)
 def plan(
-    sets: tuple[tuple[int, ...], ...], instants: int, ends: tuple[int, ...] | None = None
+    sets: tuple[tuple[int, ...], ...],
+    instants: int,
+    ends: tuple[int, ...] | None = None,
+    sensors: int = 1,
 ) -> Planned:
-    """Plan the filter of S sets of times in 0..T.
+    """Plan the filter of S sets of possible measurements.
 
-    `instants` is T + 1. `ends` has, for each set, the instant after the last instant whose error
+    `instants` is T + 1. With several sensors, the measurement at t by sensor number k is
+    ``t * sensors + k``. `ends` has, for each set, the instant after the last instant whose error
     counts, by default T + 1. All of the set's times must lie before it.
 
     >>> filter_plan, places, givers = plan(((0, 2), (1, 2), (0, 1)), 3)
@@ -68,20 +74,33 @@ def plan(
     wanted = [instants] * len(sets) if ends is None else list(ends)
     unique = dict[tuple[tuple[int, ...], int], int]()
     numbers = [unique.setdefault(key, len(unique)) for key in zip(sets, wanted, strict=True)]
-    measured = np.zeros((len(unique), instants), np.bool_)
-    for row, (times, _) in zip(measured, unique, strict=True):
-        row[list(times)] = True
-    words, ends_ = np.packbits(measured, axis=1), np.array([end for _, end in unique])
+    measured = _bits_of([times for times, _ in unique], instants, sensors)
+    words, ends_ = list(map(bytes, measured)), np.array([end for _, end in unique])
     # If sets differ only in their ends, the longest comes first, so the others can share it.
-    order = sorted(range(len(unique)), key=lambda number: (words[number].tobytes(), -ends_[number]))
+    order = sorted(range(len(unique)), key=lambda number: (words[number], -ends_[number]))
     measured, ends_ = measured[order], ends_[order]
     begins, givers = _shared(measured, ends_)
     filter_plan = Plan(measured, begins, ends_, *_slot_plan(begins, givers, ends_))
     return Planned(filter_plan, np.argsort(order)[numbers], givers)
 
 
+def _bits_of(sets: Sequence[tuple[int, ...]], instants: int, sensors: int) -> NDArray[np.uint8]:
+    """The sensors with which sets measure at each instant; see `Plan.measured`."""
+    chosen = np.zeros((len(sets), instants * sensors), np.bool_)
+    for row, times in zip(chosen, sets, strict=True):
+        row[list(times)] = True
+    bits = np.packbits(chosen.reshape(-1, instants, sensors), axis=2, bitorder="little")
+    return np.ascontiguousarray(bits[:, :, 0])
+
+
+def measurements_of(bits: NDArray[np.uint8], sensors: int) -> tuple[int, ...]:
+    """The possible measurements of a set, from its row of `Plan.measured`."""
+    chosen = np.unpackbits(bits[:, None], axis=1, count=sensors, bitorder="little")
+    return tuple(np.flatnonzero(chosen).tolist())
+
+
 def _shared(
-    measured: NDArray[np.bool_], ends: NDArray[np.int64]
+    measured: NDArray[np.uint8], ends: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[int]]:
     """For each set: the length of its longest shared prefix, and the set that filters it.
 

@@ -3,7 +3,7 @@
 A model consists of formulas. It knows neither filters nor simulations.
 """
 
-from pfdist.models.base import StateSpaceModel, squared_error
+from pfdist.models.base import Sensor, StateSpaceModel, squared_error
 from pfdist.models.carried import PYTHON, CarriedModel, carried
 from pfdist.models.loader import (
     carried_model,
@@ -16,6 +16,7 @@ from pfdist.models.loader import (
 __all__ = [
     "PYTHON",
     "CarriedModel",
+    "Sensor",
     "StateSpaceModel",
     "carried",
     "carried_model",

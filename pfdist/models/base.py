@@ -5,12 +5,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError
-from pfdist.models.checks import ARGUMENTS, check_fields, count_components
+from pfdist.models.checks import (
+    MEASURING,
+    check_fields,
+    count_components,
+    formula_of_each_sensor,
+    own_formulas,
+)
 from pfdist.models.parameters import (
     CLOCK,
     Parameter,
@@ -29,6 +35,37 @@ def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
     for value, estimated in zip(z, estimate):  # noqa: B905  Numba knows no strict
         total += (value - estimated) ** 2
     return total
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One of several ways to measure a system.
+
+    The noises of sensors are independent of each other, given x.
+
+    Parameters
+    ----------
+    measurement, log_likelihood : callable
+        As of `StateSpaceModel`. y and v are those of this sensor alone.
+    measurement_noise : tuple of {"normal", "uniform", "centred"}
+        Distribution of each component of v.
+    cost : int, optional
+        Price of a measurement. A `Problem` takes it, unless the problem has a price of its own.
+    """
+
+    measurement: Callable[..., Any]
+    log_likelihood: Callable[..., Any]
+    measurement_noise: tuple[str, ...]
+    cost: int | None = None
+
+
+class SensorPart(NamedTuple):
+    """A sensor, and its place in y and v. A model without sensors has one part without a name."""
+
+    name: str
+    model: "StateSpaceModel"  # the system with this sensor alone
+    y: slice  # components of y
+    v: slice  # variates of the measurement noise
 
 
 @dataclass(frozen=True)
@@ -86,6 +123,10 @@ class StateSpaceModel:
         A name for each component of x, y or z, with the unit in brackets at the end:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
         components have numbers.
+    sensors : mapping of str to Sensor
+        Up to 8 sensors by name, in the place of `measurement`, `log_likelihood` and
+        `measurement_noise`. y has the components of all sensors, in their order; they are named
+        after the sensors.
 
     Raises
     ------
@@ -98,12 +139,12 @@ class StateSpaceModel:
     name: str
     initial: Callable[..., Any]
     transition: Callable[..., Any]
-    measurement: Callable[..., Any]
-    log_likelihood: Callable[..., Any]
-    quantity_of_interest: Callable[..., Any]
-    initial_noise: tuple[str, ...]
-    process_noise: tuple[str, ...]
-    measurement_noise: tuple[str, ...]
+    measurement: Callable[..., Any] = field(default=formula_of_each_sensor, kw_only=True)
+    log_likelihood: Callable[..., Any] = field(default=formula_of_each_sensor, kw_only=True)
+    quantity_of_interest: Callable[..., Any] = field(kw_only=True)
+    initial_noise: tuple[str, ...] = field(kw_only=True)
+    process_noise: tuple[str, ...] = field(kw_only=True)
+    measurement_noise: tuple[str, ...] = field(default=(), kw_only=True)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     error: Callable[..., Any] = squared_error
@@ -114,12 +155,13 @@ class StateSpaceModel:
     x_names: tuple[str, ...] = ()
     y_names: tuple[str, ...] = ()
     z_names: tuple[str, ...] = ()
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
         object.__setattr__(self, "parameters", fixed)
-        for name in ARGUMENTS:
+        for name in own_formulas(self):
             try:
                 formula = in_python(getattr(self, name))
             except ModelError as error:
@@ -142,7 +184,8 @@ class StateSpaceModel:
     def reads_clock(self) -> bool:
         """Whether a formula reads ``p.time`` or ``p.dt``, and the model is not on a clock yet."""
         try:
-            count_components(self, named_parameters(self.parameters))
+            for _, model, _, _ in self.parts:
+                count_components(model, named_parameters(self.parameters))
         except ModelError:
             return True  # with a clock the formulas did not fail when the model was made
         return False
@@ -177,7 +220,37 @@ class StateSpaceModel:
     @cached_property
     def components(self) -> tuple[int, int, int]:
         """Numbers of components of x, y and z."""
-        return count_components(self, trial_parameters(self.parameters))
+        if not self.sensors:
+            return count_components(self, trial_parameters(self.parameters))
+        _, last, y, _ = self.parts[-1]
+        return last.components[0], y.stop, last.components[2]
+
+    @cached_property
+    def parts(self) -> tuple[SensorPart, ...]:
+        """The sensors in their order; without sensors, the model itself as one part."""
+        if not self.sensors:
+            own = slice(0, self.components[1]), slice(0, len(self.measurement_noise))
+            return (SensorPart("", self, *own),)
+        parts, y, v = list[SensorPart](), 0, 0
+        for name, sensor in self.sensors.items():
+            model = dataclasses.replace(
+                self,
+                name=f"{self.name}, sensor {name}",
+                measurement=sensor.measurement,
+                log_likelihood=sensor.log_likelihood,
+                measurement_noise=sensor.measurement_noise,
+                y_names=(),
+                sensors={},
+            )
+            until = y + model.components[1], v + len(sensor.measurement_noise)
+            parts.append(SensorPart(name, model, slice(y, until[0]), slice(v, until[1])))
+            y, v = until
+        return tuple(parts)
+
+    @property
+    def noise_of_measurements(self) -> tuple[str, ...]:
+        """Distribution of each component of v, over all sensors."""
+        return sum((part.model.measurement_noise for part in self.parts), ())
 
     def named(self, kind: str) -> tuple[Component, ...]:
         """The components of x, y or z with their names, units and the ends of columns.
@@ -192,8 +265,15 @@ class StateSpaceModel:
             The names do not fit the components.
         """
         count = dict(zip(_NAMES, self.components, strict=True))[kind]
+        names = getattr(self, _NAMES[kind])
+        if kind == "y" and self.sensors and not names:
+            names = tuple(
+                name if y.stop - y.start == 1 else f"{name} {component}"
+                for name, _, y, _ in self.parts
+                for component in range(y.stop - y.start)
+            )
         try:
-            return named_components(getattr(self, _NAMES[kind]), count)
+            return named_components(names, count)
         except ValueError as error:
             raise ModelError(f"model {self.name}: {_NAMES[kind]}: {error}") from error
 
@@ -205,8 +285,12 @@ class StateSpaceModel:
 
     @cached_property
     def formulas(self) -> dict[str, Callable[..., Any]]:
-        """The formulas by their names."""
-        return {name: getattr(self, name) for name in ARGUMENTS}
+        """The formulas by their names; those of a sensor begin with its name and a dot."""
+        own = {name: getattr(self, name) for name in own_formulas(self)}
+        sensors = self.parts if self.sensors else ()
+        return own | {
+            f"{part.name}.{key}": getattr(part.model, key) for part in sensors for key in MEASURING
+        }
 
     def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
         """The model with some parameters changed.

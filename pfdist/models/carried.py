@@ -85,7 +85,16 @@ def carried(
     inspection = inspected(model, data)
     fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
     fields |= {key: dict(value) for key, value in fields.items() if isinstance(value, Mapping)}
-    fields |= with_named_modules(model.formulas)
+    travelling = with_named_modules(model.formulas)
+    fields |= {name: formula for name, formula in travelling.items() if name in fields}
+    fields["sensors"] = {
+        name: dataclasses.replace(
+            sensor,
+            measurement=travelling[f"{name}.measurement"],
+            log_likelihood=travelling[f"{name}.log_likelihood"],
+        )
+        for name, sensor in model.sensors.items()
+    }
     try:
         with _sent_by_value(inspection.modules):
             content = cloudpickle.dumps((fields, inspection.texts))

@@ -8,6 +8,7 @@ import contextlib
 import inspect
 import keyword
 import math
+import re
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -35,6 +36,10 @@ ARGUMENTS = {
     "error": ("z", "estimate", "t", "p"),
 }
 """Names of a model's formulas, and of their arguments."""
+MEASURING = ("measurement", "log_likelihood")
+"""Names of the formulas that each sensor of a model has for itself."""
+MOST_SENSORS = 8  # a set of the sensors that measure at an instant is a byte
+_SENSOR_NAME = re.compile(r"[A-Za-z][\w-]{0,39}")
 _PARTICLES = 2
 _ONE_NUMBER = {
     "log_likelihood": "one number a particle",
@@ -51,8 +56,9 @@ def check_fields(model: Any) -> None:
     A formula does not take its arguments, a kind of noise is unknown, a data file lies outside the
     folder, or a parameter has a wrong name or value.
     """
-    for name, arguments in ARGUMENTS.items():
-        _check_signature(model, name, arguments)
+    _check_sensors(model)
+    for name in own_formulas(model):
+        _check_signature(model, name, ARGUMENTS[name])
     for name in ("initial_noise", "process_noise", "measurement_noise"):
         _check_noise(model, name)
     _check_data_files(model)
@@ -64,6 +70,46 @@ def check_fields(model: Any) -> None:
             )
     for name, value in model.parameters.items():
         _check_parameter(model, name, value)
+
+
+def formula_of_each_sensor(*_: Any) -> Any:
+    """Stand for `measurement` and `log_likelihood` of a model whose sensors have their own."""
+    raise ModelError("a model with sensors has this formula for each sensor")
+
+
+def own_formulas(model: Any) -> list[str]:
+    """Names of a model's formulas but those that each sensor has for itself."""
+    return [name for name in ARGUMENTS if not (model.sensors and name in MEASURING)]
+
+
+def _check_sensors(model: Any) -> None:
+    """Check the names of sensors; each sensor's formulas are checked with the system."""
+    names = [*model.sensors]
+    if len(names) > MOST_SENSORS:
+        raise ModelError(
+            f"model {model.name}: sensors must be at most {MOST_SENSORS}, got {len(names)}"
+        )
+    for name in names:
+        check_sensor_name(name, f"model {model.name}: sensors")
+    given = [name for name in MEASURING if getattr(model, name) is not formula_of_each_sensor]
+    if names and (given or model.measurement_noise):
+        raise ModelError(
+            f"model {model.name}: each sensor must have its own "
+            f"{(*given, 'measurement_noise')[0]}, and the model none"
+        )
+    if not names and len(given) < len(MEASURING):
+        raise ModelError(
+            f"model {model.name}: measurement and log_likelihood must be given, or sensors"
+        )
+
+
+def check_sensor_name(name: Any, where: str) -> None:
+    """Raise a `ModelError` unless a name can stand behind a time, as in ``12 x-ray``."""
+    if not (isinstance(name, str) and _SENSOR_NAME.fullmatch(name)):
+        raise ModelError(
+            f"{where} must have names of a letter and up to 39 letters, digits, hyphens and "
+            f"underscores, got {shown(name)}"
+        )
 
 
 def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:

@@ -100,6 +100,7 @@ class BlockSums:
             ids=(self.id,),
             since=since,
             knows_truth=knows_truth,
+            sensors=evaluator.sensors,
         )
 
     def steps(self, blocks: int) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.component_names import Component
-from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
+from pfdist.errors import CompileError, EngineWarning, JobError, ModelError, shown
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
@@ -43,9 +43,9 @@ class Built:
     searches: tuple[NamedSearch, ...] = field(repr=False)
 
     def instants(self, sets: Mapping[str, Sequence[Time]]) -> dict[str, Times]:
-        """The instants of sets of times on the job's clock."""
+        """The instants of sets of times on the job's clock; with sensors, the measurements."""
         clock = self.job.problem.clock
-        return {name: clock.instants(times) for name, times in sets.items()}
+        return {name: clock.measurements(times) for name, times in sets.items()}
 
     @property
     def phases(self) -> list[str]:
@@ -76,6 +76,7 @@ def build(job: Job) -> Built:
     range, or if an estimator or a resampling scheme does not fit.
     """
     model, filter_model = models_of(job)
+    _check_sensors(job, model)
     evaluator = carried_evaluator(
         model,
         filter_model,
@@ -87,7 +88,8 @@ def build(job: Job) -> Built:
     )
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible, is_wrong = job.problem.feasible, filter_model.key != model.key
-    feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
+    smaller = feasible.smaller or (is_wrong and not feasible.counted)
+    feasible = replace(feasible, smaller=smaller)
     study = Study(job, feasible)
     guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)
@@ -105,6 +107,16 @@ def build(job: Job) -> Built:
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
     return built
+
+
+def _check_sensors(job: Job, model: CarriedModel) -> None:
+    """Raise a `JobError` unless the job names the sensors of the model, in their order."""
+    named, sensors = job.problem.clock.sensors, tuple(model.model.sensors)
+    if named != sensors:
+        raise JobError(
+            f"problem.sensors must name the sensors of the model {model.name}, in their order: "
+            f"{shown(list(sensors)) if sensors else 'it has none'}, got {shown(list(named))}"
+        )
 
 
 def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:
@@ -164,15 +176,18 @@ def _checked_formulas(evaluator: Evaluator) -> Draws | None:
     """A few draws of a user's true model, or None; wrong formulas of a user are refused."""
     draws, (model, filter_model) = None, evaluator.carried
     if not _ships(model):
-        draws = few_draws(evaluator.model, evaluator.horizon)
-        check_formulas(evaluator.model, draws)
+        for part in reversed(evaluator.model.parts):
+            draws = few_draws(part.model, evaluator.horizon)
+            check_formulas(part.model, draws)
     if filter_model.key != model.key and not _ships(filter_model):
+        sensors = [part.model for part in evaluator.believed.parts]
         try:
-            believed_draws = few_draws(evaluator.believed, evaluator.horizon)
+            believed_draws = [few_draws(each, evaluator.horizon) for each in sensors]
         except ModelError:  # its simulation may diverge: measurements guide the particles
             return draws
         try:
-            check_formulas(evaluator.believed, believed_draws)
+            for each, some in zip(sensors, believed_draws, strict=True):
+                check_formulas(each, some)
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
     return draws

@@ -78,14 +78,16 @@ def comparison_steps(built: Built) -> int:
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """All sets on the same draws, each with filter noise of its own; the draws are still open."""
     job, purpose, horizon = built.job, built.study.purpose, built.job.problem.feasible.horizon
+    last = built.job.problem.clock.possible - 1
     return Work(
-        measurement_times=tuple(validated(times, horizon, name) for name, times in sets.items()),
+        measurement_times=tuple(validated(times, last, name) for name, times in sets.items()),
         ends=(horizon,) * len(sets),
         filter_streams=tuple(stream_of(purpose, job.seed, "filter", name) for name in sets),
         draws_stream=stream_of(purpose, job.seed, "draws"),
         draws=(0, 0),
         estimation=built.comparing,
         ids=tuple(sets),
+        sensors=built.evaluator.sensors,
     )
 
 

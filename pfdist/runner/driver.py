@@ -176,6 +176,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         planning=planning_of(job, built.evaluator.cheapest_estimator),
         planning_stream=stream_of(purpose, job.seed, "planning"),
         shown=TRAJECTORIES,
+        sensors=built.evaluator.sensors,
     )
 
 

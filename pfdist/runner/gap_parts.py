@@ -136,6 +136,7 @@ def _per_draw(
         for name, times in sets.items()
     }
     work = Work(
+        sensors=evaluator.sensors,
         measurement_times=tuple(sets.values()),
         ends=(horizon,) * len(sets),
         filter_streams=(noise,) * len(sets),

@@ -92,9 +92,11 @@ def is_sealed(path: Path, built: Built) -> bool:
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     """The store of a run of this job, whose tables have times on the job's clock."""
     problem = built.job.problem
-    if not problem.has_clock:
+    clock = problem.clock
+    if clock.counts and not clock.sensors:
         return Store(path, run_key)
-    return Store(path, run_key, ClockColumns(problem.clock.times, problem.clock.unit))
+    columns = ClockColumns(clock.times, clock.unit, clock.sensors, clock.counts)
+    return Store(path, run_key, columns)
 
 
 def _quarantine(store: Store, damages: list[Damage], say: Callable[[str], Any]) -> None:

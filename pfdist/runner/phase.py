@@ -85,7 +85,8 @@ class Phase:
         """
         times, end, draws, individual, squared, _ = candidate
         last = self.built.job.problem.feasible.horizon if end is None else end
-        validated(times, last, f"search {self.name}")
+        sensors = self.built.evaluator.sensors
+        validated(times, (last + 1) * sensors - 1, f"search {self.name}")
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
@@ -291,6 +292,7 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
             estimation=estimation,
             ids=tuple(request.id for request in group),
             knows_truth=phase.knows_truth,
+            sensors=phase.built.evaluator.sensors,
         )
 
 

@@ -125,6 +125,7 @@ def _rows(
     """Columns of the loss of each set against the first set, which loses nothing."""
     evaluator, seed, reporter = session.built.evaluator, session.built.job.seed, session.reporter
     work = Work(
+        sensors=evaluator.sensors,
         measurement_times=sets,
         ends=(evaluator.horizon,) * len(sets),
         filter_streams=(stream_of("why", seed, "filter", name),) * len(sets),
@@ -287,6 +288,7 @@ class _Jittering:
     def _work(self, draws: tuple[int, int], sets: tuple[Times, ...]) -> Work:
         seed = self._built.job.seed
         return Work(
+            sensors=self._built.evaluator.sensors,
             measurement_times=sets,
             ends=(self._built.evaluator.horizon,) * len(sets),
             filter_streams=(stream_of("why", seed, "jitter filter", self._name),) * len(sets),

@@ -85,6 +85,7 @@ def worth_of(
     sets += [other for _, _, other in changed]
     stream = stream_of("why", seed, "filter", name)
     work = Work(
+        sensors=evaluator.sensors,
         measurement_times=tuple(sets),
         ends=(*range(instants), *(evaluator.horizon,) * len(changed)),
         filter_streams=(stream,) * len(sets),

@@ -105,7 +105,7 @@ class CrossEntropy:
     def _shares(self, evaluations: Sequence[Evaluation]) -> NDArray[np.float64]:
         """Share of the sets that contain each time, (T+1,)."""
         sets = (evaluation.measurement_times for evaluation in evaluations)
-        counts = np.bincount([*chain.from_iterable(sets)], minlength=self.feasible.horizon + 1)
+        counts = np.bincount([*chain.from_iterable(sets)], minlength=self.feasible.possible)
         return counts / len(evaluations)
 
 

@@ -115,16 +115,16 @@ class GreedyBackward(_Greedy):
     @property
     def generations(self) -> int:
         """Approximate number of generations."""
-        return max(1, self.feasible.horizon + 1 - self.feasible.measurements)
+        return max(1, self.feasible.possible - self.feasible.measurements)
 
     @property
     def evaluations(self) -> int:
         """Approximate number of evaluations."""
-        return sum(self.feasible.horizon + 1 - removed for removed in range(self.generations))
+        return sum(self.feasible.possible - removed for removed in range(self.generations))
 
     def init(self) -> GreedyState:
         """The state before the first generation: all times."""
-        return GreedyState(tuple(range(self.feasible.horizon + 1)))
+        return GreedyState(tuple(range(self.feasible.possible)))
 
     def _steps(self, times: Times) -> list[Times]:
         return self.feasible.removals(times)

@@ -244,9 +244,13 @@ class StateSpaceRelaxation:
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
         """The paths that can be paid for, completed to feasible sets.
 
+        Paths ignore the limits of sensors, so those that break them are repaired.
+
         Where prices are rounded down, all paths may cost too much. Then paths of smaller and
         smaller sums are tried, until one can be paid for.
         """
+        if self.feasible.limits:
+            return [self.feasible.repair(times, np.random.default_rng(0)) for times in paths]
         if self.feasible.counted:
             return paths
         spent, tried = programme.most, paths

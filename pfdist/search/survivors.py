@@ -105,7 +105,8 @@ class Survivors:
         near = [(*times, t) for times in state.front for t in self._next(state, times)]
         every = ((*times, t) for times in state.front for t in self.feasible.extensions(times))
         # If the limits leave nothing, they do not apply.
-        return [Candidate(times, times[-1]) for times in near or every]
+        sensors = self.feasible.sensors
+        return [Candidate(times, times[-1] // sensors) for times in near or every]
 
     def tell(self, state: SurvivorState, evaluations: Sequence[Evaluation]) -> SurvivorState:
         """Keep the best prefixes of each state; at the end, widen limits that a set reaches."""
@@ -158,7 +159,7 @@ class Survivors:
         best = whole[0].measurement_times
         if (before and before[0].measurement_times == best) or not self._is_limited(state, best):
             return replace(state, whole=whole, done=True)
-        gap = min(self.feasible.horizon + 1, math.ceil(WIDENING * state.largest_gap))
+        gap = min(self.feasible.possible, math.ceil(WIDENING * state.largest_gap))
         return SurvivorState(gap, WIDENING * state.corridor, whole=whole)
 
     def _is_limited(self, state: SurvivorState, times: Times) -> bool:
@@ -184,7 +185,7 @@ class Survivors:
         """
         mean_gap = len(self.feasible.allowed) / self.feasible.total  # for a price of 1
         proportional = (spent + self.feasible.price[time] / 2) * mean_gap - 0.5
-        late = self.feasible.horizon if self.feasible.smaller else state.corridor
+        late = self.feasible.possible - 1 if self.feasible.smaller else state.corridor
         return math.floor(proportional - state.corridor), math.ceil(proportional + late)
 
 

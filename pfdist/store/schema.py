@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -36,7 +36,8 @@ LABELS = "labels"
 """Name among the attributes of a DataFrame of the labels of its columns."""
 
 _MSE = "square of z's unit"
-_INSTANTS: Final = ("t", "moved_to", "end", "measurement_times", "path")
+_INSTANTS: Final = ("t", "moved_to", "end")
+_MEASUREMENTS: Final = ("measurement_times", "path")
 
 KEYS: dict[str, list[str]] = {
     "evaluations": ["phase", "generation", "individual"],
@@ -344,16 +345,23 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
 
 @dataclass(frozen=True)
 class ClockColumns:
-    """Turns columns of instants into columns of times, in the clock's unit."""
+    """Turns columns of instants into columns of times, in the clock's unit.
+
+    With sensors, columns of sets of measurements become columns of texts such as ``12 x-ray``.
+    """
 
     times: tuple[float, ...]  # (T+1,); the time of each instant
     unit: str  # for the metadata of the columns
+    sensors: tuple[str, ...] = ()
+    counts: bool = False  # whether the time of an instant is its number: such columns stay
 
     def table(self, rows: pa.Table) -> pa.Table:
         """Table with times in place of instants; columns of times stay as they are."""
-        clock = np.array(self.times)
+        times = np.array(self.times)
+        written = [f"{time:.10g} {sensor}" for time in self.times for sensor in self.sensors]
         for index, field in enumerate(rows.schema):
-            if _holds_instants(field):
+            if self._is_changed(field):
+                clock = np.array(written) if written and field.name in _MEASUREMENTS else times
                 column = rows.column(index).combine_chunks()
                 rows = rows.set_column(index, self._field(field), _timed(column, clock))
         return rows
@@ -361,12 +369,19 @@ class ClockColumns:
     def schema(self, schema: pa.Schema) -> pa.Schema:
         """Schema of such a table."""
         for index, field in enumerate(schema):
-            if _holds_instants(field):
+            if self._is_changed(field):
                 schema = schema.set(index, self._field(field))
         return schema
 
+    def _is_changed(self, field: pa.Field) -> bool:
+        if self.sensors and field.name in _MEASUREMENTS:
+            return _holds_numbers(field)
+        columns = () if self.counts else (*_INSTANTS, *_MEASUREMENTS)
+        return field.name in columns and _holds_numbers(field)
+
     def _field(self, field: pa.Field) -> pa.Field:
-        kind = pa.list_(pa.float64()) if pa.types.is_list(field.type) else pa.float64()
+        kind = pa.string() if self.sensors and field.name in _MEASUREMENTS else pa.float64()
+        kind = pa.list_(kind) if pa.types.is_list(field.type) else kind
         metadata = dict(field.metadata or {}) | {b"unit": self.unit.encode()}
         return pa.field(field.name, kind, metadata=metadata)
 
@@ -392,12 +407,12 @@ def frame_of(table: pa.Table) -> pd.DataFrame:
     return frame
 
 
-def _holds_instants(field: pa.Field) -> bool:
+def _holds_numbers(field: pa.Field) -> bool:
     kind = field.type.value_type if pa.types.is_list(field.type) else field.type
-    return field.name in _INSTANTS and pa.types.is_integer(kind)
+    return bool(pa.types.is_integer(kind))
 
 
-def _timed(column: pa.Array, clock: NDArray[np.float64]) -> pa.Array:
+def _timed(column: pa.Array, clock: NDArray[Any]) -> pa.Array:
     if pa.types.is_list(column.type):
         values = pa.array(clock[column.flatten().to_numpy(zero_copy_only=False)])
         offsets = column.offsets.to_numpy()  # a slice of a column begins later

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, cast
 
 import numpy as np
 
@@ -37,6 +38,9 @@ class Clock:
     times: tuple[Time, ...]  # (T+1,): in ascending order
     unit: str = ""  # as the user names it, such as "h"; empty if there is none
     counts: bool = False  # whether the problem has no clock: the time of an instant is its number
+    # Names of the sensors, if there are any. A possible measurement then has a number,
+    # t * S + sensor, and is written with its sensor, "12 x-ray".
+    sensors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for time in self.times:
@@ -74,6 +78,11 @@ class Clock:
     def horizon(self) -> int:
         """T."""
         return len(self.times) - 1
+
+    @property
+    def possible(self) -> int:
+        """The number of possible measurements; without sensors, the number of instants."""
+        return len(self.times) * max(1, len(self.sensors))
 
     @cached_property
     def is_even(self) -> bool:
@@ -147,6 +156,34 @@ class Clock:
         """The times of some instants, in the same order."""
         return [self.times[t] for t in instants]
 
+    def written(self, measurement: int) -> Time | str:
+        """A possible measurement as users read it: its time, and the sensor if there are any."""
+        if not self.sensors:
+            return self.times[measurement]
+        instant, sensor = divmod(measurement, len(self.sensors))
+        return f"{self.times[instant]:.10g} {self.sensors[sensor]}"
+
+    def written_of(self, measurements: Iterable[int]) -> list[Any]:
+        """Possible measurements as users read them, in the same order."""
+        return [self.written(measurement) for measurement in measurements]
+
+    def measurements(self, written: Iterable[Time | str]) -> Times:
+        """The possible measurements of a set as users read it; errors as of `instant`."""
+        if not self.sensors:
+            return self.instants(cast("Iterable[Time]", written))
+        return tuple(self._measurement(entry) for entry in written)
+
+    def _measurement(self, written: Time | str) -> int:
+        time, _, sensor = str(written).strip().rpartition(" ")
+        if sensor not in self.sensors:
+            raise MeasurementTimesError(
+                f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
+                f"{shown(written)}; sensors: {', '.join(self.sensors)}"
+            )
+        number = float(time)
+        instant = self.instants([int(number) if number.is_integer() else number])[0]
+        return instant * len(self.sensors) + self.sensors.index(sensor)
+
     def formatted(self, instant: int) -> str:
         """The time of an instant as text, with the unit."""
         return f"{self.times[instant]:.10g}{self._suffix}"
@@ -178,7 +215,7 @@ class Clock:
 
     def since(self, first: int) -> "Clock":
         """The clock of the instants from `first` on: same times, but instants count from 0."""
-        return Clock(self.times[first:], self.unit)
+        return Clock(self.times[first:], self.unit, sensors=self.sensors)
 
     @property
     def _suffix(self) -> str:

@@ -5,20 +5,32 @@ add where the value came from: ``forbidden must lie in 0..60, got 61``.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import gcd
 
+from pfdist.common.formatted_times import formatted_time
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
 
 
 @dataclass(frozen=True)
+class Limit:
+    """Constraints on the measurements of one sensor."""
+
+    most: int | None = None  # the largest number of its measurements in a set
+    spacing: Spacing | None = None  # which instants are far enough apart for it
+
+
+@dataclass(frozen=True)
 class Constraints:
     """The constraints on a set of N times in 0..T, or of as many times as a sum of money buys.
+
+    With S sensors, the clock names them, and a time is the number ``t * S + sensor`` of a possible
+    measurement. So the measurements of an instant follow each other in the order of the sensors.
 
     They are not checked here: `pfdist.times.feasible.Feasible` refuses constraints that contradict
     each other, or that no set satisfies.
@@ -30,11 +42,14 @@ class Constraints:
     required: Times = ()  # times that every set must contain, sorted
     # smallest difference of two times of a set: instants, or time on the clock
     minimum_spacing: int | float = 1
-    # (T+1,): cost of a measurement at each time, at least 1, in whole units
+    # (S (T+1),): cost of a measurement at each time, at least 1, in whole units
     cost: tuple[int, ...] | None = None
     # largest cost of all measurements together; given with `cost`, in place of N
     total_cost: int | None = None
     clock: Clock | None = None  # by default instants are counted
+    # Constraints on each sensor alone; none if no sensor has any. The bound leaves them out.
+    limits: tuple[Limit, ...] = ()
+    cheapest: int = 0  # number of the sensor that measures at regular times
 
     @property
     def counted(self) -> bool:
@@ -43,10 +58,22 @@ class Constraints:
 
     @cached_property
     def spacing(self) -> Spacing:
-        """Which instants are far enough apart."""
+        """Which times are far enough apart; with sensors, 0 allows several at one instant."""
         if self.clock is None:
             return Spacing.constant(int(self.minimum_spacing), self.horizon)
-        return Spacing(self.clock.successors(self.minimum_spacing))
+        if self.sensors > 1 and not self.minimum_spacing:
+            return Spacing.constant(1, self.possible - 1)
+        return Spacing.of_sensors(self.clock.successors(self.minimum_spacing), self.sensors)
+
+    @property
+    def sensors(self) -> int:
+        """The number S of ways to measure at an instant."""
+        return 1 if self.clock is None else max(1, len(self.clock.sensors))
+
+    @property
+    def possible(self) -> int:
+        """The number of possible measurements, S (T + 1)."""
+        return self.sensors * (self.horizon + 1)
 
     @cached_property
     def allowed(self) -> Times:
@@ -54,7 +81,7 @@ class Constraints:
         barred = {*self.forbidden}
         for time in self.required:
             barred.update({*self.spacing.near(time)} - {time})
-        return tuple(time for time in range(self.horizon + 1) if time not in barred)
+        return tuple(time for time in range(self.possible) if time not in barred)
 
     @cached_property
     def index(self) -> dict[int, int]:
@@ -68,8 +95,8 @@ class Constraints:
 
     @cached_property
     def price(self) -> tuple[int, ...]:
-        """Price of a measurement at each time, in units of `total`; 1 if times are counted."""
-        return tuple(cost // self.unit for cost in self.cost or (1,) * (self.horizon + 1))
+        """Price of each possible measurement, in units of `total`; 1 if times are counted."""
+        return tuple(cost // self.unit for cost in self.cost or (1,) * self.possible)
 
     @cached_property
     def total(self) -> int:
@@ -91,7 +118,29 @@ class Constraints:
 
     def compatible(self, times: Times) -> bool:
         """Whether these sorted times are allowed and far enough apart."""
-        return self.spacing.apart(times) and self._allowed.issuperset(times)
+        apart = self.spacing.apart(times) and self._allowed.issuperset(times)
+        return apart and self.is_within_limits(times)
+
+    def of_sensor(self, sensor: int, times: Iterable[int]) -> Times:
+        """The instants at which a sensor measures."""
+        return tuple(time // self.sensors for time in times if time % self.sensors == sensor)
+
+    def is_within_limits(self, times: Iterable[int]) -> bool:
+        """Whether these sorted times satisfy the constraints on each sensor."""
+        return not any(self._beyond_limits(times))
+
+    def _beyond_limits(self, times: Iterable[int]) -> Iterator[str]:
+        """Yield a sentence for each constraint on a sensor that these sorted times break."""
+        chosen = tuple(times)
+        for sensor, limit in enumerate(self.limits):
+            own, name = self.of_sensor(sensor, chosen), f"sensors.{self._sensor(sensor)}"
+            if limit.most is not None and len(own) > limit.most:
+                yield f"{name}.most is {limit.most}, got {len(own)} measurements"
+            if limit.spacing is not None and not limit.spacing.apart(own):
+                yield f"{name}.minimum_spacing is broken"
+
+    def _sensor(self, sensor: int) -> str:
+        return self.clock.sensors[sensor] if self.clock and self.clock.sensors else ""
 
     def allows(self, times: Iterable[int]) -> bool:
         """Whether these and the required times are compatible and can be paid for."""
@@ -128,7 +177,7 @@ class Constraints:
         ]
         if near:
             sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
-        return sentences
+        return [*sentences, *self._beyond_limits(chosen)]
 
     def cost_of(self, times: Iterable[int]) -> int:
         """The cost of a set, in the unit of `cost`; its size if times are counted."""
@@ -141,13 +190,18 @@ class Constraints:
         return [
             time
             for time in (self.optional if left > 0 else ())
-            if self.price[time] <= left and self._is_apart(time, complete)
+            if self.price[time] <= left
+            and self._is_apart(time, complete)
+            and (not self.limits or self.is_within_limits(sorted({*complete, time})))
         ]
 
     def distance(self, time: int, times: Times) -> int:
         """The distance to the nearest of these times in instants; T + 1 if there are none."""
         return min(
-            (abs(time - neighbour) for neighbour in _neighbours(time, times)),
+            (
+                abs(time // self.sensors - neighbour // self.sensors)
+                for neighbour in _neighbours(time, times)
+            ),
             default=self.horizon + 1,
         )
 
@@ -160,17 +214,19 @@ class Constraints:
 
     def formatted(self, time: int) -> str:
         """A time as the user reads it."""
-        return str(time) if self.clock is None else f"{self.clock.time(time):.10g}"
+        return str(time) if self.clock is None else formatted_time(self.clock.written(time))
 
     def capacity(self, times: Iterable[int]) -> int:
         """The largest number of compatible times that contain these and the required times."""
         complete = self.with_required(times)
+        if self.limits:
+            return len(complete) + len(self.within_limits(complete, self.allowed))
         gaps = pairwise(self.with_ends(complete))
         return len(complete) + sum(self.capacity_between(first, last) for first, last in gaps)
 
     def with_ends(self, times: Times) -> Times:
-        """These times between -1 and T + 1, from which every instant is far enough."""
-        return (-1, *times, self.horizon + 1)
+        """These times between -1 and the end, from which every time is far enough."""
+        return (-1, *times, self.possible)
 
     def capacity_between(self, first: int, last: int) -> int:
         """The largest number of compatible times that fit between two times."""
@@ -186,6 +242,30 @@ class Constraints:
             chosen.append(among[index])
             index = bisect_left(among, self.spacing.after(among[index]))
         return tuple(chosen)
+
+    def within_limits(self, times: Times, among: Iterable[int]) -> Times:
+        """As many of some sorted times as fit beside these within the limits of the sensors.
+
+        The sensors do not depend on each other, because limits need a spacing that is free.
+        """
+        offered, chosen = [*among], list[int]()
+        for sensor, limit in enumerate(self.limits):
+            own = self.of_sensor(sensor, times)
+            spacing = limit.spacing or Spacing.constant(1, self.horizon)
+            new, last = list[int](), -1
+            for t in self.of_sensor(sensor, offered):
+                place = bisect_left(own, t)
+                last = max([last, *own[max(0, place - 1) : place]])
+                if (
+                    t not in own
+                    and t >= spacing.after(last)
+                    and spacing.apart((t, *own[place:][:1]))
+                ):
+                    new.append(t)
+                    last = t
+            left = len(new) if limit.most is None else max(0, limit.most - len(own))
+            chosen += [t * self.sensors + sensor for t in new[:left]]
+        return tuple(sorted(chosen))
 
     @cached_property
     def unit(self) -> int:

@@ -14,6 +14,7 @@ def check(constraints: Constraints) -> None:
     The message of the `MeasurementTimesError` begins with the name of the wrong value.
     """
     _check_times(constraints)
+    _check_limits(constraints)
     _check_budget_or_cost(constraints)
     _check_that_a_set_exists(constraints)
 
@@ -21,7 +22,7 @@ def check(constraints: Constraints) -> None:
 def _check_times(constraints: Constraints) -> None:
     """Refuse forbidden and required times that are outside, both, or too near to each other."""
     for name in ("forbidden", "required"):
-        times, last = getattr(constraints, name), constraints.horizon
+        times, last = getattr(constraints, name), constraints.possible - 1
         outside = [time for time in times if not 0 <= time <= last]
         if outside:
             raise MeasurementTimesError(f"{name} must lie in 0..{last}, got {outside[0]}")
@@ -37,6 +38,17 @@ def _check_times(constraints: Constraints) -> None:
                 f"{constraints.minimum_spacing}, got {constraints.formatted(time)} and "
                 f"{constraints.formatted(later)}"
             )
+
+
+def _check_limits(constraints: Constraints) -> None:
+    """Refuse limits of sensors beside a spacing of all, and required times beyond the limits."""
+    if constraints.limits and not constraints.spacing.is_free:
+        raise MeasurementTimesError(
+            "minimum_spacing must be left out if a sensor has most or minimum_spacing, got "
+            f"{constraints.minimum_spacing}"
+        )
+    if not constraints.is_within_limits(constraints.required):
+        raise MeasurementTimesError("required must keep the limits of each sensor")
 
 
 def _check_budget_or_cost(constraints: Constraints) -> None:
@@ -57,7 +69,7 @@ def _check_budget_or_cost(constraints: Constraints) -> None:
             ("cost", "total_cost") if constraints.cost is not None else ("total_cost", "cost")
         )
         raise MeasurementTimesError(f"{lacks} must be given with {got}")
-    cost, instants = constraints.cost, constraints.horizon + 1
+    cost, instants = constraints.cost, constraints.possible
     if cost is not None and len(cost) != instants:
         raise MeasurementTimesError(
             f"cost must have a number for each of {instants} instants, got {len(cost)}"
@@ -71,10 +83,11 @@ def _check_that_a_set_exists(constraints: Constraints) -> None:
     if constraints.measurement_budget is None:
         _check_money(constraints)
         return
-    budget, instants = constraints.measurement_budget, constraints.horizon + 1
-    if budget > instants:
+    budget, possible = constraints.measurement_budget, constraints.possible
+    if budget > possible:
+        what = "instants" if constraints.sensors == 1 else "possible measurements"
         raise MeasurementTimesError(
-            f"measurement_budget must be at most the number of instants, {instants}, got {budget}"
+            f"measurement_budget must be at most the number of {what}, {possible}, got {budget}"
         )
     required = len(constraints.required)
     if budget < required:

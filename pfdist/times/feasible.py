@@ -2,19 +2,23 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from heapq import merge
-from itertools import chain, combinations, pairwise
+from itertools import chain, combinations, cycle, pairwise
 from math import comb
 
 import numpy as np
 
+from pfdist.errors import MeasurementTimesError
 from pfdist.times.affordable import Affordable
 from pfdist.times.completions import Completions
 from pfdist.times.constraints import Constraints
 from pfdist.times.contradictions import check
 from pfdist.times.measurement_times import Times, nearest, random, random_below, regular
+
+_MOST_COUNTED = 1_000_000  # sets that are counted one by one
 
 
 @dataclass(frozen=True)
@@ -45,22 +49,30 @@ class Feasible(Constraints):
         """N; with money the number of times in the set that `regular` gives."""
         return len(self.regular())
 
-    @property
+    @cached_property
     def size(self) -> int:
-        """Number of feasible sets."""
+        """Number of feasible sets; if sensors have limits, many sets are only bounded above."""
         if self._free:
             return comb(len(self.optional), self.total - len(self.required))
-        return sum(completions.size for completions in self._completions)
+        size = sum(completions.size for completions in self._completions)
+        return size if not self.limits or size > _MOST_COUNTED else sum(1 for _ in self.every())
 
     def every(self) -> Iterator[Times]:
         """All feasible sets, in lexicographic order."""
         if self._free:
             chosen = combinations(self.optional, self.total - len(self.required))
             return (self.with_required(times) for times in chosen)
-        return merge(*(completions.every() for completions in self._completions))
+        sets = merge(*(completions.every() for completions in self._completions))
+        return filter(self.is_within_limits, sets)
 
     def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
-        """Draw feasible sets, each with the same probability; a set may come twice."""
+        """Draw feasible sets, each with the same probability; a set may come twice.
+
+        If sensors have limits, sets that break them are repaired, so the probabilities differ.
+        """
+        if self.limits:
+            unlimited = replace(self, limits=())
+            return [self.repair(times, rng) for times in unlimited.random(sets, rng)]
         if self._free:
             number = self.total - len(self.required)
             rows = random(len(self.optional) - 1, number, sets, rng).tolist()
@@ -78,6 +90,21 @@ class Feasible(Constraints):
         """
         return self._nearest_regular
 
+    @cached_property
+    def references(self) -> dict[str, Times]:
+        """Other sets to compare with, by name: each sensor alone at regular times, and in rotation.
+
+        There are none without sensors. A set that cannot be made is left out.
+        """
+        every = tuple(range(self.sensors)) if self.sensors > 1 else ()
+        turns: dict[str, Times] = {f"alone_{self._sensor(sensor)}": (sensor,) for sensor in every}
+        turns |= {"rotation": every} if every else {}
+        return {
+            name.lower().replace("-", "_"): times
+            for name, sensors in turns.items()
+            if (times := self._in_turn(sensors)) is not None
+        }
+
     def is_regular(self, times: Times) -> bool:
         """Whether times are the regular times of their number, feasible or not."""
         return times == self._regular_times(len(times))
@@ -88,6 +115,9 @@ class Feasible(Constraints):
             return []
         lacking = {*self.required} - {*times}
         new = sorted({*lacking, *self.affordable(times)})
+        if self.limits and self.counted:
+            larger = [tuple(sorted({*times, time})) for time in new]
+            return [each for each in larger if self._can_be_completed(each)]
         if self.counted and not self._free:
             new = self._leaving_capacity(times, new)
         return [tuple(sorted({*times, time})) for time in new]
@@ -111,7 +141,12 @@ class Feasible(Constraints):
         """
         if not self.counted:
             followers = (completions.extensions(times) for completions in self._completions)
-            return sorted(set().union(*followers))
+            after = sorted(set().union(*followers))
+            return (
+                [t for t in after if self.is_within_limits((*times, t))] if self.limits else after
+            )
+        if self.limits:
+            return [t for t in self.allowed if self._may_follow(times, t)]
         left, last = self.total - len(times), times[-1] if times else -1
         required = self.required[bisect_right(self.required, last) :]
         if left <= 0 or len(required) > left:
@@ -175,10 +210,21 @@ class Feasible(Constraints):
             repaired = larger_sets[rng.integers(len(larger_sets))]
         return repaired
 
+    def _may_follow(self, times: Times, t: int) -> bool:
+        """Whether a possible measurement may follow a prefix within the limits of sensors."""
+        last, longer = times[-1] if times else -1, (*times, t)
+        if not last < t <= min((r for r in self.required if r > last), default=t):
+            return False
+        complete = self.with_required(longer)
+        if len(complete) > self.total or not self.is_within_limits(complete):
+            return False
+        later = [other for other in self.allowed if other > t]
+        return len(complete) + len(self.within_limits(complete, later)) >= self.total
+
     @property
     def _free(self) -> bool:
         """Whether all sets of N allowed times that contain the required times are feasible."""
-        return self.counted and self.spacing.is_free
+        return self.counted and self.spacing.is_free and not self.limits
 
     @cached_property
     def _negative_capacities(self) -> list[int]:
@@ -203,7 +249,7 @@ class Feasible(Constraints):
         bounds = [0, 1] if self.counted else [0, *prices, self.total + 1]
         return [
             Completions(
-                horizon=self.horizon,
+                horizon=self.possible - 1,
                 usable=usable,
                 required=self.required,
                 cheap=tuple(time for time in self.optional if self.price[time] <= least),
@@ -251,20 +297,51 @@ class Feasible(Constraints):
         if not self.counted:
             every = (completions.every() for completions in self._completions_of(usable))
             return next(chain.from_iterable(every), None)
+        if self.limits:
+            packed = [*self.within_limits(self.required, usable)]
+            contained = self.with_required(packed[: self.total - len(self.required)])
+            return contained if len(contained) == self.total else None
         gaps = pairwise(self.with_ends(self.required))
         packed = [time for first, last in gaps for time in self.packed(first, last, usable)]
         contained = self.with_required(packed[: self.total - len(self.required)])
         return contained if len(contained) == self.total else None
 
-    def _regular_times(self, number: int) -> Times:
-        """Regular times, feasible or not."""
+    def _regular_times(self, number: int, sensors: Times = ()) -> Times:
+        """Regular times, feasible or not, at which some sensors measure in turn.
+
+        By default the cheapest sensor measures.
+        """
         if self.clock is not None and not self.clock.is_even:
-            return self.clock.regular_times(number)
-        return regular(self.horizon, number)
+            times = self.clock.regular_times(number)
+        else:
+            times = regular(self.horizon, number)
+        turn = cycle(sensors or (self.cheapest,))
+        return tuple(t * self.sensors + sensor for t, sensor in zip(times, turn, strict=False))
+
+    def _in_turn(self, sensors: Times) -> Times | None:
+        """Some sensors in turn at regular times, or a compatible set like that; None if none is."""
+        own = (t for t in self.allowed if t % self.sensors in sensors)
+        usable = tuple(sorted({*self.required, *own}))
+        cheap = min((self.price[t] for t in usable), default=1)
+        most = min(self.total // cheap, self.horizon + 1, len(usable))
+        if self.counted and most < self.total:
+            return None
+        for number in range(most, self.total - 1 if self.counted else 0, -1):
+            wanted = self._regular_times(number, sensors)
+            with suppress(MeasurementTimesError):
+                times = nearest(wanted, usable, self.required, self.spacing)
+                if self.allows(times):
+                    return times
+        return None
 
     @cached_property
     def _nearest_regular(self) -> Times:
         spacing = self.spacing
+        if self.sensors > 1:
+            times = self._in_turn((self.cheapest,))
+            number = min(self.total, self.horizon + 1)
+            start = self._regular_times(number) if times is None else times
+            return self.repair(start, np.random.default_rng(0))
         if not self.counted:
             affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
             return affordable.nearest(self._regular_times)
@@ -276,7 +353,8 @@ class Feasible(Constraints):
     def _near(self, time: int, reach: int | None) -> Times:
         if reach is None:
             return self.allowed
-        first, stop = time - reach, time + reach + 1
+        instant = time // self.sensors
+        first, stop = ((instant + far) * self.sensors for far in (-reach, reach + 1))
         return self.allowed[bisect_left(self.allowed, first) : bisect_left(self.allowed, stop)]
 
     def _exchanged(self, others: set[int], new: int) -> Times | None:

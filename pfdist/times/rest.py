@@ -2,8 +2,10 @@
 
 from functools import partial
 
+from pfdist.times.constraints import Limit
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
+from pfdist.times.spacing import Spacing
 
 
 def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
@@ -20,27 +22,39 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
     """
     if first > feasible.horizon:
         return None
-    left = range(first, feasible.horizon + 1)
+    start = first * feasible.sensors
+    left = range(start, feasible.possible)
     near = {t for time in taken for t in feasible.spacing.near(time)}
     barred = near.union(feasible.forbidden)
+    limits = list[Limit]()
+    for sensor, limit in enumerate(feasible.limits):
+        own, spacing = feasible.of_sensor(sensor, taken), limit.spacing
+        if spacing is not None:
+            near = {t for time in own for t in spacing.near(time)}
+            barred |= {t * feasible.sensors + sensor for t in near}
+            spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
+        most = None if limit.most is None else max(0, limit.most - len(own))
+        limits.append(Limit(most, spacing))
     required = [time for time in feasible.required if time in left and time not in barred]
     make = partial(
         Feasible,
         horizon=feasible.horizon - first,
-        forbidden=tuple(time - first for time in left if time in barred),
+        forbidden=tuple(time - start for time in left if time in barred),
         minimum_spacing=feasible.minimum_spacing,
         clock=None if feasible.clock is None else feasible.clock.since(first),
         smaller=feasible.smaller,
+        limits=tuple(limits),
+        cheapest=feasible.cheapest,
     )
     if feasible.cost is not None and feasible.total_cost is not None:
-        money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[first:]
+        money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[start:]
         required = required if feasible.cost_of(required) <= money else []
         least = min((feasible.cost[time] for time in left if time not in barred), default=None)
         if least is None or least > money:
             return None
-        return make(required=tuple(time - first for time in required), cost=cost, total_cost=money)
+        return make(required=tuple(time - start for time in required), cost=cost, total_cost=money)
     number = max(0, feasible.total - len(taken))
-    times = tuple(time - first for time in required[:number])
+    times = tuple(time - start for time in required[:number])
     capacity = make(required=times, measurement_budget=len(times)).capacity(())
     number = min(number, capacity)
     return make(required=times, measurement_budget=number) if number else None

@@ -1,6 +1,6 @@
 """How far apart the measurement times of a set must be, counted in instants."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -25,6 +25,17 @@ class Spacing:
     def constant(cls, difference: int, horizon: int) -> "Spacing":
         """The spacing where two measurement times differ by at least so many instants."""
         return cls(tuple(t + difference for t in range(horizon + 1)))
+
+    @classmethod
+    def of_sensors(cls, successors: Sequence[int], sensors: int) -> "Spacing":
+        """The spacing of possible measurements, by the successors of instants.
+
+        At most one sensor measures at an instant.
+
+        >>> Spacing.of_sensors((2, 3, 4), sensors=2).successors
+        (4, 4, 6, 6, 8, 8)
+        """
+        return cls(tuple(t * sensors for t in successors for _ in range(sensors)))
 
     @cached_property
     def is_free(self) -> bool:

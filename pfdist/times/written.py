@@ -16,6 +16,7 @@ from pfdist.times.measurement_times import Times, validated
 
 RANGES = "'20:30', '0:60:3' or '20-30'"
 """Examples of ranges, for errors and help."""
+_SEPARATOR = re.compile(r"[\s,]+")
 _WITH_HYPHEN = re.compile(r"(\d{1,6}(?:\.\d+)?)-(\d{1,6}(?:\.\d+)?)")
 _WHOLE = (int, np.integer)
 _NUMBER = (*_WHOLE, float, np.floating)
@@ -45,6 +46,46 @@ def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> 
     return [int(written) if clock.counts else clock.instant(float(written), name)]
 
 
+def measurements_of(
+    written: Any, clock: Clock, name: str = "measurement_times", *, of_all: bool = False
+) -> list[int]:
+    """The possible measurements that a text, or several entries, name.
+
+    Without sensors these are instants; see `instants_of`. With sensors, the name of a sensor
+    follows the times at which it measures. If `of_all`, times without a name mean all sensors.
+
+    >>> clock = Clock((0, 1, 2, 3), counts=True, sensors=("ct", "x-ray"))
+    >>> measurements_of("0 3 ct, 3 x-ray", clock)
+    [0, 6, 7]
+    """
+    if not clock.sensors:
+        return instants_of(written, clock, name)
+    is_one = isinstance(written, str) or not isinstance(written, Iterable)
+    entries = [written] if is_one else written
+    words = [word for entry in entries for word in _SEPARATOR.split(str(entry).strip(", "))]
+    found, waiting = list[int](), list[str]()
+    for word in [*words, ""]:
+        sensors = [clock.sensors.index(word)] if word in clock.sensors else []
+        if word and not sensors:
+            waiting.append(word)
+            if word[0].isalpha():
+                break
+            continue
+        if of_all and not word:
+            sensors = [*range(len(clock.sensors))]
+        for t in instants_of(waiting, clock, name) if sensors else ():
+            if not 0 <= t <= clock.horizon:
+                raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
+            found += [t * len(clock.sensors) + sensor for sensor in sensors]
+        waiting = waiting if not sensors else []
+    if waiting:
+        raise MeasurementTimesError(
+            f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
+            f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
+        )
+    return found
+
+
 def validated_instants(
     written: Iterable[Time | str] | str,
     clock: Clock,
@@ -58,16 +99,17 @@ def validated_instants(
     if not isinstance(written, Iterable):
         raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
     entries: list[Any] = [written] if isinstance(written, str) else list(written)
-    if not clock.counts or any(isinstance(entry, str) for entry in entries):
-        entries = instants_of(entries, clock, name)
-    if not clock.counts:
+    if clock.sensors or not clock.counts or any(isinstance(entry, str) for entry in entries):
+        entries = measurements_of(entries, clock, name)
+    if clock.sensors or not clock.counts:
         twice = [t for t, following in pairwise(sorted(entries)) if t == following]
         if twice:
+            got = clock.written(twice[0]) if clock.sensors else clock.formatted(twice[0])
             raise MeasurementTimesError(
-                f"{name} must differ from each other, got {clock.formatted(twice[0])} twice"
+                f"{name} must differ from each other, got {got} twice"
                 f"{f' ({where})' if where not in ('', name) else ''}"
             )
-    return validated(entries, clock.horizon, where)
+    return validated(entries, clock.possible - 1, where)
 
 
 def clock_of(text: str) -> Clock:
