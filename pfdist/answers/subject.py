@@ -10,7 +10,7 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
 from pfdist.analysis.summary import SetResult, Summary
-from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.documents.parts import Cell, Table, Text
@@ -102,7 +102,7 @@ class Subject:
         ]
 
     @property
-    def reference_times(self) -> list[float]:
+    def reference_times(self) -> list[float | str]:
         """Measurement times of the reference."""
         return next(iter(self.results.values())).measurement_times
 
@@ -110,20 +110,22 @@ class Subject:
     def reference(self) -> str:
         """The reference as sentences call it: ``every 3 instants``, or its name."""
         name, times = next(iter(self.results)), self.reference_times
-        steps = {formatted_time(later - earlier) for earlier, later in pairwise(times)}
-        if len(steps) != 1:
+        sensors = {time_and_sensor(time)[1] for time in times}
+        instants = (time_and_sensor(time)[0] for time in times)
+        steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
+        if len(steps) != 1 or len(sensors) > 1:
             return label(name)
-        step = steps.pop()
+        step, by = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if self.run.problem.has_clock:
-            return f"every {step} {self.unit}".rstrip()
-        return "every instant" if step == "1" else f"every {step} instants"
+            return f"every {step} {self.unit}".rstrip() + by
+        return ("every instant" if step == "1" else f"every {step} instants") + by
 
     @property
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
         return self.run.problem.clock.unit
 
-    def listed(self, times: Sequence[float]) -> str:
+    def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""
         return formatted_times(times, self.unit)
 

@@ -20,5 +20,27 @@ def formatted_times(times: Iterable[float | str], unit: str = "") -> str:
     >>> formatted_times([0, 6, 12]), formatted_times([0.0, 0.5], "h"), formatted_times([], "h")
     ('0, 6, 12', '0, 0.5 h', '')
     """
-    text = ", ".join(map(formatted_time, times))
-    return f"{text} {unit}" if unit and text else text
+    listed = [*times]
+    text = ", ".join(map(formatted_time, listed))
+    return f"{text} {unit}" if unit and listed and not isinstance(listed[0], str) else text
+
+
+def time_and_sensor(time: float | str) -> tuple[float, str]:
+    """A measurement's time, and the name of its sensor; the name is empty without sensors.
+
+    >>> time_and_sensor("12 x-ray"), time_and_sensor(0.5)
+    ((12.0, 'x-ray'), (0.5, ''))
+    """
+    if not isinstance(time, str):
+        return time, ""
+    number, _, sensor = time.rpartition(" ")
+    return float(number), sensor
+
+
+def times_of(measurements: Iterable[float | str]) -> list[float]:
+    """The times of measurements, each once, in ascending order.
+
+    >>> times_of(["0 ct", "0 x-ray", "3 ct"])
+    [0.0, 3.0]
+    """
+    return sorted({time_and_sensor(measurement)[0] for measurement in measurements})

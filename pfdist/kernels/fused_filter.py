@@ -310,8 +310,10 @@ def _filter_draw(
 
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
-    quantity_of_interest, error, *of_particles = functions
-    states, measurements, quantities = components
+    (quantity_of_interest, error, *of_particles), (states, measurements, quantities) = (
+        functions,
+        components,
+    )
     begin, propagate, *fillers = cloud_steps(tuple(of_particles), noise_kinds, states)
     weigh_cloud, resample_cloud = measuring(fillers, measurements, resampling)
     fill_terms, fill_squares, mean_of = moments(quantity_of_interest, states, quantities)
@@ -354,10 +356,13 @@ def _filter_draw(
                     fill_squares(cloud, here, instant, p, weight, row, mean, terms)
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
-                    variance = error_by_variance(
-                        weights, first_means, filter_number, s, t, mean, variances, truth, instant
-                    )
-                    weighed_variance = _weighed(variance, request.instant_weights[t])
+                    weighed_variance = _weighed(
+                        error_by_variance(
+                            weights, first_means, filter_number, s, t, mean, variances, truth,
+                            instant,
+                        ),
+                        request.instant_weights[t],
+                    )  # fmt: skip
                     error += weighed_variance
                     _add(results.errors, s, t, weighed_variance)
                 z = read_z(request.z, d, t)

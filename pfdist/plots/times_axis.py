@@ -1,5 +1,6 @@
 """When to measure: the error of each set over time, and its measurement times on one axis."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.axes import Axes
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
+from pfdist.common.formatted_times import time_and_sensor
 from pfdist.errors import JobError, shown
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
@@ -45,7 +47,7 @@ _LEADING = 1.25  # distance of two names over the size of their font
 def times_figure(tables: Tables) -> Plot:
     """Root mean square error of the estimates over time, and the measurement times of every set."""
     run, sets = tables.run, tables.run.sets()
-    rows = times_inches(len(sets))
+    rows = times_inches(sum(len(_rows_of(name, at)) for name, at in sets.items()))
     if run.has_budget or len(sets) < 2 or not run.has("trajectories"):
         numbers = sorted({len(times) for times in sets.values()})
         each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
@@ -204,37 +206,39 @@ def times(
     barred, references, clock = set[float](forbidden), set[str](), None
     if is_of_run := isinstance(sets, Run):
         run, clock = sets, sets.problem.clock
-        barred.update(clock.times_of(run.problem.feasible.forbidden))
+        barred.update(_forbidden_times(run))
         sets = run.sets()
         references = {*run.names} - {*run.references}
     for name, at in sets.items():
         check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
+    rows = [row for name, at in sets.items() for row in _rows_of(name, at)]
     if clock is None:
-        given = {t for at in sets.values() for t in at} or {0}
+        given = {t for _, _, at in rows for t in at} or {0}
         clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
-    ax = axes_for(ax, times_inches(len(sets)))
+    ax = axes_for(ax, times_inches(len(rows)))
     others = [name for name in sets if name not in references]
-    size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(sets)))
+    size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(rows)))
     each_differs = len(others) < _MOST_LINES and len(references) < 2
-    for row, (name, at) in enumerate(sets.items()):
+    for row, (name, _, at) in enumerate(rows):
         position = 1 + others.index(name) * each_differs if name in others else 0
         style = set_style(position) | {"ls": ""}
-        if len(sets) <= _MOST_NAMED:
+        if len(rows) <= _MOST_NAMED:
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
-        ax.plot(list(at), [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, **style)
+        ax.plot(at, [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, **style)
     _shade(ax, barred, clock)
     first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
     beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
     if not (is_of_run or clock.counts):  # the steps of this clock are those of the given times
         beside = min(beside, _MARGIN * (last - first))
     ax.set_xlim(first - beside, last + beside)
-    ax.set_ylim(len(sets) - 0.5, -0.5)  # the first set on top
+    ax.set_ylim(len(rows) - 0.5, -0.5)  # the first set on top
     inches = ax.get_window_extent().height / ax.figure.dpi
     room = 72 * inches / (_LEADING * 0.875 * rcParams["font.size"])
-    step = -(-len(sets) // max(1, int(room)))
-    ax.set_yticks(range(0, len(sets), step), list(map(verbatim, sets))[::step])
+    step = -(-len(rows) // max(1, int(room)))
+    labels = [verbatim(label) for _, label, _ in rows]
+    ax.set_yticks(range(0, len(rows), step), labels[::step])
     if step > 1:
-        ax.set_ylabel(f"{len(sets)} sets, 1 of {step} is named")
+        ax.set_ylabel(f"{len(rows)} sets, 1 of {step} is named")
     ax.tick_params(axis="y", length=0)
     label_instants(ax, clock.unit, whole=clock.counts)
     legend_above(ax, ax.patches[:1])
@@ -244,6 +248,23 @@ def times(
 def times_inches(sets: int) -> float:
     """Height of the figure `times`, in which each of up to 40 sets has its name."""
     return height_of_rows(min(sets, _MOST_NAMED), _ROW)
+
+
+def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, str, list[float]]]:
+    """Name, label and times of each row of a set: one row, or one for each of its sensors."""
+    by_sensor = dict[str, list[float]]()
+    for measurement in measurements:
+        time, sensor = time_and_sensor(measurement)
+        by_sensor.setdefault(sensor, []).append(time)
+    rows = sorted(by_sensor.items()) or [("", [])]
+    return [(name, f"{name}, {sensor}" if sensor else name, at) for sensor, at in rows]
+
+
+def _forbidden_times(run: Run) -> list[float]:
+    """The times at which no sensor may measure."""
+    feasible, clock = run.problem.feasible, run.problem.clock
+    counts = Counter(time // feasible.sensors for time in feasible.forbidden)
+    return clock.times_of(t for t, count in counts.items() if count == feasible.sensors)
 
 
 def _clock_of(times: Iterable[float], last: float) -> Clock:
