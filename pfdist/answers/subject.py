@@ -102,7 +102,7 @@ class Subject:
         ]
 
     @property
-    def reference_times(self) -> list[float | str]:
+    def reference_times(self) -> Sequence[float | str]:
         """Measurement times of the reference."""
         return next(iter(self.results.values())).measurement_times
 

@@ -77,7 +77,7 @@ class SetsToCompare:
         self._check_clock(run)
         self.differences += _differences(run, self._job.problem)
         for position, (name, times) in enumerate(sets.items()):
-            instants = self._clock.instants(times)
+            instants = self._clock.measurements(times)
             is_known = self._instants.get(name) == instants
             if is_known or (position == 0 and instants in self._instants.values()):
                 continue
@@ -161,7 +161,7 @@ class SetsToCompare:
 
     def _add(self, name: str, instants: Times) -> None:
         is_regular = name == REGULAR and instants == self._regular
-        times = [self._clock.time(t) for t in instants]
+        times = self._clock.written_of(instants)
         self._written[name] = REGULAR if is_regular else times
         self._instants[name] = instants
 
@@ -181,6 +181,12 @@ class SetsToCompare:
     def _check_clock(self, run: Run) -> None:
         own, first = run.problem.clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
+        if own.sensors != first.sensors:
+            raise JobError(
+                f"sets of all runs must have the sensors of the first problem, "
+                f"{', '.join(first.sensors) or 'none'}, got {', '.join(own.sensors) or 'none'} "
+                f"({run.path})"
+            )
         if (own.counts, own.unit) != (first.counts, first.unit):
             raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):

@@ -195,19 +195,20 @@ def filter_measurements(
     problem = plan.built.job.problem
     clock = problem.clock
     rows = read_measurements(table, believed, clock, filtering.now.t)
-    wanted = [t for t in plan.times if t >= filtering.now.t]
+    sensors, made = len(believed.parts), rows.made_with(believed)
+    wanted = [t for t in plan.times if t >= filtering.now.t * sensors]
     estimates = _table(_estimates(filtering, rows), quantities, schema)
     if problem.has_clock:
         estimates = ClockColumns(clock.times, clock.unit).table(estimates)
-    last = max((*rows.t, *rows.missed), default=-1)
+    last = (max((*rows.t, *rows.missed), default=-1) + 1) * sensors - 1
     result = FilteredMeasurements(
         plan.run.path,
         Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
-        tuple(clock.times_of(rows.t)),
-        tuple(clock.times_of(t for t in wanted if t <= last and t not in rows.t)),
-        tuple(clock.times_of(t for t in rows.t if t not in wanted)),
-        tuple(clock.times_of(t for t in wanted if t > last)),
+        tuple(clock.written_of(made)),
+        tuple(clock.written_of(t for t in wanted if t <= last and t not in made)),
+        tuple(clock.written_of(t for t in made if t not in wanted)),
+        tuple(clock.written_of(t for t in wanted if t > last)),
         frame_of(estimates),
         filtering.log_evidence,
         filtering.why_no_evidence,

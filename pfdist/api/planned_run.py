@@ -53,7 +53,7 @@ def planned_run(run_and_job: tuple[Run, Built], planned: str, prior: Any) -> Pla
     """
     opened, built = run_and_job
     name, times = planned_set(opened, planned)
-    times = built.job.problem.clock.instants(times)
+    times = built.job.problem.clock.measurements(times)
     return PlannedRun(opened, name, times, built, _prior(prior, built))
 
 

@@ -11,6 +11,7 @@ from pfdist.errors import JobError, shown
 
 _GOES_ON = re.compile(r",|[0-9.:,]*[0-9][0-9.:,]*([eE][+-]?[0-9]+)?,?")
 """A word after a list of numbers that belongs to the list, unless a folder has this name."""
+_SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x-ray"
 _OPTION = re.compile(r"-[^0-9. ][^ ]*")  # argparse takes other words for values
 
 
@@ -37,7 +38,7 @@ def time_list(text: str) -> str:
         The text lists no times.
     """
     try:
-        ranges(text, finite_number)
+        ranges(_SENSOR.sub(" ", text), finite_number)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     return text

@@ -148,7 +148,7 @@ class Comparison(Section):
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
-    reference: str | tuple[Time, ...] = REGULAR
+    reference: str | tuple[Time | str, ...] = REGULAR
     sets: dict[str, Literal["regular"] | tuple[Time | str, ...]] | None = None
 
     @field_validator("reference", mode="before")
@@ -157,14 +157,15 @@ class Comparison(Section):
         if isinstance(value, str):
             return value
         are_times = isinstance(value, (list, tuple)) and all(
-            type(time) in (int, float) for time in value
+            type(time) in (int, float, str) for time in value
         )
         if not are_times:
             raise ValueError(
                 f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
                 f"[0, 3, 6], got {shown(value)}"
             )
-        return tuple(sorted(map(plain_time, value)))
+        times = tuple(map(plain_time, value))
+        return times if any(isinstance(time, str) for time in times) else tuple(sorted(times))
 
     @field_validator("sets", mode="before")
     @classmethod

@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.axes import Axes
 
+from pfdist.common.formatted_times import times_of
 from pfdist.plots.figure import Plot, save_plot
 from pfdist.plots.panel import (
     MOST_COMPONENTS,
@@ -127,7 +128,8 @@ def belief(
     """
     table = table_of(source, "source", "table")
     keys = ("missing", "extra", "to_come")
-    missing, extra, to_come = times or (getattr(source, key, ()) for key in keys)
+    given = times or (getattr(source, key, ()) for key in keys)
+    missing, extra, to_come = map(times_of, given)
     quantities = components_in(table, "mean_")
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
     t, ax = table["t"].to_numpy(), axes_for(ax)

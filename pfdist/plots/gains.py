@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import BIN, EDGES, Gain, GainSummary, Run
 from pfdist.analysis.reference import label
+from pfdist.common.formatted_times import times_of
 from pfdist.errors import JobError
 from pfdist.plots.figure import Plot, Tables, figure, one_number
 from pfdist.plots.panel import (
@@ -336,7 +337,8 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
         text = rf"$\hat{{z}}(t)$, {verbatim(name)}"
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=text)
         level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
+        measured = times_of(times)
         ax.plot(
-            list(times), [level] * len(times), shape, color=colour, ms=marker(1.2), mew=thin(),
+            measured, [level] * len(measured), shape, color=colour, ms=marker(1.2), mew=thin(),
             label=rf"$\mathcal{{M}}$, {verbatim(name)}",
         )  # fmt: skip

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -82,9 +83,12 @@ def weights_after(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array
     the weights that are not normalised: log p(y(t) | earlier measurements), if the model's
     log-likelihood is normalised.
     """
+    log_weight, x = np.zeros(cloud.particles), tuple(cloud.x)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        values = model.log_likelihood(_components(y, cloud), tuple(cloud.x), cloud.t, model.p)
-    log_weight = np.broadcast_to(np.asarray(values, np.float64), (cloud.particles,))
+        for _, sensor, own, _ in model.parts:
+            if not np.isnan(y[own]).all():  # it measured
+                seen = _components(y[own], cloud)
+                log_weight += sensor.log_likelihood(seen, x, cloud.t, model.p)
     log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)
@@ -119,14 +123,15 @@ def surprise_of_particles(
         measurement noise, which the filter itself does not use.
     """
     copies = -(-PREDICTIVE // cloud.particles)
-    number, kinds = copies * cloud.particles, model.measurement_noise
+    number, kinds = copies * cloud.particles, model.noise_of_measurements
     v = tuple(
         variates(kind, number, stream, draw, cloud.t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(kinds)
     )
     x = tuple(np.tile(cloud.x, copies))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        simulated = model.measurement(x, cloud.t, v, model.p)
+        by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in model.parts)
+        simulated = tuple(chain.from_iterable(by_sensor))
     measured = np.flatnonzero(~np.isnan(y))
     smallest = 1.0
     for component in measured:

@@ -32,6 +32,15 @@ class Measurements:
     y: Array  # (K, m); NaN marks a component that is missing
     missed: tuple[int, ...] = ()  # instants that have a row without any component
 
+    def made_with(self, model: StateSpaceModel) -> tuple[int, ...]:
+        """The possible measurements that were made; without sensors these are the instants."""
+        return tuple(
+            t * len(model.parts) + number
+            for t, y in zip(self.t, self.y, strict=True)
+            for number, part in enumerate(model.parts)
+            if not np.isnan(y[part.y]).all()
+        )
+
 
 def read_measurements(
     path: Path | pd.DataFrame, model: StateSpaceModel, clock: Clock, start: int = 0
@@ -44,9 +53,15 @@ def read_measurements(
     measured. Raises `MeasurementsError` if the file cannot be read, if its header does not fit, or
     if a value is wrong.
     """
-    allowed = [["t", *names] for names in user_columns("y", model)]
+    allowed, sensors = [["t", *names] for names in user_columns("y", model)], [*model.sensors]
+    most = max(part.model.components[1] for part in model.parts)
+    if sensors:
+        allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
     try:
-        columns = read_user_table(path, partial(_check_header, allowed))
+        columns = read_user_table(path, partial(_check_header, allowed), {"sensor": sensors})
+        if sensors:
+            columns = _side_by_side(columns, model)
+            allowed = [["t", *(f"y{component}" for component in range(model.components[1]))]]
         wanted = next(names for names in allowed if names[1] in columns)
         times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
@@ -69,6 +84,30 @@ def read_measurements(
         np.array(list(measured.values())).reshape(-1, model.components[1]),
         tuple(t for t, y in rows if y is None),
     )
+
+
+def _side_by_side(columns: dict[str, Array], model: StateSpaceModel) -> dict[str, Array]:
+    """Columns with a row for each time, and all components of y, from a row for each sensor."""
+    times = np.unique(columns["t"])
+    y = np.full((times.size, model.components[1]), np.nan)
+    seen = set[tuple[float, int]]()
+    for row, (t, sensor) in enumerate(zip(columns["t"].tolist(), columns["sensor"], strict=True)):
+        name, alone, own, _ = model.parts[int(sensor)]
+        count = alone.components[1]
+        given = np.array([column[row] for key, column in columns.items() if key[0] == "y"])
+        if (t, sensor) in seen:
+            raise MeasurementsError(
+                f"a sensor must stand in one row of a time, got {name} at t = {formatted_time(t)} "
+                "twice"
+            )
+        if not np.isnan(given[count:]).all():
+            raise MeasurementsError(
+                f"the sensor {name} must have {count} components of y, got more at t = "
+                f"{formatted_time(t)}"
+            )
+        seen.add((t, sensor))
+        y[times == t, own] = given[:count]
+    return {"t": times} | {f"y{component}": y[:, component] for component in range(y.shape[1])}
 
 
 def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
@@ -137,9 +176,12 @@ def checked_measurement(
     missing = np.flatnonzero(np.isnan(values))
     if missing.size == components:
         return None
-    if missing.size and not model.missing_components:
+    # A sensor that lacks all of its components did not measure.
+    idle = [part.y for part in model.parts if np.isnan(values[part.y]).all()]
+    partly = [k for k in missing.tolist() if not any(y.start <= k < y.stop for y in idle)]
+    if partly and not model.missing_components:
         raise MeasurementsError(
-            f"all components of y must be measured or none, got y[{missing[0]}] missing at "
+            f"all components of y must be measured or none, got y[{partly[0]}] missing at "
             f"t = {t}: the model {model.name} does not declare missing_components=True, which says "
             "that its log_likelihood takes NaN"
         )

@@ -43,7 +43,7 @@ class OneFilter:
 
         The K instants are those from this filter's to t. t must not be before this filter's
         instant, and must be after it if both are measured. y, (m,), is the measurement at t, if it
-        is measured.
+        is measured. All components of a sensor are NaN if it did not measure.
 
         Raises `MeasurementsError` if no particle explains the measurement, or if a state is not
         finite. Raises `ModelError` if a formula failed.
@@ -61,7 +61,9 @@ class OneFilter:
             np.zeros((*measured_y.shape[:2], quantities)),  # no truth is known
             self.t,
         )
-        times = () if y is None else (t,)
+        parts = enumerate(self.model.parts)
+        measuring = [] if y is None else [k for k, part in parts if not np.isnan(y[part.y]).all()]
+        times = tuple(t * len(self.model.parts) + sensor for sensor in measuring)
         filtered = ENGINES[self.engine].filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )

@@ -1,9 +1,10 @@
 """Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
 
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,11 +22,16 @@ CheckHeader = Callable[[list[str]], None]
 MOST_BYTES = 200_000_000  # of a file: a million particles of ten components take 90 million
 MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold many times over
 MOST_COLUMNS = 1000
+_NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 
 
-def read_user_table(path: Path | pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
+def read_user_table(
+    path: Path | pd.DataFrame, check_header: CheckHeader, names: Mapping[str, Sequence[str]] = _NONE
+) -> dict[str, Array]:
     """The columns of a table of numbers by their names; a missing number is NaN.
+
+    `names` has the texts that some columns may hold; such a column gives the places of its texts.
 
     A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
@@ -35,13 +41,13 @@ def read_user_table(path: Path | pd.DataFrame, check_header: CheckHeader) -> dic
     numbers. Raises `OSError` if it cannot be read.
     """
     if isinstance(path, pd.DataFrame):
-        return _columns_of(path, check_header)
+        return _columns_of(path, check_header, names)
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
         raise ValueError("a table must be a file, got something else")
     if about.st_size > MOST_BYTES:
         raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
-    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header)
+    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header, names)
 
 
 def is_parquet(path: Path) -> bool:
@@ -49,7 +55,19 @@ def is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _columns_of(table: pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
+def _places(name: str, texts: Iterable[Any], names: Sequence[str]) -> Array:
+    """The place of each text of a column among the names that it may hold."""
+    for text in (entries := [str(text).strip() for text in texts]):
+        if text not in names:
+            raise ValueError(
+                f"column {shown(name)} must hold {', '.join(names)}, got {shown(text)}"
+            )
+    return np.array([names.index(text) for text in entries], np.float64)
+
+
+def _columns_of(
+    table: pd.DataFrame, check_header: CheckHeader, names: Mapping[str, Sequence[str]]
+) -> dict[str, Array]:
     if table.index.name is not None:
         table = table.reset_index()
     header = list(map(str, table.columns))
@@ -57,6 +75,9 @@ def _columns_of(table: pd.DataFrame, check_header: CheckHeader) -> dict[str, Arr
     check_header(header)
     columns = {}
     for column, name in enumerate(header):
+        if name in names:
+            columns[name] = _places(name, table.iloc[:, column], names[name])
+            continue
         try:
             columns[name] = pd.to_numeric(table.iloc[:, column]).to_numpy(np.float64, copy=True)
         except (TypeError, ValueError) as error:
@@ -65,7 +86,9 @@ def _columns_of(table: pd.DataFrame, check_header: CheckHeader) -> dict[str, Arr
     return columns
 
 
-def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+def _read_csv(
+    path: Path, check_header: CheckHeader, names: Mapping[str, Sequence[str]]
+) -> dict[str, Array]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
             text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False, low_memory=True)
@@ -85,7 +108,9 @@ def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     check_header(header)
     values = text.iloc[1:]
     return {
-        name: _numbers(name, values.iloc[:, column].str.strip())
+        name: _places(name, values.iloc[:, column], names[name])
+        if name in names
+        else _numbers(name, values.iloc[:, column].str.strip())
         for column, name in enumerate(header)
     }
 
@@ -104,7 +129,9 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
     return numbers
 
 
-def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+def _read_parquet(
+    path: Path, check_header: CheckHeader, names: Mapping[str, Sequence[str]]
+) -> dict[str, Array]:
     try:
         with path.open("rb") as file, pq.ParquetFile(file) as table:
             header = list(map(str, table.schema_arrow.names))
@@ -114,7 +141,12 @@ def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     except (pa.ArrowException, pa.ArrowInvalid) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"a Parquet table was expected, got {shown(reason)}") from error
-    return {name: _values(name, columns.column(k)) for k, name in enumerate(header)}
+    return {
+        name: _places(name, columns.column(k).to_pylist(), names[name])
+        if name in names
+        else _values(name, columns.column(k))
+        for k, name in enumerate(header)
+    }
 
 
 def _values(name: str, column: pa.ChunkedArray) -> Array:
