@@ -161,7 +161,7 @@ def next_time(
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
-    planner = Planner.of_built(plan.built, clock.times_of(plan.times), plan.prior)
+    planner = Planner.of_built(plan.built, clock.written_of(plan.times), plan.prior)
     feasible = planner.feasible
     start = clock.instants([planner.estimate().t])[0]
     rows = read_measurements(table, believed, clock, start)
@@ -172,10 +172,11 @@ def next_time(
             planner.missed(clock.time(instant))
         last = instant
     left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
-    before = tuple(t for t in plan.times if t > last and t >= start)[:left]
-    still = _is_possible(feasible, clock.instants(planner.measured), before)
+    first = max(last + 1, start) * feasible.sensors
+    before = tuple(time for time in plan.times if time >= first)[:left]
+    still = _is_possible(feasible, clock.measurements(planner.measured), before)
     expected, *expected_before = planner.expected(
-        planner.plan(), *([clock.times_of(before)] if still else [])
+        planner.plan(), *([clock.written_of(before)] if still else [])
     )
     return NextTime(
         plan.run.path,
@@ -184,7 +185,7 @@ def next_time(
         planner.estimate().t,
         planner.plan(),
         left,
-        tuple(clock.times_of(before)),
+        tuple(clock.written_of(before)),
         expected,
         expected_before[0] if expected_before else None,
         surprise,
@@ -195,6 +196,7 @@ def next_time(
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
     """Whether times may still be measured: at a distance from each other, and not too dear."""
     apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_cost
+    apart = apart and feasible.is_within_limits((*measured, *left))
     return apart and (money is None or feasible.cost_of((*measured, *left)) <= money)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.api.filter_of import filter_of
@@ -19,6 +20,7 @@ from pfdist.runner.searches import planning_of
 from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.measurements import instant_on
+from pfdist.sequential.one_filter import made
 from pfdist.sequential.planning import Now, Replanner
 from pfdist.sequential.user_prior import as_prior
 from pfdist.times.clock import Clock, Time
@@ -99,7 +101,7 @@ class Planner:
 
     def plan(self) -> tuple[Time, ...]:
         """All planned times that are left, the next first."""
-        return tuple(self.clock.times_of(self._plan))
+        return tuple(self.clock.written_of(self._plan))
 
     @property
     def clock(self) -> Clock:
@@ -114,7 +116,7 @@ class Planner:
     @property
     def measured(self) -> tuple[Time, ...]:
         """The times that were measured."""
-        return tuple(self.clock.times_of(self._taken))
+        return tuple(self.clock.written_of(self._taken))
 
     def update(self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None) -> Estimate:
         """Tell a measurement, and plan what is left anew.
@@ -123,7 +125,7 @@ class Planner:
         ----------
         y : float or sequence of float, (m,)
             The measurement. NaN marks a component that is missing, which a model must declare that
-            it takes.
+            it takes. All components of a sensor that did not measure are NaN.
         t : int or float, optional
             The time, if it is not the next planned time. Planned times before it count as missed.
 
@@ -140,9 +142,11 @@ class Planner:
         ModelError
             A formula failed in a simulated system. Make a new planner to go on.
         """
-        estimate = self._filter.update(self._time(t), y)
+        instant = self._time(t)
+        estimate = self._filter.update(instant, y)
         if estimate.measured:
-            self._taken = (*self._taken, estimate.t)
+            measurement = np.atleast_1d(np.array(y, np.float64))
+            self._taken = (*self._taken, *made(self._filter.model, instant, measurement))
         self._plan_anew(estimate.t)
         return self._on_clock(estimate)
 
@@ -202,14 +206,15 @@ class Planner:
         first = self._now.first
         wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
         for plan in wanted:
-            if plan and plan[0] < first:
-                least, got = (formatted_time(self.clock.time(t)) for t in (first, plan[0]))
+            if plan and plan[0] < first * self._sensors:
+                least = formatted_time(self.clock.time(first))
+                got = formatted_time(self.clock.written(plan[0]))
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
         estimation = self._built.comparing
         evaluations = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
-        times: Iterator[Any] = (tuple(self.clock.times_of(plan)) for plan in wanted)
+        times: Iterator[Any] = (tuple(self.clock.written_of(plan)) for plan in wanted)
         return [
             replace(each, measurement_times=plan)
             for each, plan in zip(evaluations, times, strict=True)
@@ -230,8 +235,9 @@ class Planner:
         if planned is None:
             first = replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
             planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
-        self._plan = tuple(time for time in planned if time >= self._now.first)
-        self._before = tuple(time for time in planned if time < self._now.first)
+        first_left = self._now.first * self._sensors
+        self._plan = tuple(time for time in planned if time >= first_left)
+        self._before = tuple(time for time in planned if time < first_left)
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
         """An estimate whose time is one on the clock."""
@@ -256,12 +262,16 @@ class Planner:
                 f"no measurement is left of the plan, got one without t (measured: "
                 f"{shown(self.measured)})"
             )
-        return self._plan[0]
+        return self._plan[0] // self._sensors
+
+    @property
+    def _sensors(self) -> int:
+        return self._built.evaluator.sensors
 
     def _plan_anew(self, time: int) -> None:
         """Plan what is left after a time, from what the filter knows."""
         self._now = Now(self._filter.cloud, measured=True)
-        left = tuple(planned for planned in self._plan if planned > time)
+        left = tuple(planned for planned in self._plan if planned // self._sensors > time)
         taken = (*self._before, *self._taken)
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)
 
@@ -279,7 +289,7 @@ def _feasible(built: Built, planned: Times | None) -> Feasible:
         return feasible
     if job.budget is not None and planned:
         feasible = job.feasible(len(planned))
-    times = tuple(job.problem.clock.times_of(planned))
+    times = tuple(job.problem.clock.written_of(planned))
     if broken := feasible.broken(planned):
         raise MeasurementTimesError(
             f"times must satisfy the constraints of the job, got {shown(times)}: "

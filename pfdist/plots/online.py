@@ -12,6 +12,7 @@ from pfdist.analysis import Run, relative_gain
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.reference import label
 from pfdist.common.arguments import whole_argument
+from pfdist.common.formatted_times import times_of
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.gains import (
     gain,
@@ -171,7 +172,7 @@ def _measured(
         last = int(max((t for chosen in [*times, planned] for t in chosen), default=0))
         horizon = last if horizon is None else horizon
         clock = Clock.counting(whole_argument("horizon", horizon, last, _MOST_INSTANTS))
-    instants = [clock.instants(chosen) for chosen in times]
+    instants = [clock.instants(times_of(chosen)) for chosen in times]
     return measured_at(instants, clock.horizon), clock, planned, plan
 
 
@@ -179,8 +180,9 @@ def _mark(ax: Axes, planned: Times, label: str) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if it is not empty."""
     if not len(planned):
         return
+    times = times_of(planned)
     ax.plot(
-        list(planned), [1.0] * len(planned), "v", transform=ax.get_xaxis_transform(), clip_on=False,
+        times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,
         color=RED, ms=marker(1.2), mew=0, label=label or None, zorder=5,
     )  # fmt: skip
 

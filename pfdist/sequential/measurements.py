@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
+from pfdist.sequential.one_filter import made
 from pfdist.sequential.user_columns import user_columns
 from pfdist.store.user_tables import read_user_table
 from pfdist.times.clock import Clock
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
@@ -32,14 +34,10 @@ class Measurements:
     y: Array  # (K, m); NaN marks a component that is missing
     missed: tuple[int, ...] = ()  # instants that have a row without any component
 
-    def made_with(self, model: StateSpaceModel) -> tuple[int, ...]:
+    def made_with(self, model: StateSpaceModel) -> Times:
         """The possible measurements that were made; without sensors these are the instants."""
-        return tuple(
-            t * len(model.parts) + number
-            for t, y in zip(self.t, self.y, strict=True)
-            for number, part in enumerate(model.parts)
-            if not np.isnan(y[part.y]).all()
-        )
+        rows = zip(self.t, self.y, strict=True)
+        return tuple(chain.from_iterable(made(model, t, y) for t, y in rows))
 
 
 def read_measurements(

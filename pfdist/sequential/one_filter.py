@@ -16,6 +16,7 @@ from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.parameters import check_lengths
 from pfdist.sequential.formatted_instant import formatted_instant
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
@@ -61,9 +62,7 @@ class OneFilter:
             np.zeros((*measured_y.shape[:2], quantities)),  # no truth is known
             self.t,
         )
-        parts = enumerate(self.model.parts)
-        measuring = [] if y is None else [k for k, part in parts if not np.isnan(y[part.y]).all()]
-        times = tuple(t * len(self.model.parts) + sensor for sensor in measuring)
+        times = () if y is None else made(self.model, t, y)
         filtered = ENGINES[self.engine].filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )
@@ -83,6 +82,15 @@ class OneFilter:
         measured = y is not None or (self.measured and t == self.t)
         after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
         return after, filtered.estimate[0], filtered.variance[0]
+
+
+def made(model: StateSpaceModel, t: int, y: Array) -> Times:
+    """The possible measurements that y(t), (m,), has: those of sensors with a component.
+
+    Without sensors this is t, or nothing if y is NaN.
+    """
+    parts = enumerate(model.parts)
+    return tuple(t * len(model.parts) + k for k, part in parts if not np.isnan(y[part.y]).all())
 
 
 def begin(

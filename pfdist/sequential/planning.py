@@ -120,11 +120,11 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        first = now.first
-        rest = rest_of(self.feasible, taken, first)
+        rest = rest_of(self.feasible, taken, now.first)
         if rest is None:
             return ()
-        stream = stream_key(self.stream, draw, first, len(taken))
+        stream = stream_key(self.stream, draw, now.first, len(taken))
+        first = now.first * self.evaluator.sensors
         at_hand, outlook = tuple(time - first for time in plan), _Outlook(self, now, stream)
         start, keep = at_hand, rest.accepts(at_hand)
         if not keep:  # as much of it as can be, or regular times
@@ -231,7 +231,8 @@ class _Outlook:
         """Evaluations of candidates on common draws with common noise."""
         evaluator, last = self.evaluator, self.evaluator.horizon
         first = self.now.first
-        sets = [tuple(first + time for time in each.measurement_times) for each in candidates]
+        skipped = first * evaluator.sensors
+        sets = [tuple(skipped + time for time in each.measurement_times) for each in candidates]
         ends = [last if each.end is None else first + each.end for each in candidates]
         if draws is None:
             costs = evaluator.expected_mse(sets, ends)

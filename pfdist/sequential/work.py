@@ -4,11 +4,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
+from pfdist.models import StateSpaceModel
 from pfdist.sequential.one_filter import begin
 from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
@@ -61,6 +63,7 @@ class OnlineWork(Work):
             draws=(draw, draw + 1),
             estimation=self.estimation,
             trajectories=draw < self.shown,
+            sensors=self.sensors,
         )
         return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
@@ -75,17 +78,26 @@ class OnlineWork(Work):
         )
         taken = Times()
         while plan:
-            time = plan[0]
-            taken = (*taken, time)
-            plan = plan[1:]
+            t = plan[0] // self.sensors
+            here = tuple(time for time in plan if time // self.sensors == t)
+            taken, plan = (*taken, *here), plan[len(here) :]
             if plan or not self.feasible.counted:  # else nothing is left to plan
                 try:
-                    filtering, *_ = filtering.at(time, y[time])
+                    filtering, *_ = filtering.at(t, seen(evaluator.model, y[t], here))
                 except MeasurementsError:  # the draw is degenerate, whatever follows
                     return (*taken, *plan)
                 now = Now(filtering.settings.prior, measured=True)
                 plan = replanner.plan(now, taken, plan, draw)
         return taken
+
+
+def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:
+    """The measurement y, (m,), with NaN for the sensors that do not measure at these times."""
+    sensors, measured = {time % len(model.parts) for time in times}, y.copy()
+    for number, part in enumerate(model.parts):
+        if number not in sensors:
+            measured[part.y] = np.nan
+    return measured
 
 
 @lru_cache(maxsize=4)
@@ -97,7 +109,7 @@ def _steps(feasible: Feasible, planning: Planning) -> int:
     planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
     times, steps = feasible.regular(), 0.0
     for number in range(1, len(times)):
-        rest = rest_of(feasible, times[:number], times[number - 1] + 1)
+        rest = rest_of(feasible, times[:number], times[number - 1] // feasible.sensors + 1)
         if rest is not None:
             sets = planning.optimiser(rest).evaluations * planning.draws
             steps += (rest.horizon + 1) * (sets + 2 * planning.judging_draws)
