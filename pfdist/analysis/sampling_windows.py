@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pfdist.analysis.relative_loss import INSIDE, OPEN
-from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.formatted_times import formatted_time, formatted_times, measurement_of
 from pfdist.common.percent import percent_with_interval
 from pfdist.store import WINDOW_PERCENTS
 from pfdist.times.clock import Time
@@ -35,12 +35,20 @@ class SamplingWindow:
         Instants that the draws leave open.
     can_be_tried : bool
         Whether there is another instant between the neighbours that the job allows.
+    sensor : str
+        Name of the sensor that measures; empty without sensors. Its measurement moves in time.
     """
 
     t: Time
     inside: Mapping[Time, int]
     open: Mapping[Time, int]
     can_be_tried: bool
+    sensor: str = ""
+
+    @property
+    def measurement(self) -> Time | str:
+        """The measurement as users read it."""
+        return measurement_of({"t": self.t, "sensor": self.sensor})
 
     @property
     def is_wide(self) -> bool:
@@ -77,11 +85,11 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
     percent : int
         The level: the largest loss, in per cent.
     """
-    tried: dict[Time, list[Mapping[Hashable, Any]]] = {}
+    tried: dict[tuple[Time, str], list[Mapping[Hashable, Any]]] = {}
     for row in sorted(rows, key=lambda row: row["moved_to"]):
-        tried.setdefault(row["t"], []).append(row)
+        tried.setdefault((row["t"], str(row.get("sensor", ""))), []).append(row)
     windows = []
-    for t, rows_at_t in sorted(tried.items()):
+    for (t, sensor), rows_at_t in sorted(tried.items()):
         states = [
             (
                 row["moved_to"],
@@ -92,7 +100,7 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
         ]
         inside = {to: instant for to, instant, state in states if to == t or state == INSIDE}
         left_open = {to: instant for to, instant, state in states if to != t and state == OPEN}
-        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1))
+        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, sensor))
     return windows
 
 
@@ -195,8 +203,11 @@ def _measurements(windows: Sequence[SamplingWindow]) -> list[str]:
         (wide, "Can move at a loss of at most {} %: t = {}."),
         (undecided, "The draws leave open whether these can move within {} %: t = {}."),
     )
-    return [
-        said.format(STRICT, spelled({window.t: window.inside[window.t] for window in group}))
-        for group, said in parts
-        if group
-    ]
+    return [said.format(STRICT, _listed(group)) for group, said in parts if group]
+
+
+def _listed(windows: Sequence[SamplingWindow]) -> str:
+    """The measurements of some windows in words."""
+    if windows[0].sensor:
+        return formatted_times(window.measurement for window in windows)
+    return spelled({window.t: window.inside[window.t] for window in windows})

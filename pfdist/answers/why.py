@@ -6,7 +6,7 @@ from typing import Any
 
 from pfdist.analysis.sampling_windows import STRICT, WIDE, sentences, windows_of
 from pfdist.answers.subject import Subject, number_of
-from pfdist.common.formatted_times import formatted_time
+from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
 from pfdist.documents.parts import Block, Cell, Figures, Page, Section, Table, Text
@@ -97,7 +97,11 @@ def _of_set(
         return blocks
     levels = (windows_of(rows, STRICT), windows_of(rows, WIDE))
     cells = [
-        [Cell(formatted_time(strict.t), strict.t), Cell(strict.text), Cell(wide.text)]
+        [
+            Cell(formatted_time(strict.measurement), strict.t),
+            Cell(strict.text),
+            Cell(wide.text),
+        ]
         for strict, wide in zip(*levels, strict=True)
     ]
     table = Table(f"Sampling windows, times of {name}", _WINDOWS_HEAD, cells, detail)
@@ -106,7 +110,7 @@ def _of_set(
 
 
 def _rises(measurement: Mapping[Any, Any], mse: float) -> list[Cell]:
-    cells = [Cell(formatted_time(measurement["t"]), measurement["t"])]
+    cells = [Cell(formatted_time(measurement_of(measurement)), measurement["t"])]
     for change in _CHANGES:
         rise, error = measurement[change], measurement[f"{change}_error"]
         if rise is None or math.isnan(rise):  # the shift is impossible

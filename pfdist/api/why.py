@@ -24,13 +24,16 @@ from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.job.sections import Execution
 from pfdist.job.source import JobSource
+from pfdist.models import StateSpaceModel
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.progress import Show
 from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
+from pfdist.sequential.work import seen
 from pfdist.store import WHY_PHASE, frame_of, schema
-from pfdist.store.schema import components_in
+from pfdist.store.schema import components_in, with_sensors
+from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times, validated
 
 DRAWS = 2000
@@ -189,9 +192,11 @@ def _examine(
     answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
     for position, (name, clock_times) in enumerate(sets.items()):
         session.reporter.note(phase=f"why {name}", done=_STEPS * position)
-        instants = built.job.problem.clock.instants(clock_times)
-        times = validated(instants, built.evaluator.horizon, f"{run.path}: {name}")
-        result = yield from worth_of(session, name, times, draws, _measured(run, times))
+        clock = built.job.problem.clock
+        numbers = clock.measurements(clock_times)
+        times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
+        measured = _measured(run, times, built.evaluator.believed)
+        result = yield from worth_of(session, name, times, draws, measured)
         windows = yield from sampling_windows(session, name, times, draws)
         by_percent = windows_by_percent(windows, times)
         jittered = yield from jitter(session, name, times, by_percent, draws)
@@ -199,7 +204,7 @@ def _examine(
         about = {"position": position, "name": name, "draws": drawn}
         parts = (result.profile, result.worth, windows, jittered)
         for part, of_a_part in zip(_PARTS, parts, strict=True):
-            rows[part] += [about | row for row in of_a_part]
+            rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}
     for name, table in tables.items():
         store.publish(name, WHY_PHASE, [table])
@@ -207,12 +212,30 @@ def _examine(
     return Why(run.path, drawn, pd.DataFrame(answers), **frames, figures=[])
 
 
-def _measured(run: Run, times: Times) -> list[NDArray[np.float64]]:
-    """The measurements at N times of each draw that has a trajectory, (N, m) each."""
-    rows = run.trajectories()
+def _by_sensor(row: dict[str, Any], part: str, clock: Clock) -> dict[str, Any]:
+    """A row of a single measurement, with its instant and its sensor if there are sensors."""
+    sensors = clock.sensors
+    if not sensors or part not in ("worth", "sampling_windows"):
+        return row
+    instant, sensor = divmod(row["t"], len(sensors))
+    moved = {key: row[key] // len(sensors) for key in row if key.startswith("moved_to")}
+    return row | moved | {"t": instant, "sensor": sensors[sensor]}
+
+
+def _measured(run: Run, times: Times, model: StateSpaceModel) -> list[NDArray[np.float64]]:
+    """The measurements at N instants of each draw that has a trajectory, (N, m) each."""
+    rows, instants = run.trajectories(), dict[int, Times]()
+    for time in times:
+        t = time // len(model.parts)
+        instants[t] = (*instants.get(t, ()), time)
     columns = [f"y_{component.suffix}" for component in components_in(rows, "y_")]
-    return [draw[columns].to_numpy()[list(times)] for _, draw in rows.groupby("draw")]
+    return [
+        np.array([seen(model, draw[columns].to_numpy()[t], here) for t, here in instants.items()])
+        for _, draw in rows.groupby("draw")
+    ]
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    return pa.Table.from_pandas(pd.DataFrame(rows), schema=schema(name), preserve_index=False)
+    has_sensors = bool(rows) and "sensor" in rows[0]
+    own = with_sensors(schema(name)) if has_sensors else schema(name)
+    return pa.Table.from_pandas(pd.DataFrame(rows), schema=own, preserve_index=False)

@@ -1,6 +1,7 @@
 """Times as texts show them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 
 def formatted_time(time: float | str) -> str:
@@ -35,6 +36,12 @@ def time_and_sensor(time: float | str) -> tuple[float, str]:
         return time, ""
     number, _, sensor = time.rpartition(" ")
     return float(number), sensor
+
+
+def measurement_of(row: Mapping[Any, Any]) -> float | str:
+    """The measurement of a row of a table: its time ``t``, and its ``sensor`` if there are any."""
+    sensor = row.get("sensor")
+    return f"{formatted_time(row['t'])} {sensor}" if sensor else row["t"]
 
 
 def times_of(measurements: Iterable[float | str]) -> list[float]:

@@ -14,7 +14,7 @@ from pfdist.analysis.sampling_windows import (
     sentences,
     windows_of,
 )
-from pfdist.common.formatted_times import formatted_time
+from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
     BAND,
@@ -149,7 +149,7 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     is_found = name in tables.run.found
     said = sentences(rows.to_dict("records"), jitter.to_dict("records"), is_found=is_found)
     return Plot(
-        _height(rows["t"].nunique()),
+        _height(len(windows_of(rows.to_dict("records"), WIDE))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
         title=f"Sampling windows of {name}. {said[0] if said else 'Nothing can move.'}",
     )
@@ -194,8 +194,10 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     rows = every.sort_values(["t", "moved_to"])
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
-    moved = rows.groupby("t")["moved_to"].agg(["min", "max"])
-    times, places = moved.index.tolist(), range(len(moved))
+    by = ["t", "sensor"] if "sensor" in rows else ["t"]
+    moved = rows.groupby(by)["moved_to"].agg(["min", "max"]).reset_index()
+    times, places = moved["t"].tolist(), range(len(moved))
+    names = [formatted_time(measurement_of(row)) for row in moved.to_dict("records")]
     ax = axes_for(ax, _height(len(times)))
     ax.hlines(places, moved["min"], moved["max"], color=GREY, lw=thin(0.6), zorder=1)
     length = _LENGTH * step_of(rows["moved_to"])
@@ -209,7 +211,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     ax.plot(times, places, "o", color="black", ms=marker(0.5), zorder=5)
     step = -(-len(times) // _MOST_LABELS)
     ax.set_ylim(max(len(times), 3) - 0.4, -0.6)  # the first measurement on top
-    ax.set_yticks(places[::step], list(map(formatted_time, times[::step])))
+    ax.set_yticks(places[::step], names[::step])
     ax.tick_params(axis="y", length=0)
     ax.set_ylabel("measurement at")
     label_times(ax, rows)

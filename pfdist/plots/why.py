@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
-from pfdist.common.formatted_times import formatted_time
+from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.measurements import shifts, worth
 from pfdist.plots.panel import (
@@ -63,14 +63,15 @@ def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
     if name not in rows.index:
         return f"The set {name} measures nothing."
     most = rows.loc[name].to_dict()
+    at = formatted_time(measurement_of(most))
     title = (
-        f"The measurement of {name} at t = {formatted_time(most['t'])} is worth most: without it, "
-        f"the expected MSE rises by {most['removed']:.3g}."
+        f"The measurement of {name} at t = {at} is worth most: without it, the expected MSE rises "
+        f"by {most['removed']:.3g}."
     )
     if reference not in rows.index:
         return title
     most = rows.loc[reference].to_dict()
-    rise = f"at most {most['removed']:.3g}, without t = {formatted_time(most['t'])}"
+    rise = f"at most {most['removed']:.3g}, without t = {formatted_time(measurement_of(most))}"
     return f"{title[:-1]}; that of {label(reference)} rises by {rise}."
 
 

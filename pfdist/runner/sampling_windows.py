@@ -97,10 +97,12 @@ def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Time
 
 def _sides(times: Times, feasible: Feasible) -> list[_Side]:
     """Both sides of every measurement that have a feasible instant."""
-    ends = (-1, *times, feasible.horizon + 1)
-    sides = []
-    for before, t, after in zip(ends, times, ends[2:], strict=False):
-        for instants in (range(t - 1, before, -1), range(t + 1, after)):
+    step, sides = feasible.sensors, []
+    for t in times:
+        own = [other for other in times if other % step == t % step]  # of the same sensor
+        ends = (-1, *own, feasible.possible)
+        before, _, after = ends[own.index(t) :][:3]
+        for instants in (range(t - step, before, -step), range(t + step, after, step)):
             sets = ((to, moved(times, t, to, feasible)) for to in instants)
             side = _Side(t, [(to, changed) for to, changed in sets if changed is not None])
             sides += [side] if side.sets else []

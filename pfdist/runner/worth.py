@@ -4,7 +4,7 @@ Everything is computed on new draws, which neither chose the times nor compared 
 """
 
 import math
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -30,7 +30,7 @@ from pfdist.times.moves import moved
 Array = NDArray[np.float64]
 
 
-def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list[float]:
+def effective_sample_sizes(filtering: OneFilter, times: Sequence[int], y: Array) -> list[float]:
     """Effective sample size after each measurement, (N,), before the particles are resampled.
 
     The filter has particles and stands before the first of N times; y, (N, m), has the measurement
@@ -81,7 +81,8 @@ def worth_of(
     built = session.built
     evaluator, seed, instants = built.evaluator, built.job.seed, built.evaluator.horizon + 1
     changed = list(_changes(times, built.job.problem.feasible))
-    sets = [tuple(t for t in times if t <= end) for end in range(instants)]
+    sensors = evaluator.sensors
+    sets = [tuple(t for t in times if t // sensors <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
     stream = stream_of("why", seed, "filter", name)
     work = Work(
@@ -94,12 +95,13 @@ def worth_of(
         estimation=built.comparing,
     )
     (cost, *estimates), degenerate = yield from _means(session, work)
-    sizes = dict(zip(times, _effective_sizes(built, stream, times, measured), strict=True))
+    at = sorted({t // sensors for t in times})
+    sizes = dict(zip(at, _effective_sizes(built, stream, at, measured), strict=True))
     weights = built.job.problem.weights or (1.0,) * instants
     profile = [
         {
             "t": t,
-            "measured": t in times,
+            "measured": t in at,
             "error": mean,
             "standard_error": error,
             "weight": weights[t],
@@ -115,7 +117,9 @@ def worth_of(
     return Worth(summary | {"degenerate_draws": degenerate[-1]}, profile, list(worth.values()))
 
 
-def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Array]) -> list[float]:
+def _effective_sizes(
+    built: Built, stream: int, times: Sequence[int], measured: list[Array]
+) -> list[float]:
     """Mean effective sample size after each measurement; NaN for exact engines."""
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
@@ -134,11 +138,13 @@ def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Arr
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
     """Yield each measurement with each change of it, and the changed set.
 
+    A measurement that moves is made by the same sensor.
+
     Every measurement may be removed, but it moves only to instants that the job allows.
     """
     for t in times:
         yield t, "removed", tuple(other for other in times if other != t)
-        for change, to in (("earlier", t - 1), ("later", t + 1)):
+        for change, to in (("earlier", t - feasible.sensors), ("later", t + feasible.sensors)):
             changed = moved(times, t, to, feasible)
             if changed is not None:
                 yield t, change, changed

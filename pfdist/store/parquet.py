@@ -29,7 +29,7 @@ from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import run_key as folder_key
 from pfdist.store.manifest import Manifest
-from pfdist.store.schema import KEYS, QUESTIONS, ClockColumns, frame_of, schema
+from pfdist.store.schema import KEYS, QUESTIONS, ClockColumns, frame_of, keys_of, schema
 from pfdist.store.tables import (
     check_names,
     cut_rows,
@@ -121,12 +121,13 @@ class Store:
     def settle(self, table: str, phase: str) -> None:
         """Publish all committed rows of a phase, sorted by key, if it has parts."""
         if self.has_parts(table, phase):
-            self.publish(table, phase, [unique(self._load(table, phase), KEYS[table])])
+            pieces = self._load(table, phase)
+            self.publish(table, phase, [unique(pieces, keys_of(table, pieces[0].column_names))])
 
     def renew(self, table: str, phase: str, rows: pa.Table) -> None:
         """Publish rows beside the published rows of a phase; they replace rows of the same keys."""
         pieces = [self.timed(rows), *self._load(table, phase)]  # the first row of a key stays
-        self.publish(table, phase, [unique(pieces, KEYS[table])])
+        self.publish(table, phase, [unique(pieces, keys_of(table, rows.column_names))])
 
     def read(self, table: str, draws: int | None = None, phase: str = "") -> pd.DataFrame:
         """A table, parts and published files as one, sorted by key.
@@ -140,7 +141,8 @@ class Store:
         if not pieces:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
         frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
-        return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
+        keys = keys_of(table, [*frame.columns])
+        return frame.drop_duplicates(keys).sort_values(keys, ignore_index=True)
 
     def compared(self) -> pd.DataFrame:
         """The table of the compared sets, whose names are checked.

@@ -264,6 +264,17 @@ def schema(table: str) -> pa.Schema:
     return _schema(table, _SCHEMAS[table])
 
 
+def with_sensors(schema: pa.Schema) -> pa.Schema:
+    """Schema of a table of single measurements, with the sensor after the time."""
+    column = _column("sensor", pa.string(), "", "that measures")
+    return schema.insert(schema.get_field_index("t") + 1, column)
+
+
+def keys_of(table: str, columns: Sequence[str]) -> list[str]:
+    """Columns that identify a row of a table with these columns."""
+    return [*KEYS[table], *(["sensor"] if "sensor" in columns else [])]
+
+
 def comparison_schema(names: Sequence[str]) -> pa.Schema:
     """Schema of the comparison of these sets: a row a draw, a column a set."""
     return _of_sets("comparison", "mse", "null: degenerate with this set", names)
