@@ -60,29 +60,27 @@ def measurements_of(
     """
     if not clock.sensors:
         return instants_of(written, clock, name)
-    is_one = isinstance(written, str) or not isinstance(written, Iterable)
-    entries = [written] if is_one else written
-    words = [word for entry in entries for word in _SEPARATOR.split(str(entry).strip(", "))]
+    if isinstance(written, Iterable) and not isinstance(written, str):
+        entries = (measurements_of(entry, clock, name, of_all=of_all) for entry in written)
+        return [measurement for entry in entries for measurement in entry]
+    sensors = {sensor: [number] for number, sensor in enumerate(clock.sensors)}
+    if of_all:
+        sensors[""] = [*range(len(clock.sensors))]
     found, waiting = list[int](), list[str]()
-    for word in [*words, ""]:
-        sensors = [clock.sensors.index(word)] if word in clock.sensors else []
-        if word and not sensors:
+    for word in [*_SEPARATOR.split(str(written).strip(", ")), ""]:
+        if word and word not in sensors:
             waiting.append(word)
-            if word[0].isalpha():
-                break
             continue
-        if of_all and not word:
-            sensors = [*range(len(clock.sensors))]
-        for t in instants_of(waiting, clock, name) if sensors else ():
+        if waiting and (word not in sensors or any(each[0].isalpha() for each in waiting)):
+            raise MeasurementTimesError(
+                f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
+                f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
+            )
+        for t in instants_of(waiting, clock, name):
             if not 0 <= t <= clock.horizon:
                 raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
-            found += [t * len(clock.sensors) + sensor for sensor in sensors]
-        waiting = waiting if not sensors else []
-    if waiting:
-        raise MeasurementTimesError(
-            f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
-            f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
-        )
+            found += [t * len(clock.sensors) + sensor for sensor in sensors[word]]
+        waiting = []
     return found
 
 
