@@ -23,7 +23,7 @@ from pfdist.answers.pictures import picture
 from pfdist.answers.subject import number_of
 from pfdist.answers.sweep_subject import Point, SweepSubject
 from pfdist.common.formatted_counts import formatted_seconds
-from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.documents.parts import (
     Block,
@@ -270,13 +270,14 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
 
 def _found_times(subject: SweepSubject) -> Picture:
     sets = subject.frame["measurement_times"].dropna()
-    often = [(count, -t) for t, count in Counter(t for times in sets for t in times).items()]
-    most, t = max(often, default=(0, 0))
+    counts = Counter(t for times in sets for t in times)
+    # The most frequent time, and the earliest of several.
+    t = min(counts, key=lambda t: (-counts[t], time_and_sensor(t)), default=0)
     last = max(run.problem.clock.times[-1] for run in subject.runs)
     plot = Plot(
         times_inches(len(sets)),
         lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
-        title=f"t = {formatted_time(-t)} was found most often, in {most} of {len(sets)} sets.",
+        title=f"t = {formatted_time(t)} was found most often, in {counts[t]} of {len(sets)} sets.",
     )  # fmt: skip
     return picture(plot, "times", _TIMES)
 

@@ -24,6 +24,7 @@ from pfdist.analysis.studies import (
     values_of,
 )
 from pfdist.analysis.table_cells import formatted_value, is_missing, keys_of
+from pfdist.common.formatted_times import times_of
 from pfdist.common.rounding import with_interval
 from pfdist.common.short_names import short_names
 from pfdist.errors import ArgumentError, shown
@@ -260,7 +261,7 @@ def found_times(
     ax.set_ylabel(
         "\n".join([verbatim(", ".join(short.get(n, n) for n in names)), left_out]).strip()
     )
-    whole = all(t == int(t) for at in rows.values() for t in at)
+    whole = all(t == int(t) for at in rows.values() for t in times_of(at))
     label_instants(ax, frame.attrs.get("time_unit", ""), whole=whole)
     return ax
 
