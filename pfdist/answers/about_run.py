@@ -65,6 +65,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         what = "time" if subject.run.problem.has_clock else "instants"
         spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
+    for name, keys in problem.get("sensors", {}).items():
+        yield (
+            f"sensor {name}",
+            ", ".join(f"{key} {value}" for key, value in keys.items()) or "no price",
+        )
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
     yield "filter", "Kalman filter (exact)" if subject.is_exact else particles

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.answers.subject import Subject
-from pfdist.common.gap_sentence import gap_sentence, rounded_up
+from pfdist.common.gap_sentence import NO_LIMITS, gap_sentence, rounded_up
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
@@ -57,6 +57,7 @@ def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:
             blocks.append(Facts([("particles lose", loss)], name, detail=True))
         if each.get("warning"):
             warnings.append(f"{name}: {each['warning']}")
+    blocks += [Text(NO_LIMITS)] if answer["leaves_out_limits"] else []
     blocks += [*_table(proofs), *_reasons(proofs), Text(_MEANING, detail=True)]
     if answer["within_reached"] is False:
         blocks.append(

@@ -20,7 +20,7 @@ from pfdist.answers.subject import (
     without_folder,
 )
 from pfdist.answers.why import worth
-from pfdist.common.gap_sentence import gap_sentence
+from pfdist.common.gap_sentence import NO_LIMITS, gap_sentence
 from pfdist.common.percent import (
     cost,
     heavy_tail_warning,
@@ -205,7 +205,8 @@ def _proof(subject: Subject, result: SetResult) -> str:
     if proof["reason"]:
         return f"There is no lower bound: {proof['reason']}."
     constrained = subject.summary.is_constrained
-    return gap_sentence(proof, len(result.measurement_times), is_constrained=constrained)
+    sentence = gap_sentence(proof, len(result.measurement_times), is_constrained=constrained)
+    return f"{sentence} {NO_LIMITS}" if subject.run.problem.feasible.limits else sentence
 
 
 # --- all sets -------------------------------------------------------------------------------------

@@ -51,6 +51,8 @@ class Bound(Shown):
         where it is not known.
     is_constrained : bool
         Whether the job excludes some times, beside their number or cost.
+    leaves_out_limits : bool
+        Whether sensors have limits of their own, which the bound leaves out.
     """
 
     run: Path
@@ -64,6 +66,7 @@ class Bound(Shown):
     gaps: list[Gap]
     losses: dict[str, ParticleLoss]
     is_constrained: bool = False
+    leaves_out_limits: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -162,6 +165,7 @@ def bound(
         [_on_clock(gap, built.job.problem.clock) for gap in look.gaps],
         proved.particle_losses(),
         built.job.problem.is_constrained,
+        bool(built.feasible.limits),
     )
 
 

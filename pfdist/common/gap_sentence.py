@@ -9,6 +9,10 @@ from pfdist.common.rounding import rounded
 _ROUNDING = 1e-9  # error of exact values
 
 
+NO_LIMITS = "The bound leaves out most and minimum_spacing of single sensors."
+"""What a bound says if sensors have such limits."""
+
+
 def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: bool = False) -> str:
     """The sentence about how much lower the error of other times can be, if there is a bound.
 
