@@ -1,5 +1,6 @@
 """Which sensor, when: against brute force, closed forms, and the same system with one sensor."""
 
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 import pfdist
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from pfdist.filters import particle_filter, plain
+from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.sequential.one_filter import begin
+from pfdist.sequential.work import seen
 
 BUDGET = 6
 
@@ -55,6 +59,118 @@ def test_draws_of_one_sensor_are_those_of_a_model_with_this_sensor_alone() -> No
     model = SYSTEMS[0].as_model()
     alone = simulate(model.parts[0].model, HORIZON, range(5), 3)
     assert np.array_equal(simulate(model, HORIZON, range(5), 3).y[:, :, :1], alone.y)
+
+
+def test_a_filter_that_stops_at_each_measurement_has_the_bits_of_one_that_does_not() -> None:
+    """Sensors of one instant are given together, with NaN for those that do not measure."""
+    model, times = SYSTEMS[0].as_model(), (0, 2, 9, 10, 11, 20)
+    settings = FilterSettings(50, "systematic")
+    draws = simulate(model, HORIZON, range(1), 5)
+    whole = particle_filter.filter_draws(model, draws, times, 50, 3, "systematic", True)
+    filtering = begin(model, settings, 3)
+    for t in sorted({time // 3 for time in times}):
+        here = tuple(time for time in times if time // 3 == t)
+        filtering, mean, _ = filtering.at(t, seen(model, draws.y[0, t], here))
+        assert np.array_equal(mean[-1], whole.estimate[0, t])
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[pfdist.Problem, pfdist.Run]:
+    """Two measurements; the sensor that sees both components may measure once, and not at 3."""
+    sensors = {"near": {}, "far": {"minimum_spacing": 9}, "both": {"most": 1, "forbidden": [3]}}
+    problem = _problem(SYSTEMS[3], sensors=sensors, measurement_budget=2)
+    folder = tmp_path_factory.mktemp("sensors") / "run"
+    few = ("comparison.draws=50",)
+    return problem, pfdist.plan(
+        problem, results=folder, pool="serial", changes=few, figures=False, report=False
+    )
+
+
+def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
+    planned: tuple[pfdist.Problem, pfdist.Run],
+) -> None:
+    """The plan is the best of all 699 sets within the limits, and the bound that of all sets."""
+    problem, run = planned
+    mse = {times: SYSTEMS[3].expected_mse(times) for times in combinations(range(39), 2)}
+    allowed = [times for times in mse if 3 * 3 + 2 not in times]
+    within = [
+        times
+        for times in allowed
+        if sum(time % 3 == 2 for time in times) < 2
+        and not (times[0] % 3 == times[1] % 3 == 1 and times[1] // 3 - times[0] // 3 < 9)
+    ]
+    (name,) = run.found
+    assert _numbers(run.sets()[name]) == min(within, key=mse.__getitem__)
+    bound = run.summary().results[name].lower_bound
+    assert bound["bound"] == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
+    assert pfdist.bound(problem, results=run.path, report=False).as_json()["leaves_out_limits"]
+
+
+def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
+    planned: tuple[pfdist.Problem, pfdist.Run],
+) -> None:
+    _, run = planned
+    sets = {name: list(times) for name, times in run.sets().items()}
+    assert sets["regular"] == ["0 near", "12 near"]
+    assert sets["alone_far"] == ["0 far", "12 far"]
+    assert sets["rotation"] == ["0 near", "12 far"]
+    assert "alone_both" not in sets  # it may measure once
+
+
+def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(
+    planned: tuple[pfdist.Problem, pfdist.Run],
+) -> None:
+    problem, run = planned
+    worth = pfdist.why(problem, results=run.path, figures=False).worth
+    (name,), system = run.found, SYSTEMS[3]
+    times = _numbers(run.sets()[name])
+    rows = worth[worth["name"] == name]
+    assert _numbers(f"{row.t} {row.sensor}" for row in rows.itertuples()) == times
+    for time, removed in zip(times, rows["removed"], strict=True):
+        rest = tuple(other for other in times if other != time)
+        rise = system.expected_mse(rest) - system.expected_mse(times)
+        assert removed == pytest.approx(rise, rel=1e-9)
+
+
+def test_measurements_have_a_row_for_each_sensor(
+    planned: tuple[pfdist.Problem, pfdist.Run], tmp_path: Path
+) -> None:
+    """The exact filter of the table is the Kalman filter of the oracle."""
+    problem, run = planned
+    table = tmp_path / "case.csv"
+    table.write_text("t,sensor,y0\n4,both,0.3\n2,near,1.5\n4,near,-0.2\n")
+    filtered = pfdist.filter_measurements(problem, table, results=run.path, report=False)
+    assert filtered.measured == ("2 near", "4 near", "4 both")
+    means = SYSTEMS[3].means({6: 1.5, 12: -0.2, 14: 0.3})
+    np.testing.assert_allclose(filtered.table["mean_0"], means, rtol=1e-9, atol=1e-12)
+    following = pfdist.next_time(problem, table, results=run.path)
+    assert following.measured == ("2 near", "4 near", "4 both")
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"sensors": ["far", "near", "both"]}, "must name the sensors of the model"),
+        ({"sensors": ["near"]}, "must be the names of two sensors or more"),
+        ({"measurement_budget": None, "total_cost": 4}, "sensors.near.cost must be given"),
+        ({"cost": [1] * 13}, "cost must be left out with sensors"),
+        ({"sensors": {"near": {"most": 0}, "far": {}, "both": {}}}, "sensors.near.most must be"),
+        ({"required": [3]}, "must name times and then their sensor"),
+        ({"measurement_budget": 40}, "at most the number of possible measurements, 39"),
+    ],
+)
+def test_a_wrong_problem_is_answered_in_a_line(keys: dict[str, object], said: str) -> None:
+    with pytest.raises(pfdist.PfdistError, match=said) as raised:
+        pfdist.evaluate(_problem(SYSTEMS[0], **keys), ["0 near"])
+    assert "\n" not in str(raised.value)
+
+
+def test_sets_of_pairs_are_evaluated_as_the_oracle_does() -> None:
+    written = {"a": "0 3 near, 12 both", "b": ["0 far", "5 near"]}
+    found = pfdist.evaluate(_problem(SYSTEMS[2]), written)
+    for name, times in {"a": (0, 9, 38), "b": (1, 15)}.items():
+        assert found[name].expected_mse == pytest.approx(SYSTEMS[2].expected_mse(times), rel=1e-9)
+        assert _numbers(found[name].measurement_times) == times
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,20 @@ class ThreeSensors:
             variance = self._propagated(variance[None])[0]
         return float(errors / (HORIZON + 1))
 
+    def means(self, measured: dict[int, float]) -> list[float]:
+        """The mean of z(t) given measurements y by their number, at each instant."""
+        variance, mean, means = np.diag([4.0, 1.0]), np.zeros(2), []
+        for t in range(HORIZON + 1):
+            for sensor in range(3):
+                if (y := measured.get(3 * t + sensor)) is not None:
+                    row = np.array(self.rows[sensor])
+                    gain = variance @ row / (row @ variance @ row + self.sds[sensor] ** 2)
+                    mean = mean + gain * (y - row @ mean)
+                    variance = self._measured(variance[None], sensor)[0]
+            means.append(float(mean[0]))
+            mean, variance = self.a @ mean, self._propagated(variance[None])[0]
+        return means
+
     def best(self, measurements: int) -> tuple[float, tuple[int, ...]]:
         """The least expected MSE of all sets of so many measurements, and its set."""
         # All beginnings of sets are filtered side by side: variance, sum of errors, and the number
