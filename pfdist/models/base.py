@@ -38,6 +38,15 @@ def angular_error(value: Any, estimated: Any) -> Any:
     return 2.0 * np.sin(0.5 * (value - estimated)) ** 2
 
 
+def within_half_turn(values: Any, centre: Any, is_angle: Sequence[bool]) -> Any:
+    """The values, (..., q), with the angles among them at most half a turn from a centre.
+
+    Other components are unchanged.
+    """
+    turns = np.round((centre - values) / (2 * np.pi))
+    return np.where(is_angle, values + 2 * np.pi * turns, values)
+
+
 @cache
 def error_with_angles(is_angle: tuple[bool, ...]) -> Callable[..., Any]:
     """The default error of a model with circular components.
