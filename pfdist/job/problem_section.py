@@ -89,7 +89,7 @@ class ProblemSection(Section):
                 f'ranges as "20:30" = 2, got {shown(value)}'
             )
         for cost in value.values() if isinstance(value, dict) else value or ():
-            if type(cost) not in (int, float) or not np.isfinite(cost):
+            if type(cost) not in (int, float) or not abs(cost) < np.inf:
                 raise ValueError(f"problem.cost must be finite numbers, got {shown(cost)}")
         if isinstance(value, dict):
             return {key: plain_time(cost) for key, cost in value.items()}

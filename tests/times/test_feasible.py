@@ -343,7 +343,7 @@ IMPOSSIBLE = [
     ({"cost": (0,) + (1,) * 10, "total_cost": 5}, r"cost must be above 0, got 0$"),
     ({"cost": (3,) * 11, "total_cost": 2}, r"and the cheapest costs 3, got 2$"),
     ({"cost": (3,) * 11, "total_cost": 5, "required": (1, 4)}, r"which cost 6, got 5$"),
-    ({"cost": (9999, *(10_000,) * 10), "total_cost": 99_999}, r"10,000 times .* larger units$"),
+    ({"cost": (9999, *(10_000,) * 10), "total_cost": 99_999}, r"10,000 times .* rounder costs$"),
     ({"forbidden": tuple(range(11)), "cost": (1,) * 11, "total_cost": 3}, r"leave a time, got all"),
     ({"measurement_budget": 12}, r"at most the number of instants, 11, got 12$"),
     ({"measurement_budget": 5, "minimum_spacing": 3}, r"at most 4, .* minimum_spacing = 3, got 5$"),
