@@ -16,10 +16,10 @@ two_filters     The mean variance of two filters on the same y, plus the squared
 =============== ==================================================================================
 
 The same holds for angles z with the error 1 - cos(z - m), where m is the direction of the mean of
-the particles' unit vectors, and R the length of this mean: given y, the expectation of cos(z - m) is
-R if the particles are draws from the distribution of z. So 1 - R takes the place of the variance.
-The mean vectors of two filters are independent. So R' cos(m - m'), with the second filter's R' and
-m', has the expectation of cos(z - m), and the distance is R' (1 - cos(m - m')).
+the particles' unit vectors, and R the length of this mean. Given y, the expectation of
+cos(z - m) is R if the particles are draws from the distribution of z. So 1 - R takes the place of
+the variance. The mean vectors of two filters are independent. So R' cos(m - m'), with the second
+filter's R' and m', has the expectation of cos(z - m), and the distance is R' (1 - cos(m - m')).
 
 The compiled filter sums these estimates at each instant (`pfdist.kernels.fused_filter`). This
 module computes them from the recorded means and variances.

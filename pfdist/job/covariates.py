@@ -15,7 +15,7 @@ _KEYS = {"file", "column"}
 
 
 def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
-    """A section [model] or [model.filter] of a job, with columns of tables replaced by their values.
+    """A section [model] or [model.filter] of a job, with the values of the columns that it names.
 
     Paths are relative to the folder. `key` names the section in the job. A `JobError` says that a
     table cannot be read, that it has no such column, or that a value is no finite number.
@@ -69,4 +69,4 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
             f"{key}: column {shown(column)} must hold finite numbers, got {values[row]} in row "
             f"{row + 1} ({path})"
         )
-    return values.tolist()
+    return [float(value) for value in values]

@@ -61,7 +61,7 @@ class Problem(Shown):
     minimum_spacing : int or float, optional
         Smallest difference of two measurement times.
     cost : sequence of float, or mapping of str to float, optional
-        Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2.5}``.
+        Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2}``.
         Decimals are exact.
     total_cost : float, optional
         Largest sum of costs, in the place of the measurement budget.

@@ -166,8 +166,7 @@ class ProblemSection(Section):
             given = self.clock.trapezoids
         if len(given) != instants:
             raise MeasurementTimesError(
-                f"instant_weights needs {instants} values, one for each instant, got "
-                f"{len(given)}"
+                f"instant_weights needs {instants} values, one for each instant, got {len(given)}"
             )
         weights = np.array(given, np.float64)
         if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):

@@ -299,9 +299,7 @@ def _filter_draw(
     """
     begin, propagate, fill_log_weights = cloud_steps(functions[:3], noise_kinds, components)
     weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
-    fill_terms, fill_squares, mean_of, mean_of_squares = moments(
-        functions[3], components, is_angle
-    )
+    fill_terms, fill_squares, mean_of, mean_of_squares = moments(functions[3], components, is_angle)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, error_by_variance = recorders(is_angle)
     put_truth = _truth_put(components[0]) if ALL_SCHEMES[resampling].holds_truth else _put_nothing

@@ -46,8 +46,8 @@ class Scratch(NamedTuple):
     # after a measurement
     weight: NDArray[np.float32]
     log_weight: NDArray[np.float64]  # (W,)
-    # (q, W), and a row for each angle: the terms of a weighted sum. `log_weight` has the memory of the first row: it is no
-    # longer needed when the terms are computed.
+    # (q, W), and a row more for each angle: the terms of a weighted sum. `log_weight` has the memory
+    # of the first row: it is no longer needed when the terms are computed.
     terms: NDArray[np.float64]
     resampling: ResamplingScratch
     sorting: SortingScratch  # in the memory of `resampling` and `log_weight`
@@ -65,9 +65,9 @@ def filter_scratch(
 ) -> Scratch:
     """Arrays for a filter of draws.
 
-    `components` are the numbers of components of x and of rows of `Scratch.terms`. `slots` is the largest number of clouds
-    that are saved at a time, and `first_means` the numbers of sets and of instants of
-    `Scratch.first_means`.
+    `components` are the numbers of components of x and of rows of `Scratch.terms`. `slots` is the
+    largest number of clouds that are saved at a time, and `first_means` the numbers of sets and of
+    instants of `Scratch.first_means`.
     """
     (states, rows), size = components, int(width(particles))
     spacious = int(padded(particles + SPARE))

@@ -55,7 +55,7 @@ def error_with_angles(is_angle: tuple[bool, ...]) -> Callable[..., Any]:
     differences of the others.
     """
 
-    def error(z, estimate, t, p):  # type: ignore[no-untyped-def]
+    def error(z, estimate, t, p):
         total = 0.0
         for value, estimated, angle in zip(z, estimate, is_angle):  # noqa: B905
             total += angular_error(value, estimated) if angle else (value - estimated) ** 2

@@ -20,7 +20,8 @@ reports with a background).
 import math
 from dataclasses import replace
 
-from pfdist.densities import poisson_draw, poisson_logpmf
+from pfdist.densities.draws import poisson_draw
+from pfdist.densities.log_densities import poisson_logpmf
 from pfdist.models import epidemic
 
 

@@ -21,7 +21,8 @@ import math
 
 import numpy as np
 
-from pfdist.densities import von_mises_draw, von_mises_logpdf
+from pfdist.densities.draws import von_mises_draw
+from pfdist.densities.log_densities import von_mises_logpdf
 from pfdist.models.base import StateSpaceModel
 
 BEACONS = ((0.0, 12.0), (15.0, -5.0))  # m, east and north

@@ -114,9 +114,7 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
     return numbers
 
 
-def _read_parquet(
-    path: Path, check_header: CheckHeader, only: Collection[str]
-) -> dict[str, Array]:
+def _read_parquet(path: Path, check_header: CheckHeader, only: Collection[str]) -> dict[str, Array]:
     try:
         with path.open("rb") as file, pq.ParquetFile(file) as table:
             header = list(map(str, table.schema_arrow.names))

@@ -17,7 +17,6 @@ from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
 
-
 Money = int | Decimal
 """A price, exactly as the user has written it."""
 

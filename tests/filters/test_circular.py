@@ -91,8 +91,7 @@ def test_the_compiled_filter_is_its_plain_twin(model: StateSpaceModel, estimator
 def test_estimates_and_variances_are_those_of_the_plain_twin(model: StateSpaceModel) -> None:
     draws = simulate(model, HORIZON, range(6), 3)
     fast, slow = (
-        f(model, draws, TIMES, 70, 9, trajectories=True)
-        for f in (filter_draws, plain.filter_draws)
+        f(model, draws, TIMES, 70, 9, trajectories=True) for f in (filter_draws, plain.filter_draws)
     )
     assert fast.estimate is not None
     assert slow.estimate is not None
@@ -111,7 +110,9 @@ def test_the_estimate_converges_to_the_exact_filters_mean_direction(exact: Any) 
     few, many = (
         np.mean(_angular(estimate[:, list(TIMES), 0] - mean[:, list(TIMES)]))
         for particles in (100, 1600)
-        for estimate in [filter_draws(HEADING, draws, TIMES, particles, 1, trajectories=True).estimate]
+        for estimate in [
+            filter_draws(HEADING, draws, TIMES, particles, 1, trajectories=True).estimate
+        ]
     )
     assert many < few / 6
     assert many < 2e-3
@@ -202,7 +203,9 @@ def test_a_circle_has_no_place_where_it_is_cut(exact: Any) -> None:
 
 
 def test_angles_are_written_within_half_a_turn() -> None:
-    values = within_half_turn(np.array([[3.0, 3.0], [-3.0, -3.0]]), np.array([-3.0, -3.0]), (True, False))
+    values = within_half_turn(
+        np.array([[3.0, 3.0], [-3.0, -3.0]]), np.array([-3.0, -3.0]), (True, False)
+    )
     np.testing.assert_allclose(values, [[3.0 - 2 * np.pi, 3.0], [-3.0, -3.0]])
 
 

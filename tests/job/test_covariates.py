@@ -106,16 +106,22 @@ def test_a_section_in_python_takes_a_series(folder: Path) -> None:
 
 
 RAIN_OF = "model.parameters.rain="
+TABLE = '{file="data/weather.csv", '
 WRONG = [
-    ('{file="data/weather.csv", column="rian"}',
-     r"^model\.parameters\.rain: the table must have the column 'rian', got the columns day, rain, "
-     r"hours of sun; did you mean 'rain'\? \(.*weather\.csv\) \("),
-    ('{file="data/wether.csv"}', r"rain: cannot read .*wether\.csv: No such .*; did you mean '.*weather\.csv'"),
-    ('{file="data/weather.csv", column="day"}', r"column 'day' must hold numbers, got 'a' in row 1 \("),
-    ('{file="data/weather.csv", colum="rain"}', r"rain must be numbers, or a column of a table, as \{file"),
+    (
+        TABLE + 'column="rian"}',
+        r"^model\.parameters\.rain: the table must have the column 'rian', got the columns day, "
+        r"rain, hours of sun; did you mean 'rain'\? \(.*weather\.csv\) \(",
+    ),
+    (
+        '{file="data/wether.csv"}',
+        r"rain: cannot read .*wether\.csv: No such .*; did you mean '.*weather\.csv'",
+    ),
+    (TABLE + 'column="day"}', r"column 'day' must hold numbers, got 'a' in row 1 \("),
+    (TABLE + 'colum="rain"}', r"rain must be numbers, or a column of a table, as \{file"),
     ("{column=3}", r"rain must be numbers, or a column of a table"),
     ('"wet"', r"rain must be a number, a list with .* or a column of a table, as .* got 'wet'"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("value", "message"), WRONG)
@@ -130,7 +136,9 @@ def test_a_value_that_is_not_finite_is_named_with_its_row(
     folder: Path, wrong: str, part: str
 ) -> None:
     (folder / "gap.csv").write_text(f"rain\n1\n2.5\n{wrong or ','}\n4\n".replace(",\n", '""\n'))
-    with pytest.raises(JobError, match=r"^" + part + r"\.parameters\.rain: .* got (nan|inf) in row 3"):
+    with pytest.raises(
+        JobError, match=r"^" + part + r"\.parameters\.rain: .* got (nan|inf) in row 3"
+    ):
         load_job(folder / "csv.toml", [f'{part}.parameters.rain={{file="gap.csv"}}'])
     model = load_model(f"{folder / 'lake.py'}:model")
     with pytest.raises(ModelError, match=r"rain must be a finite number .*, got nan for t = 2$"):
