@@ -46,8 +46,8 @@ class Scratch(NamedTuple):
     # after a measurement
     weight: NDArray[np.float32]
     log_weight: NDArray[np.float64]  # (W,)
-    # (q, W), and a row more for each angle: the terms of a weighted sum. `log_weight` has the memory
-    # of the first row: it is no longer needed when the terms are computed.
+    # (q, W), and a row for each angle: the terms of a weighted sum. `log_weight` has the memory of
+    # the first row: it is no longer needed when the terms are computed.
     terms: NDArray[np.float64]
     resampling: ResamplingScratch
     sorting: SortingScratch  # in the memory of `resampling` and `log_weight`

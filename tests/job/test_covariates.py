@@ -82,10 +82,12 @@ def test_formulas_read_each_column_at_t(folder: Path) -> None:
 
 def test_a_run_needs_the_table_no_more(folder: Path) -> None:
     changes = ['search=[{method="random", evaluations=2}]', "comparison.draws=20"]
-    run = pfdist.run(folder / "csv.toml", folder / "run", changes=changes, figures=False)
+    run = pfdist.run(
+        folder / "csv.toml", folder / "run", changes=changes, pool="serial", figures=False
+    )
     (folder / "data" / "weather.csv").unlink()
     assert load_job(run.path / "job.toml").model.parameters["rain"] == tuple(RAIN)
-    again = pfdist.run(run.path / "job.toml", folder / "run", figures=False)
+    again = pfdist.run(run.path / "job.toml", folder / "run", pool="serial", figures=False)
     assert again.state == "finished"
 
 
