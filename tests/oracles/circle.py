@@ -21,7 +21,8 @@ def circle_filter(
 ) -> tuple[Array, Array]:
     """Mean direction (D, T+1) and circular variance 1 - R (D, T+1), given y (D, T+1).
 
-    The first angle is uniform. The parameters are those of `model_of_heading`.
+    The first angle is uniform. The log-likelihood of an angle is concentration cos(y - angle). The
+    parameters of the model are drift, turn_sd and concentration, which may be an array (D, T+1).
     """
     p = model.p
     at = 2 * np.pi * np.arange(points) / points
@@ -31,7 +32,8 @@ def circle_filter(
     means, variances = np.empty((2, *y.shape))
     for t in range(y.shape[1]):
         if t in measurement_times:
-            weights = weights * np.exp(p.concentration * (np.cos(y[:, t, None] - at) - 1))
+            at_t = np.broadcast_to(p.concentration, y.shape)[:, t, None]
+            weights = weights * np.exp(at_t * (np.cos(y[:, t, None] - at) - 1))
         weights /= weights.sum(axis=1, keepdims=True)
         direction = weights @ np.exp(1j * at)
         means[:, t], variances[:, t] = np.angle(direction), 1 - np.abs(direction)
