@@ -67,6 +67,8 @@ def _leave_unsorted(cloud, here, particles, weight, row, scratch):
 
 
 _SIN, _COS = ELEMENTARY["sin"], ELEMENTARY["cos"]
+_SQUARED = "(values[c] - mean[c]) ** 2"
+_ANGULAR = "2.0 * sin(0.5 * (values[c] - mean[c])) ** 2"  # 1 - cos
 
 
 @lru_cache(maxsize=32)
@@ -95,7 +97,8 @@ def moments(
     weighted_squares = tuple_of(
         quantities, "weight, values", "weight * (values[c] if weight > 0.0 else 0.0)"
     )
-    squares = _differences(is_angle)
+    entries = tuple(_ANGULAR if angle else _SQUARED for angle in is_angle)
+    squares = tuple_of(quantities, "values, mean", entries, sin=_SIN)
     write_terms, write_squares = writer(len(values), "c, i"), writer(quantities, "c, i")
     mean_of = tuple_of(
         quantities, "terms, total", tuple(means), row_sum=row_sum, arctan2=ELEMENTARY["arctan2"]
@@ -119,13 +122,6 @@ def moments(
     return fill_terms, fill_squares, mean_of, mean_of_squares
 
 
-def _differences(is_angle: tuple[bool, ...]) -> Callable[..., Any]:
-    """Compile the squared differences of components, or 1 - cos of the differences of angles."""
-    angular, linear = "2.0 * sin(0.5 * (values[c] - mean[c])) ** 2", "(values[c] - mean[c]) ** 2"
-    entries = tuple(angular if angle else linear for angle in is_angle)
-    return tuple_of(len(is_angle), "values, mean", entries, sin=_SIN)
-
-
 @lru_cache(maxsize=32)
 def recorders(is_angle: tuple[bool, ...]) -> tuple[Callable[..., Any], ...]:
     """Compile what records mean and variance, and the part of an instant's error they estimate.
@@ -133,9 +129,10 @@ def recorders(is_angle: tuple[bool, ...]) -> tuple[Callable[..., Any], ...]:
     Each filter contributes its variance, by the estimator's weights. The first of two filters
     stores its mean, and the second adds the distance to it, as `pfdist.filters.one_by_one` does.
     """
-    quantities, differences = len(is_angle), _differences(is_angle)
-    shares = tuple("1.0 - variances[c]" if angle else "1.0" for angle in is_angle)
-    shares_of = tuple_of(quantities, "variances", shares)
+    quantities = len(is_angle)
+    weighted = f"(1.0 - variances[c]) * {_ANGULAR}"  # by the second filter's R
+    entries = tuple(weighted if angle else _SQUARED for angle in is_angle)
+    distances = tuple_of(quantities, "values, mean, variances", entries, sin=_SIN)
     write_z = writer(quantities, "d, t, c")
     read_mean, write_mean = (make(quantities, "s, t, c") for make in (reader, writer))
 
@@ -154,10 +151,9 @@ def recorders(is_angle: tuple[bool, ...]) -> tuple[Callable[..., Any], ...]:
             total *= weights.variance
         if first_means.size > 0:
             if filter_number > 0:
-                apart, share = differences(read_mean(first_means, s, t), mean), shares_of(variances)
                 distance = 0.0
-                for c in range(quantities):
-                    distance += share[c] * apart[c]
+                for each in distances(read_mean(first_means, s, t), mean, variances):
+                    distance += each
                 total += weights.distance * distance
             write_mean(first_means, s, t, mean)
         return total
