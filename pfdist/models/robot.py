@@ -1,11 +1,11 @@
 """A robot that has lost its heading: it measures the angles between its nose and two beacons.
 
 x is the robot's position in m, east and north, and its heading in radians, counterclockwise from
-east. A step is a second. The robot drives along a circle, with random errors of its speed and its
-turning rate. At first its position is known roughly, and its heading not at all. A measurement
-gives the angle of each beacon, seen from the robot and counted from its nose. Its error has a
-von Mises distribution, the counterpart of the normal distribution on a circle. So the likelihood
-needs no rule for angles near half a turn.
+east. A step is a second. The robot drives straight ahead, but for a bend. Its wheels slip in the
+bend, so there its heading is soon uncertain, and elsewhere it drifts slowly. At first its position
+is known roughly, and its heading not at all. A measurement gives the angle of each beacon, seen
+from the robot and counted from its nose. Its error has a von Mises distribution, the counterpart of
+the normal distribution on a circle. So the likelihood needs no rule for angles near half a turn.
 
 The quantity of interest is the heading. It is circular: two headings that differ by a full turn are
 the same. So the estimate is the mean direction of the particles, and the error is 1 - cos of the
@@ -23,6 +23,7 @@ import numpy as np
 
 from pfdist.densities.draws import von_mises_draw
 from pfdist.densities.log_densities import von_mises_logpdf
+from pfdist.elementwise import where
 from pfdist.models.base import StateSpaceModel
 
 BEACONS = ((0.0, 12.0), (15.0, -5.0))  # m, east and north
@@ -35,7 +36,8 @@ def initial(w, p):
 def transition(x, t, w, p):
     east, north, heading = x
     distance = p.speed + p.speed_sd * w[0]
-    turned = p.turn_rate + p.turn_sd * w[1]
+    rate = where((t >= p.bend) & (t < p.bend_end), p.turn_rate, 0.0)
+    turned = rate + (p.drift_sd + p.slip * rate) * w[1]
     middle = heading + turned / 2
     return (east + distance * np.cos(middle), north + distance * np.sin(middle), heading + turned)
 
@@ -87,14 +89,19 @@ model = StateSpaceModel(
         "position_sd": 3.0,
         "speed": 0.5,
         "speed_sd": 0.05,
-        "turn_rate": 0.1,
-        "turn_sd": 0.08,
+        "bend": 14.0,
+        "bend_end": 22.0,
+        "turn_rate": 0.2,
+        "slip": 1.0,
+        "drift_sd": 0.02,
         "concentration": 30.0,
     },
     parameter_ranges={
         "position_sd": NOT_NEGATIVE,
         "speed_sd": NOT_NEGATIVE,
-        "turn_sd": NOT_NEGATIVE,
+        "turn_rate": NOT_NEGATIVE,
+        "slip": NOT_NEGATIVE,
+        "drift_sd": NOT_NEGATIVE,
         "concentration": NOT_NEGATIVE,
     },
     normalised=True,

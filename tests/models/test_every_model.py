@@ -47,7 +47,7 @@ OUTSIDE = {
     "lorenz63": {"step": 0.3, "diffusion": -0.1, "measurement_sd": 0.0},
     "lotka_volterra": {"birth": -0.5, "step": -1.0, "measurement_sd": 0.0},
     "pharmacokinetics": {"clearance": 0.0, "volume_sd": -0.1, "measurement_sd": 0.0},
-    "robot": {"concentration": -1.0, "turn_sd": -0.1},
+    "robot": {"concentration": -1.0, "slip": -0.1},
     "stochastic_volatility": {"phi": 1.0, "sigma": -0.1},
     "tumour": {"frequency_sd": -0.1, "measurement_sd": 0.0},
     "ungm": {"initial_sd": -1.0, "process_sd": -1.0, "measurement_sd": 0.0},

@@ -21,11 +21,15 @@ def wrapped(angle):
     return np.angle(np.exp(1j * angle))
 
 
-def test_it_drives_along_an_arc():
-    p = MODEL.with_parameters({"speed": 2.0, "speed_sd": 0.5, "turn_rate": 1.0, "turn_sd": 0.1}).p
-    # 3 m ahead while it turns by 1.2 rad: the chord of the arc has the direction in the middle.
-    after = MODEL.transition((1.0, -1.0, 0.4), 7, (2.0, 2.0), p)
-    assert after == pytest.approx((1 + 3 * math.cos(1.0), -1 + 3 * math.sin(1.0), 1.6), rel=1e-12)
+@pytest.mark.parametrize(("t", "turned"), [(13, 0.1), (14, 1.3), (21, 1.3), (22, 0.1)])
+def test_it_drives_along_an_arc_in_the_bend(t, turned):
+    changes = {"speed": 2.0, "speed_sd": 0.5, "turn_rate": 1.0, "slip": 0.1, "drift_sd": 0.05}
+    p = MODEL.with_parameters(changes).p
+    # 3 m ahead while it turns: the chord of the arc has the direction in the middle.
+    after = MODEL.transition((1.0, -1.0, 0.4), t, (2.0, 2.0), p)
+    middle = 0.4 + turned / 2
+    expected = (1 + 3 * math.cos(middle), -1 + 3 * math.sin(middle), 0.4 + turned)
+    assert after == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -8.0, 40.0])
@@ -53,8 +57,9 @@ def test_the_log_likelihood_is_that_of_von_mises():
 def test_where_the_position_is_known_the_filter_is_that_on_the_circle():
     # The robot stands still and turns, so the directions of both beacons are known. The product of
     # two von Mises densities is one, whose concentration is the length of the sum of two vectors.
-    changes = {"position_sd": 0.0, "speed": 0.0, "speed_sd": 0.0, "turn_sd": 0.3}
-    model = MODEL.with_parameters(changes | {"concentration": 3.0})
+    changes = {"position_sd": 0.0, "speed": 0.0, "speed_sd": 0.0, "concentration": 3.0}
+    turning = {"bend": 0.0, "turn_rate": 0.1, "slip": 2.0, "drift_sd": 0.1}
+    model = MODEL.with_parameters(changes | turning)
     times = (2, 5, 6)
     draws = simulate(model, 8, range(2000), 3)
     bearings = [math.atan2(north, east) for east, north in BEACONS]
