@@ -47,12 +47,14 @@ def _checked_parameters(values: Any, section: str) -> Any:
     if not isinstance(values, dict):
         return values
     checked = {}
-    for name, value in values.items():
+    for name, given in values.items():
+        value = given.tolist() if hasattr(given, "tolist") else given
         numbers = value if isinstance(value, list | tuple) and value else (value,)
         if not all(type(number) in (int, float) for number in numbers):
             raise ValueError(
-                f"{section}.{name} must be a number, or a list with a number for each instant, "
-                f"got {shown(value)}"
+                f"{section}.{name} must be a number, a list with a number for each instant, or "
+                f'a column of a table, as {{file = "weather.csv", column = "rain"}}, got '
+                f"{shown(value)}"
             )
         is_list = isinstance(value, list | tuple)
         checked[name] = tuple(map(float, value)) if is_list else float(value)

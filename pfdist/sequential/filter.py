@@ -207,7 +207,8 @@ class Filter:
         self._filter = self._ahead = moved
         self._unseen_by_many.append((t, measurement))
         self._evidence += log_density
-        self._now = estimate_of(t, mean[-1], variance[-1], belief, surprise)
+        is_angle = self.model.is_angle
+        self._now = estimate_of(t, mean[-1], variance[-1], is_angle, belief, surprise)
         return self._now
 
     def predict(self, t: int) -> Estimate:
@@ -279,8 +280,8 @@ class Filter:
         prior = _prior(self._filter if at is None else at)
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
-            belief = Particles(quantity(self.model, prior), np.ones(prior.particles))
-        return estimate_of(prior.t, mean, variance, belief)
+            belief = Particles(quantity(self.model, prior, mean), np.ones(prior.particles))
+        return estimate_of(prior.t, mean, variance, self.model.is_angle, belief)
 
     def _explained(
         self, predicted: OneFilter, y: Array, mean: Array, variance: Array
@@ -294,7 +295,7 @@ class Filter:
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)
-        return Particles(quantity(self.model, prior), share), log_density, surprise
+        return Particles(quantity(self.model, prior, mean[-1]), share), log_density, surprise
 
     def _confirmed(self, surprise: float, t: int, y: Array) -> float:
         """Surprise of a measurement for the filter with many particles.

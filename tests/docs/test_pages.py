@@ -110,11 +110,18 @@ def test_the_worked_example_prints_what_its_page_shows(
 
 
 @pytest.mark.slow
-def test_the_model_of_the_page_about_densities_is_checked_as_its_page_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("page", "model"), [("densities", "photons"), ("models", "vane")])
+def test_the_model_of_a_page_is_checked_as_the_page_shows(
+    page: str,
+    model: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (_, code), (_, console) = _blocks(DOCS / "densities.md")
+    blocks = [text for _, text in _blocks(DOCS / f"{page}.md")]
+    (code,) = (text for text in blocks if text.startswith(f"# {model}.py"))
+    (console,) = (text for text in blocks if text.startswith(f"$ pfdist check-model {model}.py"))
     file, _, source = code.partition("\n")
     Path(file.removeprefix("# ")).write_text(source, encoding="utf-8")
     command, _, shown = console.partition("\n")

@@ -148,7 +148,7 @@ MISTAKES = [
     ("problem.required=['3-1']", r"required must have ranges .* got '3-1' "),
     ("problem.forbidden=['8-11']", r"forbidden must .* 0\.\.10, got 11 "),
     (PRICED.format("2"), r"problem\.cost must be a list .* got 2 "),
-    (PRICED.format("['2']"), r"problem\.cost must be whole .* got '2' "),
+    (PRICED.format("['2']"), r"problem\.cost must be finite numbers, got '2' "),
     (PRICED.format("{'0-9'=1}"), r"once, got none for 10"),
     (PRICED.format("{'0-9'=1, 9=2}"), r"once, got 9 twice"),
     (PRICED.format("{'0-11'=1}"), r"^problem\.cost must .* once, got 11 for a horizon"),
