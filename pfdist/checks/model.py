@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.analysis import Moments
-from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.measured import missing_components, normalised
+from pfdist.checks.particles import has_particle_loss, mean_effective_sizes, measured_loss
 from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
@@ -22,15 +21,16 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.matrices import matrices_of
-from pfdist.filters.work import Estimation, Work, with_truth
-from pfdist.kernels.estimators import FILTER_NOISE
-from pfdist.models import StateSpaceModel, carried_model, squared_error
+from pfdist.filters.work import Estimation, Work
+from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
+from pfdist.sequential.formatted_instant import formatted_instant
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
 _FEW = 10  # draws, for checks that go from instant to instant in NumPy
 _FEW_PARTICLES = 50
+_FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _FINER = 4  # times the particles, to see whether the loss falls as 1/P
 _SECONDS = 4.0  # longest evaluation; a slow model has fewer draws than a thousand
 
@@ -188,16 +188,31 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
+def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
+    """State and text: how many particles count after the measurements of regular times."""
+    sizes = mean_effective_sizes(evaluator, work).dropna()
+    if sizes.empty:
+        return "note", "no particle explains the first measurement"
+    least, at = sizes.min(), formatted_instant(evaluator.model, int(sizes.idxmin()))
+    text = (
+        f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
+        f"{work.estimation.particles} particles after {len(sizes)} measurements"
+    )
+    if least < _FEW_EFFECTIVE:
+        return "note", f"{text}: so few count that estimates are uncertain"
+    return "ok", text
+
+
 def _particles(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     """State and text: the loss by the number of particles, and a number that is enough."""
-    loss = _loss(evaluator, work)
+    loss, _ = measured_loss(evaluator, work)
     text = f"{loss.particles} particles lose {loss.text}"
     if not loss.is_large:
         return "ok", text
     first, last = work.draws
     finer = replace(work.estimation, particles=_FINER * loss.particles)
     draws = (first, max(_FEW, last // _FINER))
-    more = _loss(evaluator, replace(work, estimation=finer, draws=draws))
+    more, _ = measured_loss(evaluator, replace(work, estimation=finer, draws=draws))
     enough = loss.enough(more)
     if enough is not None:
         return "note", f"{text}; about {enough:,} particles are enough"
@@ -205,22 +220,6 @@ def _particles(evaluator: Evaluator, work: Work) -> tuple[str, str]:
         f"{text}; {more.particles} lose {more.text}: the loss does not fall as 1/P, or too slowly, "
         "so no affordable number of particles is known to be enough"
     )
-
-
-def _loss(evaluator: Evaluator, work: Work) -> ParticleLoss:
-    """The loss by the number of particles on the draws of a work."""
-    particles = work.estimation.particles
-    squared, distance, variance = (
-        evaluator.filtered(replace(work, estimation=estimation)).mse[:, 0]
-        for estimation in (
-            work.estimation,
-            replace(work.estimation, estimator=FILTER_NOISE.name),
-            with_truth(particles),
-        )
-    )
-    whole = Moments()
-    whole.add(squared[~np.isnan(squared)])
-    return particle_loss(particles, whole, squared, distance, variance)
 
 
 def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
@@ -246,6 +245,8 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     else:
         got = text if usable.size else "no usable draw"
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {got}")
-    if evaluator.model.error is squared_error:
-        yield Check("particles", *_particles(evaluator, replace(work, draws=(0, draws))))
+    work = replace(work, draws=(0, draws))
+    yield Check("effective sample size", *_effective_sizes(evaluator, work))
+    if has_particle_loss(evaluator):
+        yield Check("particles", *_particles(evaluator, work))
     yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")
