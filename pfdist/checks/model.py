@@ -192,7 +192,7 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     """State and text: how many particles count after the measurements of regular times."""
     sizes = mean_effective_sizes(evaluator, work).dropna()
     if sizes.empty:
-        return "note", "no particle explains the first measurement"
+        return "note", "all filters fail by their first measurement"
     least, at = sizes.min(), formatted_instant(evaluator.model, int(sizes.idxmin()))
     text = (
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "

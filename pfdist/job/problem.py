@@ -64,7 +64,8 @@ class Problem(Shown):
         Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2}``.
     total_cost : int, optional
         Largest sum of costs, in the place of the measurement budget.
-    particles : int
+    particles : int or "auto"
+        "auto": a number that is enough is found when something is computed.
     resampling, engine : str
         The filter, as in the section [filter] of a job file.
 
