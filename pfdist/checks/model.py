@@ -190,10 +190,11 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     """State and text: how many particles count after the measurements of regular times."""
-    sizes = mean_effective_sizes(evaluator, work).dropna()
-    if sizes.empty:
+    (times,), sizes = work.measurement_times, mean_effective_sizes(evaluator, work)
+    if sizes.isna().all():
         return "note", "all filters fail by their first measurement"
-    least, at = sizes.min(), formatted_instant(evaluator.model, int(sizes.idxmin()))
+    least = sizes.min()
+    at = formatted_instant(evaluator.model, times[int(np.nanargmin(sizes))])
     text = (
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
         f"{work.estimation.particles} particles after {len(sizes)} measurements"

@@ -267,22 +267,19 @@ def particle_losses(losses: pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """
     check_kind(losses, (pd.DataFrame,), "losses")
     table, ax = losses.sort_values("particles"), axes_for(ax)
-    numbers = table["particles"].to_numpy()
-    by_two, half = table["particle_loss"], BAND * table["particle_loss_error"]
-    limit = table["particle_loss_limit"]
-    curves = (
-        (by_two, half, SMALL, set_style(1), "two filters"),
-        (limit, None, SMALL_AT_MOST, set_style(0), "at most (95 %)"),
-    )
     ax.set_xscale("log")
     ax.set_yscale("log", nonpositive="clip")
-    for loss, interval, small, style, label in curves:
-        share = 100 * np.where(loss > 0, loss, np.nan)  # a logarithmic axis has no 0
-        errors = None if interval is None else 100 * interval
+    for column, errors, most, style, name in (
+        ("particle_loss", "particle_loss_error", SMALL, set_style(1), "two filters"),
+        ("particle_loss_limit", None, SMALL_AT_MOST, set_style(0), "at most (95 %)"),
+    ):
+        share = 100 * table[column].where(table[column] > 0)  # a logarithmic axis has no 0
+        half = None if errors is None else 100 * BAND * table[errors]
         ax.errorbar(
-            numbers, share, errors, lw=thin(), ms=marker(), elinewidth=thin(), label=label, **style
-        )
-        ax.axhline(100 * small, color=style["color"], ls=":", lw=thin())
+            table["particles"], share, half, lw=thin(), ms=marker(), elinewidth=thin(), label=name,
+            **style,
+        )  # fmt: skip
+        ax.axhline(100 * most, color=style["color"], ls=":", lw=thin())
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("number of particles")

@@ -8,7 +8,7 @@ import pytest
 
 import pfdist
 from oracles.systems import scalar
-from pfdist import Job, StateSpaceModel, load_job
+from pfdist import Job, StateSpaceModel
 from pfdist.api.run_of_job import run_and_job
 from pfdist.checks import particles
 from pfdist.checks.model import Check, check_object
@@ -127,7 +127,7 @@ def test_wrong_numbers_of_particles_are_refused(
 
 def test_no_loss_is_given_for_an_exact_engine(small_job: Job) -> None:
     job = walk(small_job, "filter.engine=kalman")
-    with pytest.raises(JobError, match="needs an engine with particles.* got the engine 'kalman'"):
+    with pytest.raises(JobError, match=r"needs an engine with particles.* got the engine 'kalman'"):
         pfdist.particle_losses(job)
 
 
