@@ -16,13 +16,11 @@ import numpy as np
 
 from pfdist.analysis.streaming_moments import Array, Moments
 from pfdist.common.estimate import Estimate
-from pfdist.common.gap_sentence import rounded_up
 from pfdist.common.percent import particle_loss_text
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: with a loss by two filters and a limit below, P is enough."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
-_AFFORDABLE = 100_000  # particles
 _HARDLY = 0.95  # of the error without a measurement
 _QUANTILE = NormalDist().inv_cdf(0.95)
 
@@ -86,31 +84,6 @@ class ParticleLoss:
             f"{self.particles} particles may be too few: they lose {self.text}. "
             "pfdist check-model looks for a number that is enough."
         )
-
-    def enough(self, finer: "ParticleLoss") -> int | None:
-        """About how many particles have a loss that is not large, if the loss falls as 1/P.
-
-        Parameters
-        ----------
-        finer : ParticleLoss
-            The loss of more particles.
-
-        Returns
-        -------
-        int or None
-            None if either figure does not follow 1/P, or the number is not affordable.
-        """
-        share, needed = self.particles / finer.particles, 1.0
-        for coarse, fine, most in (
-            (self.by_two_filters, finer.by_two_filters, _NOTABLE),
-            (self.at_most, finer.at_most, _NOTABLE_AT_MOST),
-        ):
-            noise = 2 * math.hypot(share * coarse.standard_error, fine.standard_error)
-            expected = share * coarse.value
-            if not expected / 2 - noise <= fine.value <= 2 * expected + noise:
-                return None
-            needed = max(needed, finer.particles * fine.value / most)
-        return math.ceil(rounded_up(needed)) if needed <= _AFFORDABLE else None
 
     def columns(self) -> dict[str, Any]:
         """The values as a summary gives them."""

@@ -12,7 +12,12 @@ import numpy as np
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.measured import missing_components, normalised
-from pfdist.checks.particles import has_particle_loss, mean_effective_sizes, measured_loss
+from pfdist.checks.particles import (
+    enough_particles,
+    has_particle_loss,
+    mean_effective_sizes,
+    measured_loss,
+)
 from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
@@ -31,7 +36,7 @@ _DRAWS = 1000
 _FEW = 10  # draws, for checks that go from instant to instant in NumPy
 _FEW_PARTICLES = 50
 _FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
-_FINER = 4  # times the particles, to see whether the loss falls as 1/P
+_LONGEST = 30.0  # seconds of the search for a number of particles that is enough
 _SECONDS = 4.0  # longest evaluation; a slow model has fewer draws than a thousand
 
 
@@ -204,23 +209,20 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     return "ok", text
 
 
-def _particles(evaluator: Evaluator, work: Work) -> tuple[str, str]:
-    """State and text: the loss by the number of particles, and a number that is enough."""
+def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
+    """State and text: the loss by the number of particles, and a number that is enough.
+
+    The work itself takes so many seconds.
+    """
     loss, _ = measured_loss(evaluator, work)
-    text = f"{loss.particles} particles lose {loss.text}"
+    text = f"{loss.particles:,} particles lose {loss.text}"
     if not loss.is_large:
         return "ok", text
-    first, last = work.draws
-    finer = replace(work.estimation, particles=_FINER * loss.particles)
-    draws = (first, max(_FEW, last // _FINER))
-    more, _ = measured_loss(evaluator, replace(work, estimation=finer, draws=draws))
-    enough = loss.enough(more)
-    if enough is not None:
-        return "note", f"{text}; about {enough:,} particles are enough"
-    return "note", (
-        f"{text}; {more.particles} lose {more.text}: the loss does not fall as 1/P, or too slowly, "
-        "so no affordable number of particles is known to be enough"
-    )
+    (times,), steps = work.measurement_times, _LONGEST * work.steps / seconds
+    found = enough_particles(evaluator, times, 0, work.estimation, steps)
+    if found.is_small:
+        return "note", f"{text}; {found.particles:,} are enough"
+    return "note", f"{text}; {found.particles:,} lose {found.text}, and no fewer are enough"
 
 
 def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
@@ -249,5 +251,5 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     work = replace(work, draws=(0, draws))
     yield Check("effective sample size", *_effective_sizes(evaluator, work))
     if has_particle_loss(evaluator):
-        yield Check("particles", *_particles(evaluator, work))
+        yield Check("particles", *_particles(evaluator, work, seconds * draws / _DRAWS))
     yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")

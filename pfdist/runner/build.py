@@ -117,7 +117,12 @@ def _with_enough_particles(job: Job) -> Job:
     particles first, so whatever else is wrong is named first.
     """
     # Imported here, so that workers, which know the number, need no pandas.
-    from pfdist.checks.particles import NUMBERS, enough_particles  # noqa: PLC0415
+    from pfdist.analysis.particle_loss import SMALL, SMALL_AT_MOST  # noqa: PLC0415
+    from pfdist.checks.particles import (  # noqa: PLC0415
+        NUMBERS,
+        enough_particles,
+        has_particle_loss,
+    )
 
     def with_number(particles: int) -> Job:
         return job.with_changes(settings={"filter": {"particles": particles}})
@@ -126,10 +131,19 @@ def _with_enough_particles(job: Job) -> Job:
         warnings.simplefilter("ignore", EngineWarning)  # it comes again with the number
         built = build(with_number(NUMBERS[0]))
     evaluator, times = built.evaluator.self_consistent, job.problem.feasible.regular()
-    try:
-        loss = enough_particles(evaluator, times, job.seed, built.comparing)
-    except JobError as error:
-        raise JobError(f"{error} ({job.path})") from error
+    must = "filter.particles must be a number, got 'auto'"
+    if not has_particle_loss(evaluator):
+        raise JobError(
+            f"{must}: it needs an engine with particles, and the squared error ({job.path})"
+        )
+    loss = enough_particles(evaluator, times, job.seed, built.comparing)
+    if not loss.is_small:
+        left_out = f", and {loss.left_out} draws are degenerate" * bool(loss.left_out)
+        raise JobError(
+            f"{must}: no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters "
+            f"and less than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
+            f"{left_out} ({job.path})"
+        )
     return with_number(loss.particles)
 
 
