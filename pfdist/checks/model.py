@@ -222,7 +222,7 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
     found = enough_particles(evaluator, times, 0, work.estimation, steps)
     if found.is_small:
         return "note", f"{text}; {found.particles:,} are enough"
-    return "note", f"{text}; {found.particles:,} lose {found.text}, and no fewer are enough"
+    return "note", f"{text}; {found.particles:,} are still too few: they lose {found.text}"
 
 
 def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
