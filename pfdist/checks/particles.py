@@ -26,6 +26,7 @@ NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 """Numbers of particles among which `enough_particles` finds one."""
 _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
 _FILTERS = 4  # of a draw behind a loss
+_SECONDS = 2.0  # of draws in memory at once
 _SIZE_DRAWS = 20  # behind a mean effective sample size
 
 
@@ -48,15 +49,15 @@ def has_particle_loss(evaluator: Evaluator) -> bool:
 
 def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Moments]:
     """The loss by the number of particles on the draws of a work, and moments of the MSE."""
-    particles = work.estimation.particles
-    squared, distance, variance = (
-        evaluator.filtered(replace(work, estimation=estimation)).mse[:, 0]
-        for estimation in (
-            work.estimation,
-            replace(work.estimation, estimator=FILTER_NOISE.name),
-            with_truth(particles),
-        )
-    )
+    particles, errors = work.estimation.particles, []
+    for estimation in (
+        work.estimation,
+        replace(work.estimation, estimator=FILTER_NOISE.name),
+        with_truth(particles),
+    ):
+        pieces = evaluator.pieces(replace(work, estimation=estimation), _SECONDS)
+        errors.append(np.concatenate([evaluator.filtered(piece).mse[:, 0] for piece in pieces]))
+    squared, distance, variance = errors
     whole = Moments()
     whole.add(squared[~np.isnan(squared)])
     return particle_loss(particles, whole, squared, distance, variance), whole
