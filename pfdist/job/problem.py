@@ -65,7 +65,8 @@ class Problem(Shown):
         Decimals are exact.
     total_cost : float, optional
         Largest sum of costs, in the place of the measurement budget.
-    particles : int
+    particles : int or "auto"
+        "auto": a number that is enough is found when something is computed.
     resampling, engine : str
         The filter, as in the section [filter] of a job file.
 

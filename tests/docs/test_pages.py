@@ -131,6 +131,25 @@ def test_the_model_of_a_page_is_checked_as_the_page_shows(
 
 
 @pytest.mark.slow
+def test_the_page_about_particles_prints_and_draws_what_it_shows(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    [(_, console)] = _blocks(DOCS / "particles.md", "console")
+    command, _, shown = console.partition("\n")
+    assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
+    printed = capsys.readouterr().out
+    assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
+    [(_, code)] = _blocks(DOCS / "particles.md", "python")
+    names = dict[str, Any]()
+    exec(compile(code, "particles.md", "exec"), names)
+    assert names["axes"].has_data()
+    assert names["losses"]["particle_loss"].is_monotonic_decreasing
+    [(_, section)] = _blocks(DOCS / "particles.md", "toml")
+    assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
+
+
+@pytest.mark.slow
 def test_the_page_about_figures_draws_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

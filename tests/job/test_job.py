@@ -116,6 +116,8 @@ MISTAKES = [
     ("seed=-1", r"seed must .* 0, got -1 \(.*mine\.toml with seed=-1\)"),
     ("seed=true", r"seed must .* integer, got True "),
     ("filter.particles=0", r"filter\.particles must .* 1, got 0 "),
+    ("filter.particles=many", r"filter\.particles must be an integer or 'auto', got 'many' "),
+    ("filter.particles=0.5", r"filter\.particles must be an integer, got 0\.5 "),
     ("problem.horizon=0", r"problem\.horizon must .* 1, got 0 "),
     ("problem.measurement_budget=0", r"problem\.measurement_budget must .* 1, got 0 "),
     ("comparison.draws=1", r"comparison\.draws must .* 2, got 1 "),
