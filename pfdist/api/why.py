@@ -30,7 +30,7 @@ from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.progress import Show
 from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
-from pfdist.sequential.work import seen
+from pfdist.sequential.work import seen_at_instants
 from pfdist.store import WHY_PHASE, frame_of, schema
 from pfdist.store.schema import components_in, with_sensors
 from pfdist.times.clock import Clock
@@ -224,14 +224,10 @@ def _by_sensor(row: dict[str, Any], part: str, clock: Clock) -> dict[str, Any]:
 
 def _measured(run: Run, times: Times, model: StateSpaceModel) -> list[NDArray[np.float64]]:
     """The measurements at N instants of each draw that has a trajectory, (N, m) each."""
-    rows, instants = run.trajectories(), dict[int, Times]()
-    for time in times:
-        t = time // len(model.parts)
-        instants[t] = (*instants.get(t, ()), time)
+    rows = run.trajectories()
     columns = [f"y_{component.suffix}" for component in components_in(rows, "y_")]
     return [
-        np.array([seen(model, draw[columns].to_numpy()[t], here) for t, here in instants.items()])
-        for _, draw in rows.groupby("draw")
+        seen_at_instants(model, draw[columns].to_numpy(), times) for _, draw in rows.groupby("draw")
     ]
 
 

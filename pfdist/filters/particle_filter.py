@@ -226,7 +226,12 @@ def filter_makes_arrays(model: StateSpaceModel, truth: StateSpaceModel, resampli
 
 
 def _compiled(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> WithScratch:
-    formulas = (model.quantity_of_interest, truth.error, model.initial, model.transition)
+    formulas = (
+        model.quantity_of_interest,
+        truth.formulas["error"],
+        model.initial,
+        model.transition,
+    )
     states, _, quantities = model.components
     return fused_filter(
         (*formulas, *(part.model.log_likelihood for part in model.parts)),
@@ -234,4 +239,5 @@ def _compiled(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -
         (states, tuple(part.model.components[1] for part in model.parts), quantities),
         (parameter_names(model.parameters), parameter_names(truth.parameters)),
         resampling,
+        truth.is_angle,
     )

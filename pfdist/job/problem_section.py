@@ -16,7 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.clock import Clock, Time, plain_time
-from pfdist.times.constraints import Limit
+from pfdist.times.constraints import Limit, Money, money
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
@@ -28,7 +28,7 @@ _LONGEST_UNIT = 40  # characters
 _Numbers = tuple[Time, ...]
 
 
-_Cost = tuple[int, ...] | dict[str, int]
+_Cost = _Numbers | dict[str, Time]
 _Budget = Annotated[int, Field(ge=1, lt=2**63)]
 
 
@@ -52,9 +52,11 @@ def _checked_costs(value: Any, key: str) -> Any:
             f'ranges as "20:30" = 2, got {shown(value)}'
         )
     for cost in value.values() if isinstance(value, dict) else value or ():
-        if not isinstance(cost, int) or isinstance(cost, bool):
-            raise ValueError(f"{key} must be whole numbers, got {shown(cost)}")
-    return tuple(value) if isinstance(value, list) else value
+        if type(cost) not in (int, float) or not abs(cost) < np.inf:
+            raise ValueError(f"{key} must be finite numbers, got {shown(cost)}")
+    if isinstance(value, dict):
+        return {key: plain_time(cost) for key, cost in value.items()}
+    return None if value is None else tuple(map(plain_time, value))
 
 
 class SensorSection(Section):
@@ -63,7 +65,7 @@ class SensorSection(Section):
     The lower bound leaves out `most` and `minimum_spacing`.
     """
 
-    cost: int | _Cost | None = None
+    cost: Time | _Cost | None = None
     forbidden: tuple[Time | str, ...] | None = None
     most: _Budget | None = None
     minimum_spacing: Time | None = None
@@ -76,8 +78,9 @@ class SensorSection(Section):
     @field_validator("cost", mode="before")
     @classmethod
     def _are_costs(cls, value: Any) -> Any:
-        if isinstance(value, int) and not isinstance(value, bool):
-            return value
+        is_number = type(value) in (int, float) and abs(value) < np.inf
+        if is_number:
+            return plain_time(value)
         return _checked_costs(value, "problem.sensors.NAME.cost")
 
 
@@ -98,10 +101,10 @@ class ProblemSection(Section):
     required: tuple[Time | str, ...] | None = None
     minimum_spacing: Time | None = None
     cost: _Cost | None = None
-    total_cost: _Budget | None = None
+    total_cost: Annotated[Time, Field(gt=0, lt=2**63)] | None = None
     sensors: dict[str, SensorSection] | None = None
 
-    @field_validator("horizon", "minimum_spacing", mode="before")
+    @field_validator("horizon", "minimum_spacing", "total_cost", mode="before")
     @classmethod
     def _is_number(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and type(value) not in (int, float):
@@ -211,7 +214,7 @@ class ProblemSection(Section):
             required=_union(self.required or (), clock, "required"),
             minimum_spacing=spacing or 0.0,
             cost=self._costs_of_instants,
-            total_cost=self.total_cost,
+            total_cost=None if self.total_cost is None else money(self.total_cost),
             clock=clock if self.has_clock or self.sensors else None,
             # To sets within limits, money left over may buy nothing.
             smaller=bool(limits) and self.total_cost is not None,
@@ -247,14 +250,15 @@ class ProblemSection(Section):
         return costs.index(min(costs))
 
     @property
-    def _costs_of_sensors(self) -> list[tuple[int, ...]]:
+    def _costs_of_sensors(self) -> list[tuple[Money, ...]]:
         """The cost of each sensor at each instant; empty for a sensor without a cost."""
         instants = len(self._clock.times)
-        costs = list[tuple[int, ...]]()
+        costs = list[tuple[Money, ...]]()
         for name, sensor in (self.sensors or {}).items():
-            given = () if sensor.cost is None else sensor.cost
-            key = f"sensors.{name}.cost"
-            costs.append((given,) * instants if isinstance(given, int) else self._costs(key, given))
+            given, key = () if sensor.cost is None else sensor.cost, f"sensors.{name}.cost"
+            if isinstance(given, int | float):
+                given = (given,) * instants
+            costs.append(self._costs(key, given))
             if given and len(costs[-1]) != instants:
                 raise MeasurementTimesError(
                     f"{key} must have a number for each of {instants} instants, got "
@@ -275,8 +279,7 @@ class ProblemSection(Section):
             given = self.clock.trapezoids
         if len(given) != instants:
             raise MeasurementTimesError(
-                f"instant_weights must have a number for each of {instants} instants, got "
-                f"{len(given)}"
+                f"instant_weights needs {instants} values, one for each instant, got {len(given)}"
             )
         weights = np.array(given, np.float64)
         if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):
@@ -302,7 +305,7 @@ class ProblemSection(Section):
         return [f"problem.{sentence}" for sentence in self.feasible.broken(measured)]
 
     @property
-    def _costs_of_instants(self) -> tuple[int, ...] | None:
+    def _costs_of_instants(self) -> tuple[Money, ...] | None:
         """The cost of each possible measurement; None if measurements are counted."""
         if not self.sensors:
             return None if self.cost is None else self._costs("cost", self.cost)
@@ -318,11 +321,11 @@ class ProblemSection(Section):
             raise MeasurementTimesError(f"sensors.{lacking[0]}.cost must be given with total_cost")
         return tuple(chain.from_iterable(zip(*self._costs_of_sensors, strict=True)))
 
-    def _costs(self, name: str, given: _Cost) -> tuple[int, ...]:
+    def _costs(self, name: str, given: _Cost) -> tuple[Money, ...]:
         """The cost of each instant."""
         if not isinstance(given, dict):
-            return given
-        clock, costs = self._clock, dict[int, int]()
+            return tuple(map(money, given))
+        clock, costs = self._clock, dict[int, Money]()
         ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
         for key, cost in given.items():
             for t in instants_of(key, clock, name):
@@ -333,7 +336,7 @@ class ProblemSection(Section):
                     raise MeasurementTimesError(
                         f"{name} must name every time in {ends} once, got {time} {what}"
                     )
-                costs[t] = cost
+                costs[t] = money(cost)
         lacking = [t for t in range(clock.horizon + 1) if t not in costs]
         if lacking:
             raise MeasurementTimesError(

@@ -85,7 +85,7 @@ def carried(
     inspection = inspected(model, data)
     fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
     fields |= {key: dict(value) for key, value in fields.items() if isinstance(value, Mapping)}
-    travelling = with_named_modules(model.formulas)
+    travelling = with_named_modules(model.formulas | {"error": model.error})
     fields |= {name: formula for name, formula in travelling.items() if name in fields}
     fields["sensors"] = {
         name: dataclasses.replace(

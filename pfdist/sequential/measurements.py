@@ -56,7 +56,8 @@ def read_measurements(
     if sensors:
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
     try:
-        columns = read_user_table(path, partial(_check_header, allowed), {"sensor": sensors})
+        check = partial(_check_header, allowed)
+        columns = read_user_table(path, check, names={"sensor": sensors})
         if sensors:
             columns = _side_by_side(columns, model)
             allowed = [["t", *(f"y{component}" for component in range(model.components[1]))]]

@@ -1,7 +1,7 @@
 """Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
 
 import stat
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,10 @@ _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lo
 
 
 def read_user_table(
-    path: Path | pd.DataFrame, check_header: CheckHeader, names: Mapping[str, Sequence[str]] = _NONE
+    path: Path | pd.DataFrame,
+    check_header: CheckHeader,
+    only: Collection[str] = (),
+    names: Mapping[str, Sequence[str]] = _NONE,
 ) -> dict[str, Array]:
     """The columns of a table of numbers by their names; a missing number is NaN.
 
@@ -36,18 +39,19 @@ def read_user_table(
     A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
     raises an error if the names of the columns are wrong; it is called before any number is read.
+    With `only`, other columns are left out, and may hold anything.
 
     Raises `ValueError` if the file is too large, is no such table, or holds other things than
     numbers. Raises `OSError` if it cannot be read.
     """
     if isinstance(path, pd.DataFrame):
-        return _columns_of(path, check_header, names)
+        return _columns_of(path, check_header, only, names)
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
         raise ValueError("a table must be a file, got something else")
     if about.st_size > MOST_BYTES:
         raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
-    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header, names)
+    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header, only, names)
 
 
 def is_parquet(path: Path) -> bool:
@@ -66,7 +70,10 @@ def _places(name: str, texts: Iterable[Any], names: Sequence[str]) -> Array:
 
 
 def _columns_of(
-    table: pd.DataFrame, check_header: CheckHeader, names: Mapping[str, Sequence[str]]
+    table: pd.DataFrame,
+    check_header: CheckHeader,
+    only: Collection[str],
+    names: Mapping[str, Sequence[str]],
 ) -> dict[str, Array]:
     if table.index.name is not None:
         table = table.reset_index()
@@ -74,7 +81,7 @@ def _columns_of(
     _check_size(header, len(table))
     check_header(header)
     columns = {}
-    for column, name in enumerate(header):
+    for column, name in _wanted(header, only):
         if name in names:
             columns[name] = _places(name, table.iloc[:, column], names[name])
             continue
@@ -86,8 +93,16 @@ def _columns_of(
     return columns
 
 
+def _wanted(header: list[str], only: Collection[str]) -> list[tuple[int, str]]:
+    """Numbers and names of the columns that are read."""
+    return [(column, name) for column, name in enumerate(header) if not only or name in only]
+
+
 def _read_csv(
-    path: Path, check_header: CheckHeader, names: Mapping[str, Sequence[str]]
+    path: Path,
+    check_header: CheckHeader,
+    only: Collection[str],
+    names: Mapping[str, Sequence[str]],
 ) -> dict[str, Array]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
@@ -111,7 +126,7 @@ def _read_csv(
         name: _places(name, values.iloc[:, column], names[name])
         if name in names
         else _numbers(name, values.iloc[:, column].str.strip())
-        for column, name in enumerate(header)
+        for column, name in _wanted(header, only)
     }
 
 
@@ -130,7 +145,10 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
 
 
 def _read_parquet(
-    path: Path, check_header: CheckHeader, names: Mapping[str, Sequence[str]]
+    path: Path,
+    check_header: CheckHeader,
+    only: Collection[str],
+    names: Mapping[str, Sequence[str]],
 ) -> dict[str, Array]:
     try:
         with path.open("rb") as file, pq.ParquetFile(file) as table:
@@ -145,7 +163,7 @@ def _read_parquet(
         name: _places(name, columns.column(k).to_pylist(), names[name])
         if name in names
         else _values(name, columns.column(k))
-        for k, name in enumerate(header)
+        for k, name in _wanted(header, only)
     }
 
 

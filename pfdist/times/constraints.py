@@ -7,14 +7,24 @@ add where the value came from: ``forbidden must lie in 0..60, got 61``.
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
-from math import gcd
+from math import gcd, lcm
 
 from pfdist.common.formatted_times import formatted_time
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
+
+Money = int | Decimal
+"""A price, exactly as the user has written it."""
+
+
+def money(number: float) -> Money:
+    """The exact price that a number is written for: 0.1 means one tenth, not its binary value."""
+    return number if isinstance(number, int) else Decimal(repr(number))
 
 
 @dataclass(frozen=True)
@@ -42,10 +52,10 @@ class Constraints:
     required: Times = ()  # times that every set must contain, sorted
     # smallest difference of two times of a set: instants, or time on the clock
     minimum_spacing: int | float = 1
-    # (S (T+1),): cost of a measurement at each time, at least 1, in whole units
-    cost: tuple[int, ...] | None = None
+    # (S (T+1),): cost of a measurement at each time, above 0
+    cost: tuple[Money, ...] | None = None
     # largest cost of all measurements together; given with `cost`, in place of N
-    total_cost: int | None = None
+    total_cost: Money | None = None
     clock: Clock | None = None  # by default instants are counted
     # Constraints on each sensor alone; none if no sensor has any. The bound leaves them out.
     limits: tuple[Limit, ...] = ()
@@ -96,7 +106,8 @@ class Constraints:
     @cached_property
     def price(self) -> tuple[int, ...]:
         """Price of each possible measurement, in units of `total`; 1 if times are counted."""
-        return tuple(cost // self.unit for cost in self.cost or (1,) * self.possible)
+        costs = self.cost or (1,) * self.possible
+        return tuple(int(Fraction(cost) / self.unit) for cost in costs)
 
     @cached_property
     def total(self) -> int:
@@ -106,7 +117,8 @@ class Constraints:
         """
         if self.measurement_budget is not None:
             return self.measurement_budget
-        return min((self.total_cost or 0) // self.unit, self.spent(self.allowed))
+        affordable = Fraction(self.total_cost or 0) // self.unit
+        return min(affordable, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
         """The sum of the prices of some times."""
@@ -179,7 +191,7 @@ class Constraints:
             sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
         return [*sentences, *self._beyond_limits(chosen)]
 
-    def cost_of(self, times: Iterable[int]) -> int:
+    def cost_of(self, times: Iterable[int]) -> Money:
         """The cost of a set, in the unit of `cost`; its size if times are counted."""
         return sum(self.cost[time] if self.cost else 1 for time in times)
 
@@ -268,9 +280,11 @@ class Constraints:
         return tuple(sorted(chosen))
 
     @cached_property
-    def unit(self) -> int:
+    def unit(self) -> Fraction:
         """The largest unit of money in which all costs are whole."""
-        return gcd(*(self.cost or (1,)))
+        costs = [Fraction(cost) for cost in self.cost or (1,)]
+        parts = lcm(*(cost.denominator for cost in costs))
+        return Fraction(gcd(*(int(cost * parts) for cost in costs)), parts)
 
     @cached_property
     def _capacities(self) -> dict[tuple[int, int], int]:
