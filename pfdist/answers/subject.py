@@ -115,10 +115,10 @@ class Subject:
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
             return label(name)
-        step, by = steps.pop(), " by ".join(("", *filter(None, sensors)))
+        step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if self.run.problem.has_clock:
-            return f"every {step} {self.unit}".rstrip() + by
-        return ("every instant" if step == "1" else f"every {step} instants") + by
+            return f"every {step} {self.unit}".rstrip() + sensor
+        return ("every instant" if step == "1" else f"every {step} instants") + sensor
 
     @property
     def unit(self) -> str:

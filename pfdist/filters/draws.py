@@ -97,13 +97,13 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
         if np.isfinite(values).all():
             continue
         row, k, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        by, number = model, component
+        owner, number = model, component
         if name == "y":
             part = next(part for part in model.parts if component < part.y.stop)
-            by, number = part.model, component - part.y.start
+            owner, number = part.model, component - part.y.start
         formula, arguments = _given(model, name, draws[row : row + 1], k, stream, component)
         got, t = values[row, k, component], draws.instants[k]
-        raise ModelError(not_finite(by, formula, arguments, f"{name}[{number}] = {got}", t))
+        raise ModelError(not_finite(owner, formula, arguments, f"{name}[{number}] = {got}", t))
 
 
 def not_finite(
