@@ -78,8 +78,10 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
         _check_declared(part.model)
     p, states = model.p, model.components[0]
 
-    def affine(name: str, t: int, split: int, inputs: int, of: StateSpaceModel = model) -> Affine:
-        formula = getattr(of, name)
+    def affine(
+        name: str, t: int, split: int, inputs: int, owner: StateSpaceModel = model
+    ) -> Affine:
+        formula = getattr(owner, name)
 
         def at(u: Array) -> tuple[Any, ...]:
             x, noise = tuple(u[:split]), tuple(u[split:])
@@ -87,7 +89,7 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
             value: tuple[Any, ...] = formula(*given, p)
             return value
 
-        return _probed(at, inputs, f"model {of.name}: {name} at t = {t}")
+        return _probed(at, inputs, f"model {owner.name}: {name} at t = {t}")
 
     instants = range(start, horizon + 1)
     process_inputs = states + len(model.process_noise)
