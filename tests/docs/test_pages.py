@@ -260,3 +260,24 @@ def test_contributing_names_every_mark_of_tests() -> None:
     marks = {mark.partition(":")[0] for mark in settings["markers"]}
     named = re.findall(r"`pytest -m (\w+)`", (ROOT / "CONTRIBUTING.md").read_text())
     assert sorted(named) == sorted(marks)
+
+
+@pytest.mark.slow
+def test_the_page_about_sensors_prints_what_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The model, the job, the plan and the next measurement of the page."""
+    monkeypatch.chdir(tmp_path)
+    consoles = 0
+    for language, text in _blocks(DOCS / "sensors.md"):
+        first, _, rest = text.partition("\n")
+        if language == "csv":
+            Path("case.csv").write_text(text)
+        elif language == "console":
+            assert main(shlex.split(first.removeprefix("$ pfdist "))) == 0
+            printed = capsys.readouterr().out
+            assert OutputChecker().check_output(rest, printed, ELLIPSIS), printed
+            consoles += 1
+        else:
+            Path(first.removeprefix("# ")).write_text(rest)
+    assert consoles == 2
