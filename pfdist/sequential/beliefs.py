@@ -87,7 +87,7 @@ def weights_after(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array
     log_weight, x = np.zeros(cloud.particles), tuple(cloud.x)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         for _, sensor, own, _ in model.parts:
-            if not np.isnan(y[own]).all():  # it measured
+            if not (model.sensors and np.isnan(y[own]).all()):  # it measured
                 seen = _components(y[own], cloud)
                 log_weight += sensor.log_likelihood(seen, x, cloud.t, model.p)
     log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)

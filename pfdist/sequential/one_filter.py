@@ -87,8 +87,10 @@ class OneFilter:
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:
     """The possible measurements that y(t), (m,), has: those of sensors with a component.
 
-    Without sensors this is t, or nothing if y is NaN.
+    Without sensors this is t.
     """
+    if not model.sensors:
+        return (t,)
     parts = enumerate(model.parts)
     return tuple(t * len(model.parts) + k for k, part in parts if not np.isnan(y[part.y]).all())
 
