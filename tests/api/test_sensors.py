@@ -8,6 +8,7 @@ import pytest
 
 import pfdist
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
+from oracles.two_platforms import two_platforms
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
@@ -192,3 +193,21 @@ def test_the_plan_is_the_optimum_of_brute_force_and_its_gap_is_0(
     assert times == best
     bound = run.summary().results[name].lower_bound
     assert bound["gap"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_two_platforms_leave_little_room_to_the_relaxation(tmp_path: Path) -> None:
+    """Both platforms measure, and windows of few bearings say nearly all: at most 3 % is left.
+
+    The rest of the gap, 10 % with 1,000 particles, is what this number of particles loses.
+    """
+    model = two_platforms().with_parameters({"acceleration_sd": 0.6})
+    problem = pfdist.Problem(model, horizon=10, measurement_budget=4, particles=1000)
+    run = pfdist.plan(
+        problem, results=tmp_path / "run", pool="serial", changes=("comparison.draws=2000",),
+        figures=False, report=False,
+    )  # fmt: skip
+    (name,) = run.found
+    assert {str(each).split()[1] for each in run.sets()[name]} == {"moving", "still"}
+    result = run.summary().results[name]
+    assert result.lower_bound["relaxation"] < 0.03 * result.expected_mse
