@@ -72,6 +72,7 @@ class Work:
     knows_truth: bool = False
     # whether errors of instants have the evaluator's weights; otherwise all count alike
     weighted: bool = True
+    shares: tuple[float, ...] = ()  # of the scenarios; empty: those of the evaluator
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
@@ -151,6 +152,17 @@ class Result:
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (D,): the times of each draw, if each draw has times of its own
     measurement_times: tuple[Times, ...] = ()
+
+
+def joined(results: Sequence[Result]) -> Result:
+    """The result of successive ranges of draws with the same sets; sums are added."""
+
+    def all_of(name: str, axis: int = 0) -> NDArray[np.float64]:
+        arrays = [getattr(result, name) for result in results]
+        return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
+
+    sums = np.sum([result.sums for result in results], axis=0)
+    return Result(all_of("mse"), all_of("z"), all_of("y"), all_of("estimates", 1), sums)
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

@@ -42,7 +42,7 @@ def _checked_text(text: str) -> str:
     return text
 
 
-def _checked_parameters(values: Any, section: str) -> Any:
+def checked_parameters(values: Any, section: str) -> Any:
     """Parameters, with tuples for lists; others than numbers and lists of numbers are refused."""
     if not isinstance(values, dict):
         return values
@@ -99,7 +99,7 @@ class FilterModel(Section):
     @field_validator("parameters", mode="before")
     @classmethod
     def _are_numbers(cls, values: Any) -> Any:
-        return _checked_parameters(values, "model.filter.parameters")
+        return checked_parameters(values, "model.filter.parameters")
 
 
 class Model(Section):
@@ -112,7 +112,7 @@ class Model(Section):
     @field_validator("parameters", mode="before")
     @classmethod
     def _are_numbers(cls, values: Any) -> Any:
-        return _checked_parameters(values, "model.parameters")
+        return checked_parameters(values, "model.parameters")
 
 
 class Filter(Section):

@@ -48,6 +48,11 @@ class Built:
         return {name: clock.instants(times) for name, times in sets.items()}
 
     @property
+    def is_worst(self) -> bool:
+        """Whether the cost of a set is the expected MSE of its worst scenario."""
+        return self.job.scenarios is not None and self.job.scenarios.is_worst
+
+    @property
     def phases(self) -> list[str]:
         """Names of all phases of the searches."""
         return [phase for search in self.searches for phase in search.phases]
@@ -76,6 +81,7 @@ def build(job: Job) -> Built:
     range, or if an estimator or a resampling scheme does not fit.
     """
     model, filter_model = models_of(job)
+    scenarios = job.scenarios
     evaluator = carried_evaluator(
         model,
         filter_model,
@@ -84,9 +90,12 @@ def build(job: Job) -> Built:
         estimations=(_comparing(job), Settings.from_job(job).estimation),
         clock=job.problem.clock.times if job.problem.has_clock else None,
         weights=job.problem.weights,
+        scenarios=scenarios.each if scenarios else (),
+        told=scenarios is not None and scenarios.filter == "told",
     )
     # To a filter that is wrong about the truth, one more measurement may do harm.
-    feasible, is_wrong = job.problem.feasible, filter_model.key != model.key
+    feasible = job.problem.feasible
+    is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
     feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
     study = Study(job, feasible)
     guide = evaluator.guiding_estimator
