@@ -10,6 +10,7 @@ from pfdist.answers.bound import proof
 from pfdist.answers.budget import budget
 from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
+from pfdist.answers.robust import scenarios
 from pfdist.answers.subject import (
     Subject,
     effect,
@@ -86,7 +87,9 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         After so many seconds the page reloads itself; 0 for never.
     """
     subject = Subject(run)
-    chapters: Sequence[Chapter] = (answer, compared, problem, gains, proof, worth, online)
+    chapters: Sequence[Chapter] = (
+        answer, scenarios, compared, problem, gains, proof, worth, online,
+    )  # fmt: skip
     if run.has_budget:
         chapters = (budget, problem)
     name = without_folder(subject.run.job["model"]["name"])
@@ -113,7 +116,7 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, gains, compared, online)
+    chapters: Sequence[Chapter] = (answer, gains, scenarios, compared, online)
     if run.has_budget:
         chapters = (budget,)
     summary = subject.summary

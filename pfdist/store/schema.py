@@ -263,9 +263,11 @@ def schema(table: str) -> pa.Schema:
     return _schema(table, _SCHEMAS[table])
 
 
-def comparison_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of the comparison of these sets: a row a draw, a column a set."""
-    return _of_sets("comparison", "mse", "null: degenerate with this set", names)
+def comparison_schema(names: Sequence[str], *, with_scenarios: bool = False) -> pa.Schema:
+    """Schema of the comparison of these sets: a row a draw, a column a set, and the scenario."""
+    comparison = _of_sets("comparison", "mse", "null: degenerate with this set", names)
+    scenario = _column("scenario", pa.int16(), "", "number of the draw's scenario, from 0")
+    return comparison.append(scenario) if with_scenarios else comparison
 
 
 def distance_schema(names: Sequence[str]) -> pa.Schema:
