@@ -51,6 +51,11 @@ class Bound(Shown):
         where it is not known.
     is_constrained : bool
         Whether the job excludes some times, beside their number or cost.
+    has_scenarios : bool
+        Whether the job has scenarios. Then the bound is that of a filter that is told the scenario.
+    shares : tuple of float
+        Shares of the scenarios on the draws of the bound, if the worst scenario decides; else
+        empty.
     """
 
     run: Path
@@ -64,6 +69,8 @@ class Bound(Shown):
     gaps: list[Gap]
     losses: dict[str, ParticleLoss]
     is_constrained: bool = False
+    has_scenarios: bool = False
+    shares: tuple[float, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -162,6 +169,8 @@ def bound(
         [_on_clock(gap, built.job.problem.clock) for gap in look.gaps],
         proved.particle_losses(),
         built.job.problem.is_constrained,
+        built.job.scenarios is not None,
+        prover.shares,
     )
 
 

@@ -376,8 +376,6 @@ class Evaluator:
     def _for(self, work: Work) -> "Evaluator":
         """The evaluator with the filter's model and the weights of a work."""
         evaluator = self.truth if work.knows_truth else self
-        if work.shares:
-            evaluator = evaluator.with_shares(work.shares)
         return evaluator if work.weighted else replace(evaluator, weights=None, estimations=())
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:

@@ -72,7 +72,6 @@ class Work:
     knows_truth: bool = False
     # whether errors of instants have the evaluator's weights; otherwise all count alike
     weighted: bool = True
-    shares: tuple[float, ...] = ()  # of the scenarios; empty: those of the evaluator
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.

@@ -270,6 +270,13 @@ def comparison_schema(names: Sequence[str], *, with_scenarios: bool = False) -> 
     return comparison.append(scenario) if with_scenarios else comparison
 
 
+def bound_schema(*, with_shares: bool) -> pa.Schema:
+    """Schema of proofs, with the shares of the scenarios where the worst scenario decides."""
+    shares = _column("shares", pa.list_(pa.float64()), "", "of the scenarios in the bound")
+    bound = schema("bound")
+    return bound.append(shares) if with_shares else bound
+
+
 def distance_schema(names: Sequence[str]) -> pa.Schema:
     """Schema of the errors that the filters' noise adds: a row a draw, a column a set."""
     text = "half the squared distance of two filters' estimates; null: degenerate"
