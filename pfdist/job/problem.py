@@ -46,6 +46,9 @@ class Problem(Shown):
         The model; or a name as in a job file: "ungm", or "path/file.py:object".
     filter_model : StateSpaceModel or str, optional
         The model that the filter uses, if it differs from the truth.
+    scenarios : mapping of str to object, optional
+        Parameters that the truth may have, as in the section [scenarios] of a job file, for
+        instance ``{"parameters": [{"k": 0.8}, {"k": 1.2}], "criterion": "worst"}``.
     horizon : int or float
         T: the instants are 0..T. With a clock, the time of the last instant.
     time_step, time_unit, times : float, str and sequence of float, optional
@@ -96,6 +99,7 @@ class Problem(Shown):
         model: StateSpaceModel | str,
         *,
         filter_model: StateSpaceModel | str | None = None,
+        scenarios: Mapping[str, Any] | None = None,
         **keys: Any,
     ) -> None:
         self._model, believed = _given(model, "model"), None
@@ -104,7 +108,13 @@ class Problem(Shown):
                 self._model if filter_model is model else _given(filter_model, "filter_model")
             )
         self._filter_model = None if believed is self._model else believed
-        self._arguments = {"model": self._model, "filter_model": believed, **keys}
+        self._arguments = {
+            "model": self._model,
+            "filter_model": believed,
+            "scenarios": scenarios,
+            **keys,
+        }
+        self._scenarios = {} if scenarios is None else {"scenarios": _plain(scenarios)}
         self._keys = _by_section(_plain_keys(keys))
         self.job()
 
@@ -151,7 +161,8 @@ class Problem(Shown):
             Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
         )
         filled = {name: section for name, section in sections.items() if section is not None}
-        data = {"seed": _plain(seed), "model": self._models(), **self._keys, **filled}
+        own = {"seed": _plain(seed), "model": self._models(), **self._scenarios, **self._keys}
+        data = {**own, **filled}
         return Job(origin, **data)
 
     def _models(self) -> dict[str, Any]:
@@ -172,7 +183,7 @@ class Problem(Shown):
     __hash__ = None  # type: ignore[assignment]
 
     def _page(self) -> parts.Page:
-        keys = {**self._keys["problem"], **self._keys["filter"]}
+        keys = {**self._keys["problem"], **self._keys["filter"], **self._scenarios}
         first = ("horizon", "measurement_budget", "total_cost")
         about = ", ".join(f"{key} {keys[key]}" for key in first if key in keys)
         models = {"model": self._model, "filter_model": self._filter_model}
@@ -226,7 +237,7 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     allowed = [key for section in _SECTIONS.values() for key in section.model_fields]
     for key in keys:
         if key not in allowed:
-            names = ["filter_model", *allowed]
+            names = ["filter_model", "scenarios", *allowed]
             raise JobError(
                 f"unknown argument {shown(key)} of Problem, allowed: {', '.join(names)}"
                 f"{did_you_mean(key, names)}"

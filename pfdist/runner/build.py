@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.component_names import Component
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
@@ -15,6 +18,7 @@ from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
 from pfdist.filters.work import Estimation
 from pfdist.job.job import ONLINE, Job
+from pfdist.job.scenarios_section import Scenarios
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
@@ -52,6 +56,19 @@ class Built:
         """Whether the cost of a set is the expected MSE of its worst scenario."""
         return self.job.scenarios is not None and self.job.scenarios.is_worst
 
+    def exact_costs(
+        self, sets: Sequence[Times], ends: Sequence[int] | None = None, *, additive: bool = False
+    ) -> NDArray[np.float64]:
+        """The cost of each set up to its end, (S,), from an exact engine.
+
+        If `additive`, it is the mean over scenarios even if the worst scenario decides.
+        """
+        if additive or not self.is_worst:
+            return self.evaluator.expected_mse(sets, ends)
+        costs = [each.expected_mse(sets, ends) for each in self.evaluator.of_scenarios]
+        worst: NDArray[np.float64] = np.max(costs, axis=0)
+        return worst
+
     @property
     def phases(self) -> list[str]:
         """Names of all phases of the searches."""
@@ -81,7 +98,6 @@ def build(job: Job) -> Built:
     range, or if an estimator or a resampling scheme does not fit.
     """
     model, filter_model = models_of(job)
-    scenarios = job.scenarios
     evaluator = carried_evaluator(
         model,
         filter_model,
@@ -90,9 +106,9 @@ def build(job: Job) -> Built:
         estimations=(_comparing(job), Settings.from_job(job).estimation),
         clock=job.problem.clock.times if job.problem.has_clock else None,
         weights=job.problem.weights,
-        scenarios=scenarios.each if scenarios else (),
-        told=scenarios is not None and scenarios.filter == "told",
     )
+    if job.scenarios is not None:
+        evaluator = _with_scenarios(evaluator, job.scenarios)
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
@@ -114,6 +130,13 @@ def build(job: Job) -> Built:
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
     return built
+
+
+def _with_scenarios(evaluator: Evaluator, section: Scenarios) -> Evaluator:
+    try:
+        return replace(evaluator, scenarios=section.each, told=section.filter == "told")
+    except ModelError as error:
+        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
 
 
 def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:

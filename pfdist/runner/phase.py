@@ -27,7 +27,7 @@ from pfdist.runner.search_tables import committed_generations, evaluation_rows, 
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import validated
 
 
 @dataclass(eq=False)
@@ -69,7 +69,7 @@ class Phase:
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
         self.knows_truth = knows_truth
         # Searches that add errors of instants, and are told means whatever the criterion is.
-        self._is_worst = built.is_worst and not additive
+        self.additive = additive
         # MSE of each draw by the evaluation's id, of this session, for sets that are requested
         # again.
         self.evaluated: dict[str, NDArray[np.float64]] = {}
@@ -119,20 +119,14 @@ class Phase:
             self.built, counted, streams, estimation, knows_truth=truth, phase=self.name
         )
 
-    def exact_costs(self, sets: Sequence[Times], ends: Sequence[int]) -> NDArray[np.float64]:
-        """The exact cost of each set up to its end, (S,)."""
-        evaluator = self.built.evaluator
-        if not self._is_worst:
-            return evaluator.expected_mse(sets, ends)
-        costs = [each.expected_mse(sets, ends) for each in evaluator.of_scenarios]
-        worst: NDArray[np.float64] = np.max(costs, axis=0)
-        return worst
-
     def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
         policy = self.settings.degenerate_policy
-        scenarios = self.built.evaluator.scenarios_of(request.stream, range(request.mse.size))
+        scenarios = None
+        if exact is None:
+            draws = range(request.mse.size)
+            scenarios = self.built.evaluator.scenarios_of(request.stream, draws)
         return Evaluation(
             times,
             request.mse,
@@ -141,7 +135,7 @@ class Phase:
             end,
             purpose=self.purpose,
             scenarios=scenarios,
-            is_worst=self._is_worst,
+            is_worst=self.built.is_worst and not self.additive,
         )
 
 
@@ -250,7 +244,8 @@ class _Generation:
 def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None:
     """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
-    costs = phase.exact_costs(sets, [request.end for request in requests])
+    ends = [request.end for request in requests]
+    costs = phase.built.exact_costs(sets, ends, additive=phase.additive)
     for request, cost in zip(requests, costs, strict=True):
         request.mse = np.empty(0)
         record(request.candidate, phase.evaluation(request, float(cost)))

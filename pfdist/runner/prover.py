@@ -206,10 +206,9 @@ class Prover:
 
     def _worst(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
         """The expected MSE of each set in its worst scenario, exact or of the comparison."""
-        evaluator = self._built.evaluator
-        if evaluator.exact:
-            costs = [each.expected_mse([*sets.values()]) for each in evaluator.of_scenarios]
-            return dict(zip(sets, map(Estimate, np.max(costs, axis=0).tolist()), strict=True))
+        if self._built.evaluator.exact:
+            costs = self._built.exact_costs([*sets.values()]).tolist()
+            return dict(zip(sets, map(Estimate, costs), strict=True))
         rows = run.scenarios()
         rows = rows.loc[rows.groupby("name")["expected_mse"].idxmax()].set_index("name")
         return {
