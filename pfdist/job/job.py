@@ -220,10 +220,10 @@ class Job(Section):
 
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     model: Model = Model()
-    scenarios: Scenarios | None = None
     problem: ProblemSection
     filter: Filter = Filter()
     evaluation: EvaluationSection = EvaluationSection()
+    scenarios: Scenarios | None = None
     search: tuple[Search, ...] = Field(
         default=(METHODS[DEFAULT_METHOD].section(),),
         max_length=MOST_SEARCHES,

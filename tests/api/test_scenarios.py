@@ -127,8 +127,15 @@ def test_the_cost_of_the_worst_is_the_largest_mean_and_differences_are_paired() 
 # --- plans, by brute force ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("criterion", ["mean", "worst"])
-@pytest.mark.parametrize("method", ["exhaustive", "exchange", "relaxation"])
+@pytest.mark.parametrize(
+    ("criterion", "method"),
+    [
+        ("mean", "exchange"),
+        ("mean", "relaxation"),
+        ("worst", "exhaustive"),
+        ("worst", "relaxation"),
+    ],
+)
 def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
     criterion: str, method: str, tmp_path: Path
 ) -> None:
@@ -139,6 +146,7 @@ def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
         ),
         tmp_path / "run",
         figures=False,
+        report=False,
     )
     found = combined(costs([run.sets()[method]], told=True), criterion)
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
@@ -153,23 +161,28 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
     of_sets = combined(costs(SETS, told=False), criterion)
     run = pfdist.run(
         problem(criterion, filter="nominal", particles=100).job(
-            search=[{"method": "exchange", "evaluation": {"draws": 3000, "particles": 100}}],
+            search=[
+                {
+                    "method": "exhaustive",
+                    "evaluation": {"draws": 720, "particles": 50, "noise": "common"},
+                }
+            ],
             comparison={"draws": 6000},
         ),
         tmp_path / "run",
         figures=False,
         report=False,
     )
-    times = run.sets()["exchange"]
+    times = run.sets()["exhaustive"]
     rows = run.scenarios()
-    own = rows[rows["name"] == "exchange"].set_index("scenario")
+    own = rows[rows["name"] == "exhaustive"].set_index("scenario")
     exact = costs([times], told=False)[0]
     # 100 particles cost about 1 / 100 more than the Kalman filter
     assert np.all(abs(own["expected_mse"] / 1.01 - exact) < 4 * own["standard_error"])
     error = own["standard_error"].max()
     assert combined(exact[None], criterion)[0] - of_sets.min() < 2 * error
     gap = {each.name: each for each in pfdist.bound(run, pfdist.BoundSettings(draws=1000)).gaps}[
-        "exchange"
+        "exhaustive"
     ]
     told = combined(costs(SETS, told=True), criterion).min()
     assert gap.reason == ""

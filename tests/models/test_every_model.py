@@ -10,7 +10,7 @@ from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
 HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
-CLOCKS = {"epidemic": range(81), "pharmacokinetics": HOURS}
+CLOCKS = {"epidemic": range(81), "pharmacokinetics": HOURS, "two_compartments": HOURS}
 
 
 @pytest.mark.zoo
@@ -24,6 +24,7 @@ CLOCKS = {"epidemic": range(81), "pharmacokinetics": HOURS}
         ("constant_velocity", 40, regular(40, 6), 500, 500),
         ("epidemic", 80, regular(80, 12), 1000, 500),
         ("pharmacokinetics", 17, (2, 5, 9, 13), 1000, 1000),
+        ("two_compartments", 17, (2, 5, 9, 13), 1000, 1000),
     ],
 )
 def test_measurements_help(name, horizon, some_times, draws, particles):
@@ -45,6 +46,7 @@ OUTSIDE = {
     "lotka_volterra": {"birth": -0.5, "step": -1.0, "measurement_sd": 0.0},
     "pharmacokinetics": {"clearance": 0.0, "volume_sd": -0.1, "measurement_sd": 0.0},
     "stochastic_volatility": {"phi": 1.0, "sigma": -0.1},
+    "two_compartments": {"clearance": 0.0, "dose_sd": -0.1, "measurement_sd": 0.0},
     "tumour": {"frequency_sd": -0.1, "measurement_sd": 0.0},
     "ungm": {"initial_sd": -1.0, "process_sd": -1.0, "measurement_sd": 0.0},
     "ungm_gordon": {"process_sd": -1.0, "measurement_sd": 0.0},
