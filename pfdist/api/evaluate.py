@@ -99,7 +99,7 @@ def prepare(
     written, are_named = {UNNAMED: measurement_times}, False
     if isinstance(measurement_times, Mapping):
         written, are_named = {**measurement_times}, True
-    sets = {name: _instants(job, name, times) for name, times in written.items()}
+    sets = {name: instants_of(job, name, times) for name, times in written.items()}
     if not sets:
         raise JobError("evaluate needs at least one set of times, got none", argument="times")
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
@@ -109,7 +109,7 @@ def prepare(
     evaluator, clock = built.evaluator, job.problem.clock
     if evaluator.exact:
         return partial(_exact, built, sets, policy, clock)
-    evaluation = Settings.from_job(job)
+    evaluation = Settings.from_job(built.job)
     work = Work(
         measurement_times=tuple(sets.values()),
         ends=(evaluator.horizon,) * len(sets),
@@ -122,7 +122,7 @@ def prepare(
     return partial(_estimated, built, work, policy, clock)
 
 
-def _instants(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
+def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
     """The instants of a set; the error names the option, and the set if it has a name."""
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()

@@ -159,6 +159,20 @@ class Evaluator:
             return None
         return scenarios_of_draws([each.share for each in self.scenarios], stream, draws)
 
+    @cached_property
+    def self_consistent(self) -> "Evaluator":
+        """The same evaluator whose draws are those of the filter's model."""
+        if self.believed == self.model and self.told == bool(self.scenarios):
+            return self
+        return replace(
+            self,
+            model=self.believed,
+            filter_model=None,
+            carried=self.carried[1:] * 2,
+            estimations=(),
+            scenarios=self.scenarios if self.told else (),
+        )
+
     @property
     def computed_by(self) -> Engine:
         """The engine that computes."""
