@@ -1,6 +1,7 @@
 """The section [scenarios] of a job file: parameters that the truth may have."""
 
 import math
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Annotated, Any, Literal, Self
 
@@ -25,9 +26,9 @@ class Scenarios(Section):
     """Parameters that the truth may have. Each draw has those of one scenario.
 
     Scenarios are a list of parameters. They may also have a distribution for each parameter: then
-    each of ``count`` scenarios has the median of one of ``count`` parts of equal probability. With
-    several parameters, the order of the parts of each is a permutation that its name gives (a Latin
-    hypercube).
+    each of ``count`` scenarios has the median of one of ``count`` parts of equal probability. The
+    parts of the first parameter are in order, and those of each other parameter in an order that
+    its name gives (a Latin hypercube).
     """
 
     parameters: (
@@ -92,8 +93,8 @@ class Scenarios(Section):
         if isinstance(self.parameters, dict):
             count = self.count or 0
             columns = [
-                _quantiles(name, kind, numbers, count)
-                for name, distribution in self.parameters.items()
+                _quantiles(kind, numbers, _parts(name if number else "", count))
+                for number, (name, distribution) in enumerate(self.parameters.items())
                 for kind, numbers in distribution.items()
             ]
             return tuple(
@@ -128,11 +129,17 @@ def _are_two_numbers(value: Any) -> bool:
     )
 
 
-def _quantiles(name: str, kind: str, numbers: tuple[float, float], count: int) -> list[float]:
-    """The medians of so many parts of equal probability, in an order that the name gives."""
+def _parts(name: str, count: int) -> list[float]:
+    """The middles of so many parts of 0..1, in an order that the name gives; ascending without."""
+    order = sorted(
+        range(count), key=lambda part: stream_key("scenarios", name, part) if name else part
+    )
+    return [(part + 0.5) / count for part in order]
+
+
+def _quantiles(kind: str, numbers: tuple[float, float], shares: Sequence[float]) -> list[float]:
+    """The quantiles of a distribution at these shares."""
     first, second = numbers
-    order = sorted(range(count), key=lambda part: stream_key("scenarios", name, part))
-    shares = [(part + 0.5) / count for part in order]
     if kind == "uniform":
         return [first + share * (second - first) for share in shares]
     scores = [second * NormalDist().inv_cdf(share) for share in shares]
