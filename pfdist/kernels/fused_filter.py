@@ -18,6 +18,17 @@ from pfdist.kernels.components import naming, reader, tuple_of, writer
 from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.guiding import (
+    always,
+    carried_log_weights,
+    equal_weights,
+    guided_step,
+    if_uneven,
+    no_log_weights,
+    plain_step,
+    resumed_weights,
+    zero_log_weights,
+)
 from pfdist.kernels.melting import melted
 from pfdist.kernels.resampling import RESAMPLE
 from pfdist.kernels.schemes import ALL_SCHEMES
@@ -154,6 +165,7 @@ class Request(NamedTuple):
     particles: int
     weights: ErrorWeights  # the terms of the estimator
     instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
+    threshold: float  # see `pfdist.kernels.schemes.threshold_of`
     parameters: NDArray[np.float64]  # of the filter's model
     true_parameters: NDArray[np.float64]  # of the truth
 
@@ -168,6 +180,7 @@ class Results(NamedTuple):
     # those of its shared prefix. The caller fills them with 0.
     errors: NDArray[np.float64]
     cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
+    weight: NDArray[np.float64]  # (D, P): their weights, if the filter carries weights
     # (2,): the row of the draw and the number of the set that are filtered now; Python reads them
     # if a formula fails
     at: NDArray[np.int64]
@@ -197,20 +210,23 @@ def fused_filter(
     components: tuple[int, int, int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
+    carries: bool = False,
 ) -> WithScratch:
     """Compile ``filter_draws(request, plan, results)``, or load it from disk.
 
     It takes a `Request`, a `pfdist.kernels.prefixes.Plan` and `Results`, which it fills.
     `functions` are initial, transition, log_likelihood and quantity_of_interest of the filter's
     model, and error of the truth. `noise_kinds` are those of the initial state and of the process,
-    and `components` the numbers of components of x, y and z. `parameters` names those of the
-    filter's model, and of the truth.
+    and `components` the numbers of components of x, y and z. A guided filter has two functions
+    more, proposal and proposal_log_density, and the kinds of the proposal's variates. `parameters`
+    names those of the filter's model, and of the truth. `carries` says whether the filter may carry
+    weights from one measurement to the next.
     """
     states, _, quantities = components
     noise_rows = max(1, *map(len, noise_kinds))
     compiled = cached_on_disk(
-        _filter_draws(functions, noise_kinds, components, parameters, resampling),
-        functions, noise_kinds, components, parameters, resampling,
+        _filter_draws(functions, noise_kinds, components, parameters, resampling, carries),
+        functions, noise_kinds, components, parameters, resampling, carries,
     )  # fmt: skip
 
     def with_scratch(request, plan, results):
@@ -231,9 +247,10 @@ def _filter_draws(
     components: tuple[int, int, int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
+    carries: bool,
 ) -> Callable[..., None]:
     """The loop over draws, filters and sets of times, which is compiled when it is first called."""
-    filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
+    filter_draw = _filter_draw(functions, noise_kinds, components, resampling, carries)
     named, named_truth = map(naming, parameters)
     noise_rows = max(1, *map(len, noise_kinds))
     states, _, quantities = components
@@ -261,13 +278,25 @@ def _filter_draw(
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
     resampling: str,
+    carries: bool,
 ) -> Callable[..., float]:
     """Compile the filter of one draw with one set of times, which returns the draw's MSE.
 
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
-    begin, propagate, fill_log_weights = cloud_steps(functions[:3], noise_kinds, components)
+    guided = len(functions) > 5
+    begin, propagate, fill_log_weights = cloud_steps(
+        functions[:3], noise_kinds[:2], components, guided or carries
+    )
     weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
+    first_weights, resample, step = equal_weights, always(resample_cloud), plain_step(propagate)
+    begin_log_weights = zero_log_weights if guided else no_log_weights
+    if carries:
+        first_weights, resample = resumed_weights, if_uneven(resample_cloud)
+        begin_log_weights = carried_log_weights
+    if guided:
+        formulas = (functions[1], *functions[5:])
+        step = guided_step(propagate, formulas, noise_kinds[1:], components)
     fill_terms, fill_squares, mean_of = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, error_by_variance = recorders(functions[4], components[2])
@@ -275,9 +304,9 @@ def _filter_draw(
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
-        stream, filter_number, draw, d, s = at
-        particles, p, truth = request.particles, models.p, models.truth
-        cloud, noise, weight, terms = scratch.cloud, scratch.noise, scratch.weight, scratch.terms
+        filter_number, d, s = at.filter_number, at.d, at.s
+        p, truth = models.p, models.truth
+        cloud, weight, terms = scratch.cloud, scratch.weight, scratch.terms
         weights, saved, first_means = request.weights, scratch.saved, scratch.first_means
         measured, begins, ends, sources, first_stops, stops, slots = plan
         only_by_error = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
@@ -285,6 +314,7 @@ def _filter_draw(
         goes_on = slots[behind - 1] >= 0 or results.cloud.size > 0  # its last cloud counts
         here, stop, source = np.int64(0), begins[s], sources[s] if begins[s] > 0 else np.int64(-1)
         error = begin(at, request, p, scratch, source)
+        row, total = first_weights(scratch, source, request)
         # At each instant: propagate, weight, estimate, resample. The estimate comes before
         # resampling, which adds noise. The loop pauses at each instant whose cloud a later set
         # needs: cloud[here] is then resampled, but not yet propagated to that instant.
@@ -292,11 +322,12 @@ def _filter_draw(
             first, stop, k = stop, stops[k], k + 1
             for t in range(first, stop):
                 instant = request.start + t
+                if measured[s, t]:
+                    begin_log_weights(scratch, row)
                 if t > 0:
-                    propagate(cloud, here, noise, particles, p, stream, draw, instant - 1)
+                    step(scratch, here, request, p, at, t, measured[s, t])
                     here = 1 - here
                 put_truth(cloud, here, request.x, d, t)
-                row, total = EQUAL, float(particles)
                 if measured[s, t]:
                     here, total = weigh_cloud(scratch, here, request, p, d, t)
                     row = WEIGHTED
@@ -322,9 +353,13 @@ def _filter_draw(
                 if not error < np.inf:
                     return _end(saved.errors, slots[k - 1 : behind], np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):
-                    here = resample_cloud(scratch, here, particles, stream, draw, instant)
+                    here, row, total = resample(scratch, here, request, total, at, instant)
             _save(cloud, here, saved, slots[k - 1], error)  # inside the loop over t it costs 3 %
+            if carries:
+                _save_weights(weight, row, saved.weights, slots[k - 1])
         _keep(cloud, here, results.cloud, d)
+        if carries:
+            _keep_weights(weight, row, results.weight, d)
         return _mean(error, measured.shape[1], saved.errors, slots[k:behind])
 
     return filter_draw
@@ -365,6 +400,22 @@ def _save(cloud, here, saved, slot, error):
     if slot >= 0:
         saved.errors[slot] = error
         copy_cloud(cloud, here, saved.clouds, slot)
+
+
+@melted
+def _save_weights(weight, row, saved_weights, slot):
+    """Save the weights that belong to a saved cloud."""
+    if slot >= 0:
+        for i in range(weight.shape[1]):
+            saved_weights[slot, i] = weight[row, i]
+
+
+@melted
+def _keep_weights(weight, row, result, d):
+    """Copy the weights of a draw's particles into the results, if they are wanted."""
+    if result.size > 0:
+        for i in range(result.shape[1]):
+            result[d, i] = weight[row, i]
 
 
 @melted

@@ -41,13 +41,12 @@ def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list
     sizes = [math.nan] * len(times)
     for number, (t, measured) in enumerate(zip(times, y, strict=True)):
         try:
-            predicted, *_ = filtering.at(t)
-            filtering, *_ = predicted.at(t, measured)
+            after, *_ = filtering.at(t, measured)
+            weighted = explained(filtering, t, measured)
         except MeasurementsError:
             return sizes  # from here on the filter has no belief
-        cloud = cast(Cloud, predicted.settings.prior)
-        share, _ = weights_after(filtering.model, cloud, measured)
-        sizes[number] = Particles(cloud.x, share).effective_sample_size()
+        sizes[number] = Particles(weighted.cloud.x, weighted.share).effective_sample_size()
+        filtering = after
     return sizes
 
 
@@ -119,7 +118,7 @@ def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Arr
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
     job = built.job.filter
-    settings = FilterSettings(job.particles, job.resampling)
+    settings = FilterSettings(job.particles, job.resampling, threshold=job.threshold)
     first = begin(built.evaluator.believed, settings, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [
