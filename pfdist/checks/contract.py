@@ -37,8 +37,13 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
             z = _finite(model, "quantity_of_interest", "z", t, x, t)
             model.log_likelihood(y, x, t, model.p)
             model.error(z, z, t, model.p)
+            if model.guided and t > 0:
+                u = _noise(model.proposal_variates, rng)
+                drawn = _finite(model, "proposal", "w", t - 1, before, y, t - 1, u)
+                model.proposal_log_density(drawn, before, y, t - 1, model.p)
             for part, values in zip(parts, (x, y, z), strict=True):
                 part.append(np.stack(values, axis=1))
+            before = x
             if t < horizon:
                 x = _finite(model, "transition", "x", t + 1, x, t, w)
     states, measured, wanted = (np.stack(part[: last + 1], axis=1) for part in parts)

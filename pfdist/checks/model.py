@@ -13,7 +13,7 @@ from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
-from pfdist.checks.measured import missing_components, normalised
+from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
@@ -152,6 +152,8 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         looks["normalised"] = normalised
     if model.missing_components:
         looks["missing components"] = missing_components
+    if model.guided:
+        looks["proposal"] = proposal
     if engine == "numpy":
         looks = {look: looks[look] for look in looks if look not in _COMPILED}
     looks["every instant"] = partial(_every_instant, engine)

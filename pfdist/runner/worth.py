@@ -6,7 +6,7 @@ Everything is computed on new draws, which neither chose the times nor compared 
 import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from pfdist.analysis import Moments
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError
-from pfdist.filters.cloud import Cloud
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.sequential.beliefs import Particles, weights_after
+from pfdist.sequential.beliefs import Particles, explained
 from pfdist.sequential.one_filter import OneFilter, begin
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
