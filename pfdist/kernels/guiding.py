@@ -1,0 +1,195 @@
+"""Guided steps, and weights that are carried over a measurement.
+
+A guided filter draws the process noise w of the step to a measured instant from a proposal, which
+knows the measurement. The weight of a particle is then p(y | x) p(w) / q(w | x, y). A filter that
+does not always resample carries its weights to the next measurement, where they are factors.
+
+Log-weights are collected in `pfdist.kernels.scratch.Scratch.log_weight`: first the logarithm of the
+carried weights, then what the proposal contributes, and at last the log-likelihood.
+
+Sources: Doucet, Godsill, Andrieu, "On sequential Monte Carlo sampling methods for Bayesian
+filtering", Statistics and Computing 10, 2000. Chopin, Papaspiliopoulos, "An introduction to
+sequential Monte Carlo", 2020, chapter 10.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.kernels.arithmetic import row_sum
+from pfdist.kernels.cloud import repeat_first
+from pfdist.kernels.components import reader, tuple_of, writer
+from pfdist.kernels.elementary import log
+from pfdist.kernels.formulas import formula
+from pfdist.kernels.melting import melted
+from pfdist.kernels.noise import FILTER_PROCESS, filler
+from pfdist.kernels.scratch import EQUAL, WEIGHTED
+from pfdist.kernels.weights import cumulate
+
+_LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
+_CENTRES = {"normal": 0.0, "uniform": 0.5, "centred": 0.0}
+
+
+def plain_log_density(kinds: tuple[str, ...], w: tuple[Any, ...]) -> NDArray[np.float64]:
+    """Log-density of noise of these kinds, for arrays; plain twin of `_log_density_of`."""
+    total = np.zeros(np.broadcast_shapes(*map(np.shape, w)))
+    for kind, value in zip(kinds, w, strict=True):
+        normal = -0.5 * np.square(value) - _LOG_OF_ROOT
+        uniform = np.where(np.abs(value - _CENTRES[kind]) <= 0.5, 0.0, -np.inf)
+        total = total + (normal if kind == "normal" else uniform)
+    return total
+
+
+def _log_density_of(kinds: tuple[str, ...]) -> Callable[..., Any]:
+    """Compile the log-density of noise of these kinds."""
+
+    @melted
+    def component(value, is_normal, centre):
+        uniform = 0.0 if abs(value - centre) <= 0.5 else -np.inf
+        return -0.5 * value * value - _LOG_OF_ROOT if is_normal else uniform
+
+    components = tuple_of(
+        len(kinds), "w", "component(w[c], is_normal[c], centre[c])", component=component,
+        is_normal=tuple(kind == "normal" for kind in kinds), centre=tuple(map(_CENTRES.get, kinds)),
+    )  # fmt: skip
+
+    @melted
+    def log_density(w):
+        total = 0.0
+        for value in components(w):
+            total += value
+        return total
+
+    return log_density
+
+
+# --- the step to a measured instant ---------------------------------------------------------------
+
+
+def guided_step(
+    propagate: Callable[..., None],
+    formulas: tuple[Callable[..., Any], ...],
+    noise_kinds: tuple[tuple[str, ...], tuple[str, ...]],
+    components: tuple[int, int, int],
+) -> Callable[..., None]:
+    """Compile ``step(scratch, here, request, p, at, t, is_measured)``, from the instant t - 1 to t.
+
+    If t is measured, the step adds log p(w) - log q(w | x, y) to each particle's log-weight;
+    otherwise it is `propagate`. `formulas` are transition, proposal and proposal_log_density, and
+    `noise_kinds` those of the process and of the proposal.
+    """
+    transition, proposal, log_density_of_proposal = (
+        formula(function, name)
+        for function, name in zip(
+            formulas, ("transition", "proposal", "proposal_log_density"), strict=True
+        )
+    )
+    process, variates = noise_kinds
+    fill_u, read_u = filler(variates), reader(len(variates), "c, i")
+    log_density, as_floats = _log_density_of(process), tuple_of(len(process), "w", "float64(w[c])")
+    states, measurements, _ = components
+    read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
+    read_y = reader(measurements, "d, t, c")
+
+    @melted
+    def step(scratch, here, request, p, at, t, is_measured):
+        cloud, noise, log_weight = scratch.cloud, scratch.noise, scratch.log_weight
+        particles, before = request.particles, request.start + t - 1
+        if not is_measured:
+            propagate(cloud, here, noise, particles, p, at.stream, at.draw, before)
+            return
+        fill_u(noise, particles, at.stream, at.draw, before, FILTER_PROCESS)
+        repeat_first(noise, particles, cloud.shape[2])
+        y = read_y(request.y, at.d, t)
+        for i in range(cloud.shape[2]):
+            x = read_x(cloud, here, i)
+            w = as_floats(proposal(x, y, before, read_u(noise, i), p))
+            write_x(cloud, 1 - here, i, transition(x, before, w, p))
+            log_weight[i] += log_density(w) - log_density_of_proposal(w, x, y, before, p)
+
+    return step
+
+
+def plain_step(propagate: Callable[..., None]) -> Callable[..., None]:
+    """Compile the step of a filter without a proposal; see `guided_step`."""
+
+    @melted
+    def step(scratch, here, request, p, at, t, is_measured):
+        cloud, noise, before = scratch.cloud, scratch.noise, request.start + t - 1
+        propagate(cloud, here, noise, request.particles, p, at.stream, at.draw, before)
+
+    return step
+
+
+# --- weights between measurements -----------------------------------------------------------------
+
+
+@melted
+def no_log_weights(scratch, row):
+    """Leave the log-weights: the filter neither guides nor carries."""
+
+
+@melted
+def zero_log_weights(scratch, row):
+    """Begin the log-weights of a guided filter that always resamples."""
+    for i in range(scratch.log_weight.size):
+        scratch.log_weight[i] = 0.0
+
+
+@melted
+def carried_log_weights(scratch, row):
+    """Begin the log-weights of a filter that carries weights, in a row of `Scratch.weight`."""
+    for i in range(scratch.log_weight.size):
+        scratch.log_weight[i] = log(np.float64(scratch.weight[row, i]))
+
+
+@melted
+def equal_weights(scratch, source, request):
+    """Row and total of the weights with which a filter begins or resumes, if it carries none."""
+    return EQUAL, float(request.particles)
+
+
+@melted
+def resumed_weights(scratch, source, request):
+    """Row and total of the weights that belong to the saved cloud or to the prior."""
+    weight, size = scratch.weight, scratch.log_weight.size
+    if source >= 0:
+        for i in range(size):
+            weight[WEIGHTED, i] = scratch.saved.weights[source, i]
+    elif request.prior.weight.size > 0:
+        for i in range(request.particles):
+            weight[WEIGHTED, i] = request.prior.weight[i]
+    else:
+        return EQUAL, float(request.particles)
+    return WEIGHTED, cumulate(weight, WEIGHTED, size, scratch.resampling.cumulative)
+
+
+def always(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile ``resample(scratch, here, request, total, at, instant) -> here, row, total``."""
+
+    @melted
+    def resample(scratch, here, request, total, at, instant):
+        here = resample_cloud(scratch, here, request.particles, at.stream, at.draw, instant)
+        return here, EQUAL, float(request.particles)
+
+    return resample
+
+
+def if_uneven(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile `always`, but for clouds whose effective sample size reaches the threshold."""
+
+    @melted
+    def resample(scratch, here, request, total, at, instant):
+        weight, squares, particles = scratch.weight, scratch.terms, float(request.particles)
+        for i in range(squares.shape[1]):
+            squares[0, i] = np.float64(weight[WEIGHTED, i]) ** 2
+        least = request.threshold * particles
+        if total * total >= least * row_sum(squares, np.uintp(0)):
+            return here, WEIGHTED, total
+        here = resample_cloud(scratch, here, request.particles, at.stream, at.draw, instant)
+        return here, EQUAL, particles
+
+    return resample
