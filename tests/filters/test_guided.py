@@ -53,14 +53,14 @@ def standard_errors(difference: Array) -> float:
     ("model", "resampling", "threshold"),
     [
         (growth, "multinomial", ALWAYS),
-        (growth, "sorted_systematic", 0.5),
+        (growth, "sorted_systematic", 0.1),
         (STEPS, "systematic", 0.7),
         pytest.param(STEPS, "residual", 1.0, marks=pytest.mark.slow),
-        pytest.param(bootstrap(growth), "systematic", 0.5, marks=pytest.mark.slow),
+        pytest.param(bootstrap(growth), "systematic", 0.1, marks=pytest.mark.slow),
         pytest.param(sharp_walk(3), "stratified", 0.5, marks=pytest.mark.slow),
         pytest.param(echoes, "multinomial", 0.3, marks=pytest.mark.slow),
     ],
-    ids=str,
+    ids=lambda each: getattr(each, "name", str(each)),
 )
 def test_compiled_and_plain_filter_agree_draw_for_draw(
     model: StateSpaceModel, resampling: str, threshold: float
@@ -121,7 +121,7 @@ def test_four_sharp_sensors_with_clutter() -> None:
 
 
 @pytest.mark.parametrize("threshold", [ALWAYS, 0.5])
-@pytest.mark.parametrize("model", [growth, STEPS], ids=str)
+@pytest.mark.parametrize("model", [growth, STEPS], ids=lambda each: each.name)
 def test_a_proposal_changes_no_expected_estimate(model: StateSpaceModel, threshold: float) -> None:
     """With many particles, the filters with and without a proposal agree on every draw."""
     draws, particles = simulate(model, HORIZON, range(60), 8), 20_000
