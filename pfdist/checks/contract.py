@@ -30,14 +30,14 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
     instants = [*range(last + 1), *later]
     parts: tuple[list[Array], ...] = ([], [], [])
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        x = _finite(model, "initial", "x", 0, _noise(model.initial_noise, rng))
+        x = before = _finite(model, "initial", "x", 0, _noise(model.initial_noise, rng))
         for t in instants:
             v, w = _noise(model.measurement_noise, rng), _noise(model.process_noise, rng)
             y = _finite(model, "measurement", "y", t, x, t, v)
             z = _finite(model, "quantity_of_interest", "z", t, x, t)
             model.log_likelihood(y, x, t, model.p)
             model.error(z, z, t, model.p)
-            if model.guided and t > 0:
+            if model.proposal_log_density is not None and t > 0:
                 u = _noise(model.proposal_variates, rng)
                 drawn = _finite(model, "proposal", "w", t - 1, before, y, t - 1, u)
                 model.proposal_log_density(drawn, before, y, t - 1, model.p)

@@ -197,7 +197,8 @@ def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
             def log_density(points: Array, x: Any = x, y: Any = y, t: int = t) -> Array:
                 arguments = tuple(points), x, y, t, model.p
-                return values_of(model, "proposal_log_density", arguments, points.shape[1])[0]
+                (log,) = values_of(model, "proposal_log_density", arguments, points.shape[1])
+                return np.asarray(log, np.float64)
 
             where = f"x = {formatted_state(draws.x[draw, t])}, t = {t}"
             try:

@@ -105,34 +105,22 @@ def _filter(
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
-    total, alive, carried = np.zeros(count), np.ones(count, np.bool_), np.ones(cloud)
-    given = None
-    if isinstance(settings.prior, Cloud):
-        if settings.carries:
-            given = settings.prior.weight_of_filters(particles, draws.origin)
-        if given is None:
-            chosen = settings.prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
-        else:
-            chosen, carried = np.broadcast_to(np.arange(particles), cloud), carried * given
-        x = _states(_flat(tuple(settings.prior.x[:, chosen])), cloud)
-    else:
-        noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-        x = _states(model.initial(_flat(noise), model.p), cloud)
+    total, alive = np.zeros(count), np.ones(count, np.bool_)
+    x, carried = _first(model, draws, stream, settings)
     for k, t in enumerate(draws.instants):
-        log_guide: Any = 0.0
-        if k > 0 and t in times and settings.guides(model):
-            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
-            flat, log_guide = guided(model, _flat(x), y, t - 1, particles, stream, draws.index)
+        y, log_guide = (
+            tuple(np.repeat(values, particles) for values in draws.y[:, k].T),
+            np.zeros(1),
+        )
+        if k > 0:
+            seen = y if t in times and settings.guides(model) else None
+            flat, log_guide = step(model, _flat(x), seen, t - 1, particles, stream, draws.index)
             x = _states(flat, cloud)
-        elif k > 0:
-            w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
-            x = _states(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
         weight = carried
         if t in times:
-            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
             log_weight = model.log_likelihood(y, _flat(x), t, model.p) + log_guide
             weight = plain_weights(_of_cloud(log_weight, cloud) + np.log(carried))
             if scheme.sorts:
@@ -151,8 +139,7 @@ def _filter(
         total[infinite], alive[infinite] = np.inf, False
         if t in times:
             ancestors = plain_ancestors(settings.resampling, weight, stream, draws.index, t)
-            size = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
-            uneven = (size < settings.threshold * particles)[:, None]
+            uneven = _effective_sizes(weight) < settings.threshold * particles
             ancestors = np.where(uneven, ancestors, np.arange(particles))
             x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
             carried = np.where(uneven, 1.0, weight)
@@ -161,25 +148,50 @@ def _filter(
     return total / instants, mean, variance, last, carried
 
 
-def guided(
+def _first(
+    model: StateSpaceModel, draws: Draws, stream: int, settings: FilterSettings
+) -> tuple[tuple[Array, ...], Array]:
+    """States and weights, each (D, particles), with which the filters begin."""
+    prior, particles = settings.prior, settings.particles
+    cloud = (len(draws.index), particles)
+    if not isinstance(prior, Cloud):
+        noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
+        return _states(model.initial(_flat(noise), model.p), cloud), np.ones(cloud)
+    weight = prior.weight_of_filters(particles, draws.origin) if settings.carries else None
+    if weight is not None:
+        return _states(tuple(np.tile(prior.x, cloud[0])), cloud), np.tile(weight, (cloud[0], 1))
+    chosen = prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
+    return _states(_flat(tuple(prior.x[:, chosen])), cloud), np.ones(cloud)
+
+
+def step(
     model: StateSpaceModel,
     x: tuple[Array, ...],
-    y: tuple[Array, ...],
+    y: tuple[Array, ...] | None,
     t: int,
     particles: int,
     stream: int,
     draws: range,
 ) -> tuple[tuple[Any, ...], Array]:
-    """x(t+1) from x(t) by the proposal, given y at t + 1, and log p(w) - log q(w | x, y).
+    """x(t+1) from x(t), and log p(w) - log q(w | x, y) of a proposal that knows y at t + 1.
 
-    The particles of all draws lie along one axis. Plain twin of `pfdist.kernels.guiding`.
+    Without y the noise of the process makes the step. The particles of all draws lie along one
+    axis. Plain twin of `pfdist.kernels.guiding.step_of`.
     """
-    kinds = model.proposal_variates
-    u = _flat(_noise(kinds, particles, stream, draws, t, FILTER_PROCESS))
-    w = tuple(_like(part, x[0].shape) for part in model.proposal(x, y, t, u, model.p))
-    log_density = model.proposal_log_density(w, x, y, t, model.p)
-    following = model.transition(x, t, w, model.p)
-    return following, plain_log_density(model.process_noise, w) - log_density
+    kinds = model.process_noise if y is None else model.proposal_variates
+    w = _flat(_noise(kinds, particles, stream, draws, t, FILTER_PROCESS))
+    log_guide: Array = np.zeros(1)
+    if model.proposal is not None and model.proposal_log_density is not None and y is not None:
+        w = tuple(_like(part, x[0].shape) for part in model.proposal(x, y, t, w, model.p))
+        log_density = model.proposal_log_density(w, x, y, t, model.p)
+        log_guide = plain_log_density(model.process_noise, w) - log_density
+    return model.transition(x, t, w, model.p), log_guide
+
+
+def _effective_sizes(weight: Array) -> Array:
+    """Effective sample size of each draw's weights, (D, 1)."""
+    sizes: Array = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
+    return sizes[:, None]
 
 
 def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:

@@ -42,9 +42,7 @@ class Estimation:
     def recorded(self) -> dict[str, int | float | str]:
         """The fields by their names; a filter that always resamples has no threshold."""
         fields = vars(self)
-        return {
-            key: fields[key] for key in fields if key != "threshold" or self.threshold < ALWAYS
-        }
+        return {key: fields[key] for key in fields if key != "threshold" or self.threshold < ALWAYS}
 
     @property
     def steps_an_instant(self) -> int:

@@ -83,6 +83,13 @@ def cloud_steps(
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
 
+    fill_log_weights = _log_weights(log_likelihood, read_x, adds)
+    return begin, propagate, fill_log_weights
+
+
+def _log_weights(
+    log_likelihood: Callable[..., Any], read_x: Callable[..., Any], adds: bool
+) -> Callable[..., None]:
     @melted
     def fill_log_weights(cloud, here, particles, p, y, t, log_weight):
         for i in range(log_weight.size):
@@ -93,7 +100,7 @@ def cloud_steps(
         for i in range(particles, log_weight.size):
             log_weight[i] = IMPOSSIBLE
 
-    return begin, propagate, fill_log_weights
+    return fill_log_weights
 
 
 @melted

@@ -18,21 +18,11 @@ from pfdist.kernels.components import naming, reader, tuple_of, writer
 from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
-from pfdist.kernels.guiding import (
-    always,
-    carried_log_weights,
-    equal_weights,
-    guided_step,
-    if_uneven,
-    no_log_weights,
-    plain_step,
-    resumed_weights,
-    zero_log_weights,
-)
+from pfdist.kernels.guiding import step_of, weighting
 from pfdist.kernels.melting import melted
 from pfdist.kernels.resampling import RESAMPLE
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch, with_sizes
+from pfdist.kernels.scratch import WEIGHTED, WithScratch, filter_scratch, with_sizes
 from pfdist.kernels.sorting import sort_by_state
 from pfdist.kernels.weights import cumulate, weigh
 
@@ -289,14 +279,10 @@ def _filter_draw(
         functions[:3], noise_kinds[:2], components, guided or carries
     )
     weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
-    first_weights, resample, step = equal_weights, always(resample_cloud), plain_step(propagate)
-    begin_log_weights = zero_log_weights if guided else no_log_weights
-    if carries:
-        first_weights, resample = resumed_weights, if_uneven(resample_cloud)
-        begin_log_weights = carried_log_weights
-    if guided:
-        formulas = (functions[1], *functions[5:])
-        step = guided_step(propagate, formulas, noise_kinds[1:], components)
+    step = step_of(propagate, functions, noise_kinds, components)
+    first_weights, begin_log_weights, resample, copy_weights = weighting(
+        resample_cloud, guided, carries
+    )
     fill_terms, fill_squares, mean_of = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, error_by_variance = recorders(functions[4], components[2])
@@ -355,11 +341,9 @@ def _filter_draw(
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):
                     here, row, total = resample(scratch, here, request, total, at, instant)
             _save(cloud, here, saved, slots[k - 1], error)  # inside the loop over t it costs 3 %
-            if carries:
-                _save_weights(weight, row, saved.weights, slots[k - 1])
+            copy_weights(weight, row, saved.weights, slots[k - 1])
         _keep(cloud, here, results.cloud, d)
-        if carries:
-            _keep_weights(weight, row, results.weight, d)
+        copy_weights(weight, row, results.weight, d)
         return _mean(error, measured.shape[1], saved.errors, slots[k:behind])
 
     return filter_draw
@@ -400,22 +384,6 @@ def _save(cloud, here, saved, slot, error):
     if slot >= 0:
         saved.errors[slot] = error
         copy_cloud(cloud, here, saved.clouds, slot)
-
-
-@melted
-def _save_weights(weight, row, saved_weights, slot):
-    """Save the weights that belong to a saved cloud."""
-    if slot >= 0:
-        for i in range(weight.shape[1]):
-            saved_weights[slot, i] = weight[row, i]
-
-
-@melted
-def _keep_weights(weight, row, result, d):
-    """Copy the weights of a draw's particles into the results, if they are wanted."""
-    if result.size > 0:
-        for i in range(result.shape[1]):
-            result[d, i] = weight[row, i]
 
 
 @melted

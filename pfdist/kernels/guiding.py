@@ -66,28 +66,34 @@ def _log_density_of(kinds: tuple[str, ...]) -> Callable[..., Any]:
     return log_density
 
 
-# --- the step to a measured instant ---------------------------------------------------------------
+# --- the step to an instant -----------------------------------------------------------------------
 
 
-def guided_step(
+def step_of(
     propagate: Callable[..., None],
-    formulas: tuple[Callable[..., Any], ...],
-    noise_kinds: tuple[tuple[str, ...], tuple[str, ...]],
+    functions: tuple[Callable[..., Any], ...],
+    noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
 ) -> Callable[..., None]:
     """Compile ``step(scratch, here, request, p, at, t, is_measured)``, from the instant t - 1 to t.
 
-    If t is measured, the step adds log p(w) - log q(w | x, y) to each particle's log-weight;
-    otherwise it is `propagate`. `formulas` are transition, proposal and proposal_log_density, and
-    `noise_kinds` those of the process and of the proposal.
+    A guided filter has two functions behind the five others, proposal and proposal_log_density. If
+    t is measured, its step adds log p(w) - log q(w | x, y) to each particle's log-weight. All other
+    steps are `propagate`. Other arguments are those of `pfdist.kernels.fused_filter.fused_filter`.
     """
+
+    @melted
+    def plain_step(scratch, here, request, p, at, t, is_measured):
+        cloud, noise, before = scratch.cloud, scratch.noise, request.start + t - 1
+        propagate(cloud, here, noise, request.particles, p, at.stream, at.draw, before)
+
+    if len(functions) == 5:
+        return plain_step
     transition, proposal, log_density_of_proposal = (
-        formula(function, name)
-        for function, name in zip(
-            formulas, ("transition", "proposal", "proposal_log_density"), strict=True
-        )
+        formula(functions[place], name)
+        for place, name in ((1, "transition"), (5, "proposal"), (6, "proposal_log_density"))
     )
-    process, variates = noise_kinds
+    _, process, variates = noise_kinds
     fill_u, read_u = filler(variates), reader(len(variates), "c, i")
     log_density, as_floats = _log_density_of(process), tuple_of(len(process), "w", "float64(w[c])")
     states, measurements, _ = components
@@ -113,48 +119,33 @@ def guided_step(
     return step
 
 
-def plain_step(propagate: Callable[..., None]) -> Callable[..., None]:
-    """Compile the step of a filter without a proposal; see `guided_step`."""
-
-    @melted
-    def step(scratch, here, request, p, at, t, is_measured):
-        cloud, noise, before = scratch.cloud, scratch.noise, request.start + t - 1
-        propagate(cloud, here, noise, request.particles, p, at.stream, at.draw, before)
-
-    return step
-
-
 # --- weights between measurements -----------------------------------------------------------------
 
 
-@melted
-def no_log_weights(scratch, row):
-    """Leave the log-weights: the filter neither guides nor carries."""
+def weighting(
+    resample_cloud: Callable[..., Any], guided: bool, carries: bool
+) -> tuple[Callable[..., Any], ...]:
+    """Compile what happens to weights between measurements.
+
+    - ``first_weights(scratch, source, request) -> row, total`` of the cloud that `begin` took;
+    - ``begin_log_weights(scratch, row)``, before the step to a measured instant;
+    - ``resample(scratch, here, request, total, at, instant) -> here, row, total``;
+    - ``copy_weights(weight, row, others, place)``, with the cloud of the row, if place is not -1.
+    """
+    if carries:
+        return _resumed_weights, _carried_log_weights, _if_uneven(resample_cloud), _copy_weights
+    begin_log_weights = _zero_log_weights if guided else _no_log_weights
+    return _equal_weights, begin_log_weights, _always(resample_cloud), _no_weights
 
 
 @melted
-def zero_log_weights(scratch, row):
-    """Begin the log-weights of a guided filter that always resamples."""
-    for i in range(scratch.log_weight.size):
-        scratch.log_weight[i] = 0.0
-
-
-@melted
-def carried_log_weights(scratch, row):
-    """Begin the log-weights of a filter that carries weights, in a row of `Scratch.weight`."""
-    for i in range(scratch.log_weight.size):
-        scratch.log_weight[i] = log(np.float64(scratch.weight[row, i]))
-
-
-@melted
-def equal_weights(scratch, source, request):
-    """Row and total of the weights with which a filter begins or resumes, if it carries none."""
+def _equal_weights(scratch, source, request):
     return EQUAL, float(request.particles)
 
 
 @melted
-def resumed_weights(scratch, source, request):
-    """Row and total of the weights that belong to the saved cloud or to the prior."""
+def _resumed_weights(scratch, source, request):
+    """Take the weights of the saved cloud or of the prior, if they have any."""
     weight, size = scratch.weight, scratch.log_weight.size
     if source >= 0:
         for i in range(size):
@@ -167,9 +158,36 @@ def resumed_weights(scratch, source, request):
     return WEIGHTED, cumulate(weight, WEIGHTED, size, scratch.resampling.cumulative)
 
 
-def always(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile ``resample(scratch, here, request, total, at, instant) -> here, row, total``."""
+@melted
+def _no_log_weights(scratch, row):
+    """Do nothing: the log-likelihood alone is the log-weight."""
 
+
+@melted
+def _zero_log_weights(scratch, row):
+    for i in range(scratch.log_weight.size):
+        scratch.log_weight[i] = 0.0
+
+
+@melted
+def _carried_log_weights(scratch, row):
+    for i in range(scratch.log_weight.size):
+        scratch.log_weight[i] = log(np.float64(scratch.weight[row, i]))
+
+
+@melted
+def _copy_weights(weight, row, others, place):
+    if place >= 0 and others.size > 0:
+        for i in range(others.shape[1]):
+            others[place, i] = weight[row, i]
+
+
+@melted
+def _no_weights(weight, row, others, place):
+    """Do nothing: all weights are equal."""
+
+
+def _always(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
     @melted
     def resample(scratch, here, request, total, at, instant):
         here = resample_cloud(scratch, here, request.particles, at.stream, at.draw, instant)
@@ -178,8 +196,12 @@ def always(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
     return resample
 
 
-def if_uneven(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile `always`, but for clouds whose effective sample size reaches the threshold."""
+def _if_uneven(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
+    """Resample only if the effective sample size lies below the threshold.
+
+    Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
+    the American Statistical Association 89, 1994.
+    """
 
     @melted
     def resample(scratch, here, request, total, at, instant):

@@ -128,7 +128,8 @@ def _proposal(move: Array, push: Array, look: Array, noise: Array) -> tuple[Form
     gain, root = covariance @ scaled, np.linalg.cholesky(covariance)
     mean, unroot = np.hstack([gain, -gain @ look @ move]), np.linalg.inv(root)
     constant = float(np.log(np.diag(root)).sum() + len(root) * np.log(2 * np.pi) / 2)
-    draw, whiten = _sum(mean.tolist(), root.tolist()), _sum((-unroot @ mean).tolist(), unroot.tolist())
+    draw = _sum(mean.tolist(), root.tolist())
+    whiten = _sum((-unroot @ mean).tolist(), unroot.tolist())
 
     def log_density(w: Any, x: Any, y: Any, t: Any, p: Any) -> Any:
         total = -constant

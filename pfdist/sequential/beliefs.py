@@ -10,7 +10,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
-from pfdist.filters.plain import guided
+from pfdist.filters.plain import step
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
@@ -101,7 +101,7 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         if guides:
             draws = range(at.draw, at.draw + 1)
-            x, guide = guided(
+            x, guide = step(
                 model, tuple(cloud.x), measured, t - 1, cloud.particles, at.stream, draws
             )
             cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
@@ -147,8 +147,9 @@ def surprise_of_particles(
         for component, kind in enumerate(kinds)
     )
     states = cloud.x
-    if cloud.weight is not None:
-        states = states[:, cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)[0]]
+    if cloud.weight is not None:  # of a filter that carries weights
+        (chosen,) = cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)
+        states = states[:, chosen]
     x = tuple(np.tile(states, copies))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         simulated = model.measurement(x, cloud.t, v, model.p)

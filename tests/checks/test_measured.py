@@ -209,7 +209,9 @@ def test_check_model_looks_at_what_a_model_declares(tmp_path: Path) -> None:
 # --- proposals ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", [growth, sharp_walk(1), sharp_walk(3), echoes], ids=lambda each: each.name)
+@pytest.mark.parametrize(
+    "model", [growth, sharp_walk(1), sharp_walk(3), echoes], ids=lambda each: each.name
+)
 def test_right_proposals_are_accepted_with_what_their_particles_are_worth(
     model: StateSpaceModel,
 ) -> None:

@@ -331,7 +331,7 @@ def test_the_condition_of_resampling_is_written_only_if_it_is_not_the_default(wr
     )
     assert job_toml(plain.identity()) == job_toml(always.identity())
     assert plain.filter.threshold == np.inf
-    assert "resample = \"below 0.5\"" in job_toml(below.identity())
+    assert 'resample = "below 0.5"' in job_toml(below.identity())
     assert below.filter.threshold == 0.5
     with pytest.raises(JobError, match=r"filter\.resample must be 'always', or 'below'.*'half'"):
         load_job(write("[filter]", '[filter]\nresample = "half"'))

@@ -1,4 +1,4 @@
-"""Models with proposals, whose filters are compared with exact filters and with bootstrap filters."""
+"""Models with proposals, whose filters are compared with exact and with bootstrap filters."""
 
 from dataclasses import replace
 
