@@ -170,7 +170,7 @@ class Results(NamedTuple):
     # those of its shared prefix. The caller fills them with 0.
     errors: NDArray[np.float64]
     cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
-    weight: NDArray[np.float64]  # (D, P): their weights, if the filter carries weights
+    weight: NDArray[np.float64]  # (D, P): their weights
     # (2,): the row of the draw and the number of the set that are filtered now; Python reads them
     # if a formula fails
     at: NDArray[np.int64]
@@ -274,15 +274,14 @@ def _filter_draw(
 
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
-    guided = len(functions) > 5
     begin, propagate, fill_log_weights = cloud_steps(
-        functions[:3], noise_kinds[:2], components, guided or carries
+        functions[:3], noise_kinds[:2], components, carries or len(functions) > 5
     )
     weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
-    step = step_of(propagate, functions, noise_kinds, components)
-    first_weights, begin_log_weights, resample, copy_weights = weighting(
-        resample_cloud, guided, carries
+    begin_weighted, begin_log_weights, resample = weighting(
+        begin, resample_cloud, len(functions) > 5, carries
     )
+    step = step_of(propagate, begin_log_weights, functions, noise_kinds, components)
     fill_terms, fill_squares, mean_of = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, error_by_variance = recorders(functions[4], components[2])
@@ -290,8 +289,7 @@ def _filter_draw(
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
-        filter_number, d, s = at.filter_number, at.d, at.s
-        p, truth = models.p, models.truth
+        d, s, p, truth = at.d, at.s, models.p, models.truth
         cloud, weight, terms = scratch.cloud, scratch.weight, scratch.terms
         weights, saved, first_means = request.weights, scratch.saved, scratch.first_means
         measured, begins, ends, sources, first_stops, stops, slots = plan
@@ -299,8 +297,7 @@ def _filter_draw(
         k, behind = first_stops[s], first_stops[s + 1]  # of its next stop, and of all its stops
         goes_on = slots[behind - 1] >= 0 or results.cloud.size > 0  # its last cloud counts
         here, stop, source = np.int64(0), begins[s], sources[s] if begins[s] > 0 else np.int64(-1)
-        error = begin(at, request, p, scratch, source)
-        row, total = first_weights(scratch, source, request)
+        error, row, total = begin_weighted(at, request, p, scratch, source)
         # At each instant: propagate, weight, estimate, resample. The estimate comes before
         # resampling, which adds noise. The loop pauses at each instant whose cloud a later set
         # needs: cloud[here] is then resampled, but not yet propagated to that instant.
@@ -308,10 +305,8 @@ def _filter_draw(
             first, stop, k = stop, stops[k], k + 1
             for t in range(first, stop):
                 instant = request.start + t
-                if measured[s, t]:
-                    begin_log_weights(scratch, row)
                 if t > 0:
-                    step(scratch, here, request, p, at, t, measured[s, t])
+                    step(scratch, here, row, request, p, at, t, measured[s, t])
                     here = 1 - here
                 put_truth(cloud, here, request.x, d, t)
                 if measured[s, t]:
@@ -326,7 +321,15 @@ def _filter_draw(
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
                     variance = error_by_variance(
-                        weights, first_means, filter_number, s, t, mean, variances, truth, instant
+                        weights,
+                        first_means,
+                        at.filter_number,
+                        s,
+                        t,
+                        mean,
+                        variances,
+                        truth,
+                        instant,
                     )
                     weighed_variance = _weighed(variance, request.instant_weights[t])
                     error += weighed_variance
@@ -340,10 +343,9 @@ def _filter_draw(
                     return _end(saved.errors, slots[k - 1 : behind], np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):
                     here, row, total = resample(scratch, here, request, total, at, instant)
-            _save(cloud, here, saved, slots[k - 1], error)  # inside the loop over t it costs 3 %
-            copy_weights(weight, row, saved.weights, slots[k - 1])
-        _keep(cloud, here, results.cloud, d)
-        copy_weights(weight, row, results.weight, d)
+            # Inside the loop over t this costs 3 %.
+            _save(cloud, here, weight, row, saved, slots[k - 1], error)
+        _keep(cloud, here, weight, row, results, d)
         return _mean(error, measured.shape[1], saved.errors, slots[k:behind])
 
     return filter_draw
@@ -379,20 +381,23 @@ def _add(errors, s, t, error):
 
 
 @melted
-def _save(cloud, here, saved, slot, error):
-    """Save the cloud and the sum of errors, if a later set resumes from here."""
+def _save(cloud, here, weight, row, saved, slot, error):
+    """Save the cloud with its weights, and the sum of errors, if a later set resumes from here."""
     if slot >= 0:
         saved.errors[slot] = error
         copy_cloud(cloud, here, saved.clouds, slot)
+        for i in range(weight.shape[1]):
+            saved.weights[slot, i] = weight[row, i]
 
 
 @melted
-def _keep(cloud, here, result, d):
-    """Copy the particles of a draw into the results, if they are wanted."""
-    if result.size > 0:
-        for component in range(result.shape[1]):
-            for i in range(result.shape[2]):
-                result[d, component, i] = cloud[here, component, i]
+def _keep(cloud, here, weight, row, results, d):
+    """Copy the particles of a draw and their weights into the results, if they are wanted."""
+    if results.cloud.size > 0:
+        for i in range(results.cloud.shape[2]):
+            results.weight[d, i] = weight[row, i]
+            for component in range(results.cloud.shape[1]):
+                results.cloud[d, component, i] = cloud[here, component, i]
 
 
 @melted

@@ -71,20 +71,24 @@ def _log_density_of(kinds: tuple[str, ...]) -> Callable[..., Any]:
 
 def step_of(
     propagate: Callable[..., None],
+    begin_log_weights: Callable[..., None],
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
 ) -> Callable[..., None]:
-    """Compile ``step(scratch, here, request, p, at, t, is_measured)``, from the instant t - 1 to t.
+    """Compile ``step(scratch, here, row, request, p, at, t, is_measured)``, from t - 1 to t.
 
-    A guided filter has two functions behind the five others, proposal and proposal_log_density. If
-    t is measured, its step adds log p(w) - log q(w | x, y) to each particle's log-weight. All other
-    steps are `propagate`. Other arguments are those of `pfdist.kernels.fused_filter.fused_filter`.
+    If t is measured, `begin_log_weights` begins the log-weights. A guided filter, which has the
+    functions proposal and proposal_log_density behind five others, then adds log p(w) - log q(w).
+    All other steps are `propagate`. Other arguments are those of
+    `pfdist.kernels.fused_filter.fused_filter`.
     """
 
     @melted
-    def plain_step(scratch, here, request, p, at, t, is_measured):
+    def plain_step(scratch, here, row, request, p, at, t, is_measured):
         cloud, noise, before = scratch.cloud, scratch.noise, request.start + t - 1
+        if is_measured:
+            begin_log_weights(scratch, row)
         propagate(cloud, here, noise, request.particles, p, at.stream, at.draw, before)
 
     if len(functions) == 5:
@@ -101,12 +105,13 @@ def step_of(
     read_y = reader(measurements, "d, t, c")
 
     @melted
-    def step(scratch, here, request, p, at, t, is_measured):
+    def step(scratch, here, row, request, p, at, t, is_measured):
         cloud, noise, log_weight = scratch.cloud, scratch.noise, scratch.log_weight
         particles, before = request.particles, request.start + t - 1
         if not is_measured:
             propagate(cloud, here, noise, particles, p, at.stream, at.draw, before)
             return
+        begin_log_weights(scratch, row)
         fill_u(noise, particles, at.stream, at.draw, before, FILTER_PROCESS)
         repeat_first(noise, particles, cloud.shape[2])
         y = read_y(request.y, at.d, t)
@@ -123,19 +128,29 @@ def step_of(
 
 
 def weighting(
-    resample_cloud: Callable[..., Any], guided: bool, carries: bool
+    begin: Callable[..., Any], resample_cloud: Callable[..., Any], guided: bool, carries: bool
 ) -> tuple[Callable[..., Any], ...]:
     """Compile what happens to weights between measurements.
 
-    - ``first_weights(scratch, source, request) -> row, total`` of the cloud that `begin` took;
+    - ``begin_weighted(at, request, p, scratch, source) -> error, row, total``: `begin`, and row and
+      total of the weights of the cloud that it takes;
     - ``begin_log_weights(scratch, row)``, before the step to a measured instant;
-    - ``resample(scratch, here, request, total, at, instant) -> here, row, total``;
-    - ``copy_weights(weight, row, others, place)``, with the cloud of the row, if place is not -1.
+    - ``resample(scratch, here, request, total, at, instant) -> here, row, total``.
     """
-    if carries:
-        return _resumed_weights, _carried_log_weights, _if_uneven(resample_cloud), _copy_weights
+    first_weights, resample = _equal_weights, _always(resample_cloud)
     begin_log_weights = _zero_log_weights if guided else _no_log_weights
-    return _equal_weights, begin_log_weights, _always(resample_cloud), _no_weights
+    if carries:
+        first_weights, resample = _resumed_weights, _if_uneven(resample_cloud)
+        begin_log_weights = _carried_log_weights
+
+    @melted
+    def begin_weighted(at, request, p, scratch, source):
+        error = begin(at, request, p, scratch, source)
+        row, total = first_weights(scratch, source, request)
+        begin_log_weights(scratch, row)
+        return error, row, total
+
+    return begin_weighted, begin_log_weights, resample
 
 
 @melted
@@ -173,18 +188,6 @@ def _zero_log_weights(scratch, row):
 def _carried_log_weights(scratch, row):
     for i in range(scratch.log_weight.size):
         scratch.log_weight[i] = log(np.float64(scratch.weight[row, i]))
-
-
-@melted
-def _copy_weights(weight, row, others, place):
-    if place >= 0 and others.size > 0:
-        for i in range(others.shape[1]):
-            others[place, i] = weight[row, i]
-
-
-@melted
-def _no_weights(weight, row, others, place):
-    """Do nothing: all weights are equal."""
 
 
 def _always(resample_cloud: Callable[..., Any]) -> Callable[..., Any]:
