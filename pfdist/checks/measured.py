@@ -182,8 +182,8 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """State and text: the proposal's density must be that of what it draws, at a few states.
 
-    The text says what its particles are worth: the effective sample size of particles from one
-    state, weighted by the next measurement.
+    The text has the effective sample size of particles from one state, which the next measurement
+    weights: 100 % for the best proposal.
     """
     rng, worth = np.random.default_rng(0), list[float]()
     for t in instants_of(draws):
@@ -223,8 +223,8 @@ def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             weight = weight[np.isfinite(weight)]
             worth.append(float(weight.sum() ** 2 / np.sum(weight**2)) / MEASUREMENTS)
     return "ok", (
-        f"its density has the integral 1 at {len(worth)} states; its particles are worth "
-        f"{min(worth):.0%} to {max(worth):.0%} of as many that know x(t+1)"
+        f"its density has the integral 1 at {len(worth)} states; the next measurement leaves an "
+        f"effective sample size of {min(worth):.0%} to {max(worth):.0%} of particles from one state"
     )
 
 

@@ -212,12 +212,12 @@ def test_check_model_looks_at_what_a_model_declares(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "model", [growth, sharp_walk(1), sharp_walk(3), echoes], ids=lambda each: each.name
 )
-def test_right_proposals_are_accepted_with_what_their_particles_are_worth(
+def test_right_proposals_are_accepted_with_their_effective_sample_sizes(
     model: StateSpaceModel,
 ) -> None:
     state, text = _looked(proposal, model)
     assert state == "ok", text
-    assert "worth" in text
+    assert "effective sample size" in text
 
 
 WRONG_PROPOSALS = {
