@@ -65,8 +65,8 @@ class Problem(Shown):
     total_cost : int, optional
         Largest sum of costs, in the place of the measurement budget.
     particles : int
-    resampling, engine : str
-        The filter, as in the section [filter] of a job file.
+    resampling, resample, engine : str
+        The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises
     ------
