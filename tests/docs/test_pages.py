@@ -110,11 +110,12 @@ def test_the_worked_example_prints_what_its_page_shows(
 
 
 @pytest.mark.slow
-def test_the_model_of_the_page_about_densities_is_checked_as_its_page_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("page", ["densities.md", "guided.md"])
+def test_the_model_of_a_page_is_checked_as_its_page_shows(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (_, code), (_, console) = _blocks(DOCS / "densities.md")
+    (_, code), (_, console) = _blocks(DOCS / page)
     file, _, source = code.partition("\n")
     Path(file.removeprefix("# ")).write_text(source, encoding="utf-8")
     command, _, shown = console.partition("\n")

@@ -231,9 +231,9 @@ def test_the_filter_of_the_bound_ignores_the_proposal_and_bounds_the_guided_filt
     model, sets = sharp_walk(2, sensor=0.05), [(1, 4, 5, 9)]
     draws = simulate(model, HORIZON, range(2000), 1)
 
-    def errors(of: StateSpaceModel, resampling: str, estimator: str) -> Array:
+    def errors(believed: StateSpaceModel, resampling: str, estimator: str) -> Array:
         settings = FilterSettings(300, resampling, estimator)
-        return filter_checked_sets(of, draws, sets, [HORIZON], 7, settings)[:, 0]
+        return filter_checked_sets(believed, draws, sets, [HORIZON], 7, settings)[:, 0]
 
     variance = errors(model, "conditional", "filter_variance")
     np.testing.assert_array_equal(
