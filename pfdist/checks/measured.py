@@ -212,11 +212,9 @@ def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
                     "proposal's, or a constant left out?)"
                 )
             following = values_of(model, "transition", (x, t, tuple(w), model.p), MEASUREMENTS)
-            (likelihood,) = values_of(
-                model, "log_likelihood", (y, tuple(following), t + 1, model.p), MEASUREMENTS
-            )
-            log_weight = likelihood + plain_log_density(model.process_noise, tuple(w))
-            log_weight -= log_density(w)
+            arguments = y, tuple(following), t + 1, model.p
+            (log_weight,) = values_of(model, "log_likelihood", arguments, MEASUREMENTS)
+            log_weight += plain_log_density(model.process_noise, tuple(w)) - log_density(w)
             if not np.isfinite(log_weight).any():
                 return "wrong", f"proposal must give some w that are possible, got none at {where}"
             weight = np.exp(log_weight - np.nanmax(log_weight[log_weight < np.inf]))
