@@ -67,8 +67,8 @@ class Problem(Shown):
         Largest sum of costs, in the place of the measurement budget.
     particles : int or "auto"
         "auto": a number that is enough is found when something is computed.
-    resampling, engine : str
-        The filter, as in the section [filter] of a job file.
+    resampling, resample, engine : str
+        The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises
     ------

@@ -19,6 +19,7 @@ from pfdist.common.section import Section
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.schemes import ALWAYS, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling
@@ -145,12 +146,26 @@ class Filter(Section):
         PlainSerializer(lambda value: value),
     ] = 500
     resampling: Resampling = "multinomial"
+    resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
 
     @property
     def is_automatic(self) -> bool:
         """Whether the number of particles is still to be found."""
         return isinstance(self.particles, str)
+
+    @field_validator("resample", mode="before")
+    @classmethod
+    def _is_always_or_below(cls, value: Any) -> Any:
+        try:
+            return None if value is None or threshold_of(value) == ALWAYS else value
+        except ValueError as error:
+            raise ValueError(f"filter.{error}") from error
+
+    @property
+    def threshold(self) -> float:
+        """The share of the particles below which the effective sample size must fall."""
+        return threshold_of(self.resample or "always")
 
 
 class EvaluationSection(Section):

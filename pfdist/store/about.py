@@ -52,6 +52,7 @@ class _Estimation(_Part):
     particles: int
     resampling: str
     estimator: str
+    threshold: float | None = None
 
 
 class _Provenance(_Part):

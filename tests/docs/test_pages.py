@@ -110,7 +110,9 @@ def test_the_worked_example_prints_what_its_page_shows(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "model"), [("densities", "photons"), ("models", "vane")])
+@pytest.mark.parametrize(
+    ("page", "model"), [("densities", "photons"), ("models", "vane"), ("guided", "echo")]
+)
 def test_the_model_of_a_page_is_checked_as_the_page_shows(
     page: str,
     model: str,
