@@ -42,6 +42,15 @@ def _block(translator: HTML5Translator, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _name_pages(app: Sphinx, tree: nodes.document, name: str) -> None:
+    """Links whose text is a file of the manual, as in ``bound.md``, get the title of the page."""
+    for link in tree.findall(nodes.reference):
+        page = link.astext().removesuffix(".md")
+        if link.astext() != page and page in app.env.titles:
+            link.children = [nodes.emphasis("", app.env.titles[page].astext())]
+
+
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulas."""
+    """Register the renderer of formulas, and the titles of links."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
+    app.connect("doctree-resolved", _name_pages)

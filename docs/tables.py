@@ -182,6 +182,21 @@ def usage() -> str:
     return "\n\n".join(parts)
 
 
+def gallery() -> str:
+    """Give the table of the gallery, which ``python docs/gallery.py`` computes."""
+    rows = [
+        [
+            f"[{row.job}](#{row.job})",
+            f"{row.regular:.3g} ± {row.regular_error:.1g}",
+            f"{row.found:.3g} ± {row.found_error:.1g}",
+            f"{row.gain:.0%} ({row.gain_low:.0%} to {row.gain_high:.0%})".replace("%", " %"),
+        ]
+        for row in pd.read_csv(FOLDER / "gallery.csv").itertuples()
+    ]
+    head = ["job", "expected MSE, regular times", "found times", "lower by (95 %)"]
+    return _table(head, rows)
+
+
 def engines() -> str:
     """Give the table of engines."""
     rows = [[f"`{engine.name}`", _sentence(engine.description)] for engine in ENGINES.values()]
@@ -285,7 +300,7 @@ def densities() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, engines,
+        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, gallery, engines,
         estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip

@@ -1,7 +1,6 @@
 """The report of a run says what the tables say and support; no file of a run becomes markup."""
 
 import json
-import json
 import re
 import shutil
 from collections.abc import Callable
