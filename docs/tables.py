@@ -20,6 +20,7 @@ from pfdist import plots
 from pfdist.cli.command import COMMANDS, Command
 from pfdist.cli.parser import complete_parser, subparsers_of
 from pfdist.common.component_names import Component
+from pfdist.common.rounding import with_error
 from pfdist.common.section import Section
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
@@ -187,9 +188,9 @@ def gallery() -> str:
     rows = [
         [
             f"[{row.job}](#{row.job})",
-            f"{row.regular:.3g} ± {row.regular_error:.1g}",
-            f"{row.found:.3g} ± {row.found_error:.1g}",
-            f"{row.gain:.0%} ({row.gain_low:.0%} to {row.gain_high:.0%})".replace("%", " %"),
+            with_error(row.regular, row.regular_error),
+            with_error(row.found, row.found_error),
+            f"{100 * row.gain:.0f} % ({100 * row.gain_low:.0f} to {100 * row.gain_high:.0f})",
         ]
         for row in pd.read_csv(FOLDER / "gallery.csv").itertuples()
     ]
