@@ -79,7 +79,9 @@ def answer(subject: SweepSubject) -> Section | None:
 
 def means(subject: SweepSubject) -> Section | None:
     """A table of the means over the seeds; None if no runs differ in their seeds alone."""
-    errors, gains = (averages(subject.frame, subject.columns, of) for of in ("expected_mse", GAIN))
+    errors, gains = (
+        averages(subject.frame, subject.columns, value) for value in ("expected_mse", GAIN)
+    )
     if all(len(each.replicates) < 2 for each in errors):
         return None
     gain_of = {each.point: each for each in gains}

@@ -142,7 +142,7 @@ class Filter(Section):
     resampling : str
         The resampling scheme.
     engine : str
-        What computes the filter.
+        The engine, which computes the filter.
     """
 
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
@@ -289,7 +289,7 @@ class Execution(Section):
     Parameters
     ----------
     pool : str
-        What computes the tasks.
+        The pool, which computes the tasks.
     workers : int
         Number of workers or threads; 0 means all cores that the process may use.
     address : str
