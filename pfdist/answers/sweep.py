@@ -106,7 +106,8 @@ def _interval_cell(average: Average, factor: float = 1.0) -> Cell:
     """A mean over seeds with its interval, in units of 1 / factor."""
     ends = (factor * x for x in (average.mean, average.low, average.high))
     value, low, high = with_interval(*ends)
-    return Cell(f"{value} ({low} to {high})", average.mean)
+    interval = "" if math.isnan(average.low) else f" ({low} to {high})"  # of a single seed
+    return Cell(value + interval, average.mean)
 
 
 def points(subject: SweepSubject) -> Section:
