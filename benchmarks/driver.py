@@ -41,7 +41,7 @@ from pfdist.runner.identity import opened
 from pfdist.runner.pace import Pace
 
 TITLE = "Driver"
-TABLES: tuple[str, ...] = ("driver",)
+TABLES: tuple[str, ...] = ("driver", "searches")
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 CORES = (10, 100, 1_000, 10_000)
@@ -58,6 +58,16 @@ _SMALL = (
     "evaluation.draws=10",
     "search=[{method='random', evaluations=2}]",
 )
+
+KERNEL_SECONDS = 1.65e-9  # for a particle-step of the paper's model
+SEARCH_CORES = (1, 10, 100, 1_000)
+MEASUREMENTS = (11, 21, 31)
+_FEW_PARTICLES = 4  # of the genetic algorithm, in place of 500: each is so much slower
+SEARCHES = {
+    "genetic": ("method='genetic', generations=4", 1_000, 500 / _FEW_PARTICLES),
+    "relaxation": ("method='relaxation'", 720, 1),
+}
+"""Settings of a search, draws of an evaluation by default, and how much slower a particle is."""
 
 
 class Clock:
@@ -215,7 +225,7 @@ def measure(quick: bool, say: Say) -> Tables:
                 f"{cores:,} cores, tasks of {row['task_seconds']:.2f} s: "
                 f"{row['microseconds']:.0f} us of the driver a task, {row['busy']:.1%} busy"
             )
-    return {"driver": pd.DataFrame(rows)}
+    return {"driver": pd.DataFrame(rows), "searches": pd.DataFrame(_searches(quick, say))}
 
 
 def run(cores: int, wanted: float | str) -> dict[str, float]:
@@ -257,6 +267,46 @@ def run(cores: int, wanted: float | str) -> dict[str, float]:
     }
 
 
+def _searches(quick: bool, say: Say) -> list[dict[str, Any]]:
+    """Searches of the paper's problem on simulated nodes."""
+    rows: list[dict[str, Any]] = []
+    for search, (_, draws, _) in SEARCHES.items():
+        for measurements in (21,) if quick else MEASUREMENTS:
+            for times in (1,) if quick else (1, 10):
+                for cores in SEARCH_CORES[: 1 if quick else None]:
+                    case = (search, measurements, times * draws, cores)
+                    names = ("search", "measurements", "draws", "cores")
+                    row = dict(zip(names, case, strict=True)) | run_search(*case)
+                    rows.append(row)
+                    say(", ".join(f"{name} {value}" for name, value in row.items()))
+    return rows
+
+
+def run_search(search: str, measurements: int, draws: int, cores: int) -> dict[str, float]:
+    """A search: the work, the time that it takes, and how busy the cores are meanwhile."""
+    settings, _, slower = SEARCHES[search]
+    particles = [f"filter.particles={_FEW_PARTICLES}"] if slower > 1 else []
+    changes = [
+        f"problem.measurement_budget={measurements}",
+        f"search=[{{{settings}, evaluation.draws={draws}}}]",
+        "comparison.draws=2",
+        *particles,
+    ]
+    built = build(load_job(JOB, changes))
+    nodes = Nodes(cores, slower * KERNEL_SECONDS)
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="driver-"))
+        guess = Pace(nodes.seconds_a_step, cores, learnt=True)
+        stack.enter_context(patch.object(Session, "pace", lambda *_, **__: guess))
+        pool = stack.enter_context(simulated(nodes))
+        store = stack.enter_context(opened(Path(folder, "run"), built, lambda line: None))
+        begin = nodes.clock.now()
+        complete(drive(Session(built, store)), contextlib.nullcontext(pool))
+        seconds = nodes.last - begin
+    busy = nodes.busy / (cores * seconds)
+    return {"core_seconds": nodes.busy, "seconds": seconds, "busy": busy}
+
+
 def summary(tables: Tables) -> str:
     """Give the table in Markdown."""
     lines = [
@@ -271,7 +321,19 @@ def summary(tables: Tables) -> str:
         for _, row in tables["driver"].iterrows()
     ]
     head = ["cores", "seconds a task", "tasks", "driver, microseconds a task", "cores busy, %"]
-    return "\n\n".join([(__doc__ or "").strip(), markdown([*head, "grown by, MiB"], lines)])
+    driver = markdown([*head, "grown by, MiB"], lines)
+    return "\n\n".join([(__doc__ or "").strip(), driver, _searches_in_markdown(tables)])
+
+
+def _searches_in_markdown(tables: Tables) -> str:
+    lines = []
+    cases = tables["searches"].groupby(["search", "measurements", "draws"], sort=False)
+    for (search, measurements, draws), rows in cases:
+        work = f"{rows['core_seconds'].iloc[0]:.1f}"
+        seconds = [f"{value:.1f}" for value in rows["seconds"]]
+        lines.append([str(search), str(measurements), f"{draws:,}", work, *seconds])
+    cores = [f"s, {count:,} cores" for count in tables["searches"]["cores"].unique()]
+    return markdown(["search", "N", "draws", "work of one core, s", *cores], lines)
 
 
 def plot(tables: Tables) -> Figure:

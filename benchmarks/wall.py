@@ -35,7 +35,7 @@ COMMANDS = {
     "quick": ("run", "jobs/quick.toml"),
     "plan": ("plan", "jobs/plan.toml"),
     "plan on Ray": ("plan", "jobs/plan.toml", "--pool", "ray"),
-    "budget 5:41": ("budget", "jobs/plan.toml", "5:41"),
+    "budget 5:41": ("budget", "jobs/plan.toml", "--measurements", "5:41"),
     "paper on Ray": ("run", "jobs/paper.toml", "--pool", "ray"),
 }
 _ROOT = Path(__file__).parents[1]

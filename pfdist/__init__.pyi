@@ -11,6 +11,7 @@ from .api.filter_measurements import filter_measurements as filter_measurements
 from .api.list_runs import list_runs as list_runs
 from .api.next_time import next_time as next_time
 from .api.online import online as online
+from .api.particle_losses import particle_losses as particle_losses
 from .api.plan import plan as plan
 from .api.planner import Planner as Planner
 from .api.report import report as report

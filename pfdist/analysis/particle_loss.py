@@ -16,11 +16,11 @@ import numpy as np
 
 from pfdist.analysis.streaming_moments import Array, Moments
 from pfdist.common.estimate import Estimate
-from pfdist.common.gap_sentence import rounded_up
 from pfdist.common.percent import particle_loss_text
 
+SMALL, SMALL_AT_MOST = 0.01, 0.05
+"""Fractions of the expected MSE: with a loss by two filters and a limit below, P is enough."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
-_AFFORDABLE = 100_000  # particles
 _HARDLY = 0.95  # of the error without a measurement
 _QUANTILE = NormalDist().inv_cdf(0.95)
 
@@ -37,11 +37,14 @@ class ParticleLoss:
         Right to order 1/P.
     at_most : Estimate
         At least the loss, for any number of particles.
+    left_out : int
+        Draws with a degenerate or infinite filter, which do not count.
     """
 
     particles: int
     by_two_filters: Estimate
     at_most: Estimate
+    left_out: int = 0
 
     @property
     def is_large(self) -> bool:
@@ -50,12 +53,26 @@ class ParticleLoss:
         return any(loss.value - _QUANTILE * loss.standard_error > most for loss, most in pairs)
 
     @property
-    def text(self) -> str:
-        """Both figures in words."""
-        return particle_loss_text(self.by_two_filters.value, self._limit)
+    def is_small(self) -> bool:
+        """Whether two filters lose at most 1 %, the limit is below 5 %, and all draws count."""
+        is_small = self.by_two_filters.value <= SMALL and self.limit < SMALL_AT_MOST
+        return is_small and not self.left_out
 
     @property
-    def _limit(self) -> float:
+    def may_be_small(self) -> bool:
+        """Whether more draws might show that the loss is small."""
+        low = self.at_most.value - _QUANTILE * self.at_most.standard_error
+        is_open = self.by_two_filters.value <= SMALL and low < SMALL_AT_MOST
+        return is_open and not self.left_out
+
+    @property
+    def text(self) -> str:
+        """Both figures in words."""
+        return particle_loss_text(self.by_two_filters.value, self.limit)
+
+    @property
+    def limit(self) -> float:
+        """The upper 95 % limit of the loss."""
         return self.at_most.value + _QUANTILE * self.at_most.standard_error
 
     @property
@@ -68,31 +85,6 @@ class ParticleLoss:
             "pfdist check-model looks for a number that is enough."
         )
 
-    def enough(self, finer: "ParticleLoss") -> int | None:
-        """About how many particles have a loss that is not large, if the loss falls as 1/P.
-
-        Parameters
-        ----------
-        finer : ParticleLoss
-            The loss of more particles.
-
-        Returns
-        -------
-        int or None
-            None if either figure does not follow 1/P, or the number is not affordable.
-        """
-        share, needed = self.particles / finer.particles, 1.0
-        for coarse, fine, most in (
-            (self.by_two_filters, finer.by_two_filters, _NOTABLE),
-            (self.at_most, finer.at_most, _NOTABLE_AT_MOST),
-        ):
-            noise = 2 * math.hypot(share * coarse.standard_error, fine.standard_error)
-            expected = share * coarse.value
-            if not expected / 2 - noise <= fine.value <= 2 * expected + noise:
-                return None
-            needed = max(needed, finer.particles * fine.value / most)
-        return math.ceil(rounded_up(needed)) if needed <= _AFFORDABLE else None
-
     def columns(self) -> dict[str, Any]:
         """The values as a summary gives them."""
         return {
@@ -100,7 +92,7 @@ class ParticleLoss:
             "particle_loss_error": self.by_two_filters.standard_error,
             "particle_loss_at_most": self.at_most.value,
             "particle_loss_at_most_error": self.at_most.standard_error,
-            "particle_loss_limit": self._limit,
+            "particle_loss_limit": self.limit,
         }
 
 
@@ -128,6 +120,7 @@ def particle_loss(
         particles,
         apart.estimate.times(scale),
         most.times(scale),
+        int(usable.size - usable.sum()),
     )
 
 

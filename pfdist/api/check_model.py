@@ -79,7 +79,10 @@ def checks_of(
     job = as_job(model) if _is_job(model) else None
     own = (HORIZON, PARTICLES)
     if job is not None:
-        own = (job.problem.feasible.horizon, job.filter.particles)
+        own = (
+            job.problem.feasible.horizon,
+            PARTICLES if job.filter.is_automatic else job.filter.particles,
+        )
     instants = whole_argument("horizon", own[0] if horizon is None else horizon, 1, MOST_INSTANTS)
     count = whole_argument(
         "particles", own[1] if particles is None else particles, 1, MOST_PARTICLES

@@ -100,17 +100,18 @@ def prepare(
     written, are_named = {UNNAMED: measurement_times}, False
     if isinstance(measurement_times, Mapping):
         written, are_named = {**measurement_times}, True
-    sets = {name: _instants(job, name, times) for name, times in written.items()}
+    sets = {name: instants_of(job, name, times) for name, times in written.items()}
     if not sets:
         raise JobError("evaluate needs at least one set of times, got none", argument="times")
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    evaluator, policy = build(job).evaluator, job.evaluation.degenerate_draws
+    built = build(job)
+    evaluator, policy = built.evaluator, job.evaluation.degenerate_draws
     clock = job.problem.clock
     if evaluator.exact:
         return partial(_exact, evaluator, sets, policy, clock)
-    evaluation = Settings.from_job(job)
+    evaluation = Settings.from_job(built.job)
     work = Work(
         measurement_times=tuple(sets.values()),
         ends=(evaluator.horizon,) * len(sets),
@@ -123,7 +124,7 @@ def prepare(
     return partial(_estimated, evaluator, work, policy, clock)
 
 
-def _instants(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
+def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
     """The instants of a set; the error names the option, and the set if it has a name."""
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()

@@ -24,6 +24,7 @@ from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.filters.cloud import Prior
 from pfdist.job.source import JobSource
+from pfdist.models.base import within_half_turn
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
@@ -196,7 +197,7 @@ def filter_measurements(
     clock = problem.clock
     rows = read_measurements(table, believed, clock, filtering.now.t)
     wanted = [t for t in plan.times if t >= filtering.now.t]
-    estimates = _table(_estimates(filtering, rows), quantities, schema)
+    estimates = _table(_estimates(filtering, rows), quantities, believed.is_angle, schema)
     if problem.has_clock:
         estimates = ClockColumns(clock.times, clock.unit).table(estimates)
     last = max((*rows.t, *rows.missed), default=-1)
@@ -251,16 +252,21 @@ def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
 
 
 def _table(
-    estimates: Iterable[Estimate], quantities: Sequence[Component], schema: pa.Schema
+    estimates: Iterable[Estimate],
+    quantities: Sequence[Component],
+    is_angle: Sequence[bool],
+    schema: pa.Schema,
 ) -> pa.Table:
+    """The table of estimates; an angle is written at most half a turn from its last mean."""
     levels = [percent / 100 for percent in FILTERED_PERCENTS]
-    rows = []
+    rows, mean = list[dict[str, Any]](), np.zeros(len(quantities))
     for estimate in estimates:
         row: dict[str, Any] = {"t": estimate.t, "measured": estimate.measured}
-        quantiles = estimate.quantiles(levels)
+        mean = within_half_turn(estimate.mean, mean, is_angle)
+        quantiles = within_half_turn(estimate.quantiles(levels), mean, is_angle)
         for k, component in enumerate(quantities):
             end = component.suffix
-            row[f"mean_{end}"] = float(estimate.mean[k])
+            row[f"mean_{end}"] = float(mean[k])
             row[f"sd_{end}"] = float(estimate.standard_deviation[k])
             for percent, values in zip(FILTERED_PERCENTS, quantiles, strict=True):
                 row[f"q{percent:02d}_{end}"] = float(values[k])

@@ -77,7 +77,10 @@ def run(
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([job], tell)
         ending = Ending(chosen.figures, chosen.has_report, settings)
-        return run_built(build(job), path, ending, show, tell, others)
+        built = build(job)
+        if job.filter.is_automatic:
+            tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
+        return run_built(built, path, ending, show, tell, others)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,8 @@ def simulate(problem: JobSource, draws: int = DRAWS, seed: int | None = None) ->
         There are fewer than 1 draws, or more than fit into a table.
     """
     count = whole_argument("draws", draws, 1, 10_000_000)
-    job = as_job(problem, settings={"seed": seed})
+    # Draws depend on no filter, so no number of particles need be found.
+    job = as_job(problem, settings={"seed": seed, "filter": {"particles": 1}})
     built = build(job)
     model, horizon = built.evaluator.model, built.evaluator.horizon
     numbers = count * (horizon + 1) * (2 + sum(model.components))

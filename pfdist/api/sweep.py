@@ -299,7 +299,7 @@ def foreseen(
     rows, steps_a_set, number_of_sets = [], [], 0
     for point in sweep_job.points:
         folder, built = path / point.name, build(sweep_job.jobs[point.name])
-        state = _state(folder, sweep_job.jobs[point.name])
+        state = _state(folder, built.job)
         steps = foreseen_steps(built)
         work = {"steps": steps, "seconds": steps * built.evaluator.seconds_a_step}
         rows.append({"point": point.name, **point.chosen, "state": state, **work})

@@ -9,11 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.analysis import Moments
-from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.measured import missing_components, normalised
+from pfdist.checks.particles import (
+    enough_particles,
+    has_particle_loss,
+    mean_effective_sizes,
+    measured_loss,
+)
 from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
@@ -22,16 +26,17 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.matrices import matrices_of
-from pfdist.filters.work import Estimation, Work, with_truth
-from pfdist.kernels.estimators import FILTER_NOISE
-from pfdist.models import StateSpaceModel, carried_model, squared_error
+from pfdist.filters.work import Estimation, Work
+from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
+from pfdist.sequential.formatted_instant import formatted_instant
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
 _FEW = 10  # draws, for checks that go from instant to instant in NumPy
 _FEW_PARTICLES = 50
-_FINER = 4  # times the particles, to see whether the loss falls as 1/P
+_FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
+_LONGEST = 30.0  # seconds of the search for a number of particles that is enough
 _SECONDS = 4.0  # longest evaluation; a slow model has fewer draws than a thousand
 
 
@@ -188,39 +193,36 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
-def _particles(evaluator: Evaluator, work: Work) -> tuple[str, str]:
-    """State and text: the loss by the number of particles, and a number that is enough."""
-    loss = _loss(evaluator, work)
-    text = f"{loss.particles} particles lose {loss.text}"
+def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
+    """State and text: how many particles count after the measurements of regular times."""
+    (times,), sizes = work.measurement_times, mean_effective_sizes(evaluator, work)
+    if sizes.isna().all():
+        return "note", "all filters fail by their first measurement"
+    least = sizes.min()
+    at = formatted_instant(evaluator.model, times[int(np.nanargmin(sizes))])
+    text = (
+        f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
+        f"{work.estimation.particles} particles after {len(sizes)} measurements"
+    )
+    if least < _FEW_EFFECTIVE:
+        return "note", f"{text}: so few count that estimates are uncertain"
+    return "ok", text
+
+
+def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
+    """State and text: the loss by the number of particles, and a number that is enough.
+
+    The work itself takes so many seconds.
+    """
+    loss, _ = measured_loss(evaluator, work)
+    text = f"{loss.particles:,} particles lose {loss.text}"
     if not loss.is_large:
         return "ok", text
-    first, last = work.draws
-    finer = replace(work.estimation, particles=_FINER * loss.particles)
-    draws = (first, max(_FEW, last // _FINER))
-    more = _loss(evaluator, replace(work, estimation=finer, draws=draws))
-    enough = loss.enough(more)
-    if enough is not None:
-        return "note", f"{text}; about {enough:,} particles are enough"
-    return "note", (
-        f"{text}; {more.particles} lose {more.text}: the loss does not fall as 1/P, or too slowly, "
-        "so no affordable number of particles is known to be enough"
-    )
-
-
-def _loss(evaluator: Evaluator, work: Work) -> ParticleLoss:
-    """The loss by the number of particles on the draws of a work."""
-    particles = work.estimation.particles
-    squared, distance, variance = (
-        evaluator.filtered(replace(work, estimation=estimation)).mse[:, 0]
-        for estimation in (
-            work.estimation,
-            replace(work.estimation, estimator=FILTER_NOISE.name),
-            with_truth(particles),
-        )
-    )
-    whole = Moments()
-    whole.add(squared[~np.isnan(squared)])
-    return particle_loss(particles, whole, squared, distance, variance)
+    (times,), steps = work.measurement_times, _LONGEST * work.steps / seconds
+    found = enough_particles(evaluator, times, 0, work.estimation, steps)
+    if found.is_small:
+        return "note", f"{text}; {found.particles:,} are enough"
+    return "note", f"{text}; {found.particles:,} are still too few: they lose {found.text}"
 
 
 def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
@@ -246,6 +248,8 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     else:
         got = text if usable.size else "no usable draw"
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {got}")
-    if evaluator.model.error is squared_error:
-        yield Check("particles", *_particles(evaluator, replace(work, draws=(0, draws))))
+    work = replace(work, draws=(0, draws))
+    yield Check("effective sample size", *_effective_sizes(evaluator, work))
+    if has_particle_loss(evaluator):
+        yield Check("particles", *_particles(evaluator, work, seconds * draws / _DRAWS))
     yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")

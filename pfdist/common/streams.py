@@ -4,8 +4,11 @@ import hashlib
 import json
 from typing import Any
 
-CHOOSING = ("search", "probe", "shortlist", "online")
-"""Purposes of draws that decide between sets. No cost on such draws is reported as proof."""
+CHOOSING = ("search", "probe", "shortlist", "online", "particles")
+"""Purposes of draws that decide between sets, or between numbers of particles.
+
+No cost on such draws is reported as proof.
+"""
 PROVING = ("comparison", "budget", "bound", "why", "evaluate", "filter", "simulate")
 """Purposes of draws that choose no set.
 

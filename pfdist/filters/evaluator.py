@@ -117,6 +117,16 @@ class Evaluator:
             return self
         return replace(self, filter_model=None, carried=self.carried[:1] * 2, estimations=())
 
+    @cached_property
+    def self_consistent(self) -> "Evaluator":
+        """The same evaluator whose draws are those of the filter's model."""
+        if self.believed == self.model:
+            return self
+        carried = self.carried[1:] * 2
+        return replace(
+            self, model=self.believed, filter_model=None, carried=carried, estimations=()
+        )
+
     @property
     def computed_by(self) -> Engine:
         """The engine that computes."""

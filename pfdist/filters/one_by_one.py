@@ -15,6 +15,12 @@ two_filters     The mean variance of two filters on the same y, plus the squared
                 cause. So the term of order 1/P is that of squared_error.
 =============== ==================================================================================
 
+The same holds for angles z with the error 1 - cos(z - m), where m is the direction of the mean of
+the particles' unit vectors, and R the length of this mean. Given y, the expectation of
+cos(z - m) is R if the particles are draws from the distribution of z. So 1 - R takes the place of
+the variance. The mean vectors of two filters are independent. So R' cos(m - m'), with the second
+filter's R' and m', has the expectation of cos(z - m), and the distance is R' (1 - cos(m - m')).
+
 The compiled filter sums these estimates at each instant (`pfdist.kernels.fused_filter`). This
 module computes them from the recorded means and variances.
 
@@ -31,6 +37,7 @@ from pfdist.filters.interface import Filtered, weighed
 from pfdist.filters.settings import FilterSettings, filter_streams
 from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import angular_error
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -105,27 +112,35 @@ def _filters(
     ]
 
 
-def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights) -> Array:
+def errors_by_variance(
+    estimates: Array, variances: Array, weights: ErrorWeights, is_angle: Sequence[bool]
+) -> Array:
     """The estimated error of each instant, (D, T+1), from estimates and variances of F filters.
 
     Estimates and variances are (F, D, T+1, q), of independent filters on the same measurements. The
-    weight of the squared error is ignored.
+    weight of the squared error is ignored. The distance of two directions counts as much as the
+    second filter's particles point in one direction, R: then the identity at the head of this
+    module holds for angles, too.
     """
     errors: Array = weights.variance * np.sum(variances, axis=(0, 3))
     if weights.distance:
-        errors += weights.distance * np.sum((estimates[0] - estimates[1]) ** 2, axis=2)
+        first, second = estimates
+        angular = (1.0 - variances[1]) * angular_error(first, second)
+        distances = np.where(is_angle, angular, (first - second) ** 2)
+        errors += weights.distance * np.sum(distances, axis=2)
     return errors
 
 
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """The estimated error of each draw at each instant, (D, T+1)."""
     if not estimator.for_any_filter:
-        by_variance = errors_by_variance(*_moments(filters), estimator.weights)
+        moments, is_angle = _moments(filters), draws.model.is_angle
+        by_variance = errors_by_variance(*moments, estimator.weights, is_angle)
         return weighed(by_variance, draws.instant_weights)
     (estimate,), _ = _moments(filters)
     model = draws.model
     errors = [
-        model.error(tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
+        model.formulas["error"](tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
         for k, t in enumerate(draws.instants)
     ]
     shape = len(draws.index), 1
@@ -142,7 +157,7 @@ def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Arr
         return weights.squared_error * mse
     estimates, variances = _moments(filters)
     with np.errstate(all="ignore"):
-        errors = errors_by_variance(estimates, variances, weights)
+        errors = errors_by_variance(estimates, variances, weights, draws.model.is_angle)
         errors = weighed(errors, draws.instant_weights)
         mean = np.mean(errors, axis=1)
         if weights.squared_error:

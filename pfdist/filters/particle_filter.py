@@ -222,9 +222,10 @@ def filter_makes_arrays(model: StateSpaceModel, truth: StateSpaceModel, resampli
 def _compiled(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> WithScratch:
     formulas = (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest)
     return fused_filter(
-        (*formulas, truth.error),
+        (*formulas, truth.formulas["error"]),
         (model.initial_noise, model.process_noise),
         model.components,
         (parameter_names(model.parameters), parameter_names(truth.parameters)),
         resampling,
+        truth.is_angle,
     )

@@ -29,6 +29,7 @@ from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import angular_error
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -73,7 +74,7 @@ def filter_checked_draws(
 ) -> Filtered:
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
     count = max(1, _AT_ONCE // settings.particles)
-    formulas = model.formulas | {"error": draws.model.error}
+    formulas = model.formulas | {"error": draws.model.formulas["error"]}
     with formulas_of(model.name, formulas), np.errstate(all="ignore"):
         blocks = [
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
@@ -96,6 +97,7 @@ def _filter(
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
+    true_error = draws.model.formulas["error"]
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     if isinstance(settings.prior, Cloud):
         chosen = settings.prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
@@ -122,9 +124,8 @@ def _filter(
         share = weight / weight.sum(axis=1, keepdims=True)
         for c, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
             counted = np.where(weight > 0, _of_cloud(values, cloud), 0.0)
-            mean[:, k, c] = np.sum(share * counted, axis=1)
-            variance[:, k, c] = np.sum(share * (counted - mean[:, k, c, None]) ** 2, axis=1)
-        error = draws.model.error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
+            mean[:, k, c], variance[:, k, c] = _moments(counted, share, draws.model.is_angle[c])
+        error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
         infinite = alive & ~(total < np.inf)
@@ -135,6 +136,16 @@ def _filter(
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
     return total / instants, mean, variance, last
+
+
+def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:
+    """Mean and variance of weighted particles, (D,); for an angle its direction, and 1 - R."""
+    if is_angle:
+        sine, cosine = (np.sum(share * part(values), axis=1) for part in (np.sin, np.cos))
+        mean: Array = np.arctan2(sine, cosine)
+        return mean, np.sum(share * angular_error(values, mean[:, None]), axis=1)
+    mean = np.sum(share * values, axis=1)
+    return mean, np.sum(share * (values - mean[:, None]) ** 2, axis=1)
 
 
 def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:

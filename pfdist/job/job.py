@@ -17,6 +17,7 @@ from pfdist.common.nearest import did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.job.covariates import with_columns
 from pfdist.job.online_section import Online, Search
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import (
@@ -236,6 +237,8 @@ class Job(Section):
     _origin: Origin = PrivateAttr()
 
     def __init__(self, origin: Origin = _NO_FILE, /, **data: Any) -> None:
+        if "model" in data:
+            data["model"] = with_columns(data["model"], origin.path.parent)
         try:
             super().__init__(**data)
         except ValidationError as error:

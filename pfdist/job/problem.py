@@ -60,11 +60,13 @@ class Problem(Shown):
         Python lists whole numbers; a text means all instants from the first to the last.
     minimum_spacing : int or float, optional
         Smallest difference of two measurement times.
-    cost : sequence of int, or mapping of str to int, optional
+    cost : sequence of float, or mapping of str to float, optional
         Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2}``.
-    total_cost : int, optional
+        Decimals are exact.
+    total_cost : float, optional
         Largest sum of costs, in the place of the measurement budget.
-    particles : int
+    particles : int or "auto"
+        "auto": a number that is enough is found when something is computed.
     resampling, engine : str
         The filter, as in the section [filter] of a job file.
 

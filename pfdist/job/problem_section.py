@@ -14,6 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.clock import Clock, Time, plain_time
+from pfdist.times.constraints import Money, money
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.written import RANGES, instants_of
@@ -50,8 +51,8 @@ class ProblemSection(Section):
     minimum_spacing : number, clock
         Smallest difference of two measurement times.
     cost : list or section of ranges
-        Cost of a measurement at each instant, or in each range: whole numbers, at least 0.
-    total_cost : int, that of cost
+        Cost of a measurement at each instant, or in each range: numbers, at least 0.
+    total_cost : number, that of cost
         Largest sum of the costs of a set, in the place of ``measurement_budget``.
     """
 
@@ -64,10 +65,10 @@ class ProblemSection(Section):
     forbidden: tuple[Time | str, ...] | None = None
     required: tuple[Time | str, ...] | None = None
     minimum_spacing: Time | None = None
-    cost: tuple[int, ...] | dict[str, int] | None = None
-    total_cost: Annotated[int, Field(ge=1, lt=2**63)] | None = None
+    cost: _Numbers | dict[str, Time] | None = None
+    total_cost: Annotated[Time, Field(gt=0, lt=2**63)] | None = None
 
-    @field_validator("horizon", "minimum_spacing", mode="before")
+    @field_validator("horizon", "minimum_spacing", "total_cost", mode="before")
     @classmethod
     def _is_number(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and type(value) not in (int, float):
@@ -113,9 +114,11 @@ class ProblemSection(Section):
                 f'ranges as "20:30" = 2, got {shown(value)}'
             )
         for cost in value.values() if isinstance(value, dict) else value or ():
-            if not isinstance(cost, int) or isinstance(cost, bool):
-                raise ValueError(f"problem.cost must be whole numbers, got {shown(cost)}")
-        return tuple(value) if isinstance(value, list) else value
+            if type(cost) not in (int, float) or not abs(cost) < np.inf:
+                raise ValueError(f"problem.cost must be finite numbers, got {shown(cost)}")
+        if isinstance(value, dict):
+            return {key: plain_time(cost) for key, cost in value.items()}
+        return None if value is None else tuple(map(plain_time, value))
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -171,7 +174,7 @@ class ProblemSection(Section):
             required=_union(self.required or (), clock, "required"),
             minimum_spacing=spacing or 0.0,
             cost=self._costs_of_instants,
-            total_cost=self.total_cost,
+            total_cost=None if self.total_cost is None else money(self.total_cost),
             clock=clock if self.has_clock else None,
         )
 
@@ -188,8 +191,7 @@ class ProblemSection(Section):
             given = self.clock.trapezoids
         if len(given) != instants:
             raise MeasurementTimesError(
-                f"instant_weights must have a number for each of {instants} instants, got "
-                f"{len(given)}"
+                f"instant_weights needs {instants} values, one for each instant, got {len(given)}"
             )
         weights = np.array(given, np.float64)
         if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):
@@ -214,10 +216,10 @@ class ProblemSection(Section):
         return [f"problem.{sentence}" for sentence in self.feasible.broken(instants)]
 
     @property
-    def _costs_of_instants(self) -> tuple[int, ...] | None:
+    def _costs_of_instants(self) -> tuple[Money, ...] | None:
         if not isinstance(self.cost, dict):
-            return self.cost
-        clock, costs = self.clock, dict[int, int]()
+            return None if self.cost is None else tuple(map(money, self.cost))
+        clock, costs = self.clock, dict[int, Money]()
         ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
         for key, cost in self.cost.items():
             for t in instants_of(key, clock, "cost"):
@@ -228,7 +230,7 @@ class ProblemSection(Section):
                     raise MeasurementTimesError(
                         f"cost must name every time in {ends} once, got {time} {what}"
                     )
-                costs[t] = cost
+                costs[t] = money(cost)
         lacking = [t for t in range(clock.horizon + 1) if t not in costs]
         if lacking:
             raise MeasurementTimesError(

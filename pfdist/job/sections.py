@@ -5,7 +5,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainSerializer,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
 from pfdist.common.section import Section
 from pfdist.errors import shown
@@ -47,12 +55,14 @@ def _checked_parameters(values: Any, section: str) -> Any:
     if not isinstance(values, dict):
         return values
     checked = {}
-    for name, value in values.items():
+    for name, given in values.items():
+        value = given.tolist() if hasattr(given, "tolist") else given
         numbers = value if isinstance(value, list | tuple) and value else (value,)
         if not all(type(number) in (int, float) for number in numbers):
             raise ValueError(
-                f"{section}.{name} must be a number, or a list with a number for each instant, "
-                f"got {shown(value)}"
+                f"{section}.{name} must be a number, a list with a number for each instant, or "
+                f'a column of a table, as {{file = "weather.csv", column = "rain"}}, got '
+                f"{shown(value)}"
             )
         is_list = isinstance(value, list | tuple)
         checked[name] = tuple(map(float, value)) if is_list else float(value)
@@ -84,6 +94,12 @@ def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
             f"'0:60:3', got {shown(written)}"
         )
     return tuple(map(plain_time, entries))
+
+
+def _number_or_auto(value: Any, number: ValidatorFunctionWrapHandler) -> Any:
+    if isinstance(value, str) and value != AUTO:
+        raise ValueError(f"filter.particles must be an integer or {AUTO!r}, got {shown(value)}")
+    return value if value == AUTO else number(value)
 
 
 Parameter = float | tuple[float, ...]
@@ -119,7 +135,8 @@ class Model(Section):
         A model that ships, an entry point of the group ``pfdist.models``, or
         ``path/file.py:object``, relative to the job file.
     parameters : dict of str to float, the model's unit
-        Values that replace those of the model: a number, or a list with a number for each instant.
+        Values that replace those of the model: a number, a list with a number for each instant, or
+        a column of a table, as in ``{file = "weather.csv", column = "rain"}``.
     """
 
     name: Text = "ungm"
@@ -135,19 +152,32 @@ class Model(Section):
 class Filter(Section):
     """The particle filter.
 
+    `pfdist.runner.build.build` puts a number in the place of ``particles = "auto"``. So particles
+    are an integer wherever something is computed.
+
     Parameters
     ----------
-    particles : int
-        Number of particles. Exact engines have none.
+    particles : int or "auto"
+        Number of particles; "auto" finds a number that is enough. Exact engines have none.
     resampling : str
         The resampling scheme.
     engine : str
         The engine, which computes the filter.
     """
 
-    particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
+    particles: Annotated[
+        int,
+        Field(ge=1, le=10_000_000),
+        WrapValidator(_number_or_auto),
+        PlainSerializer(lambda value: value),
+    ] = 500
     resampling: Resampling = "multinomial"
     engine: EngineName = AUTO
+
+    @property
+    def is_automatic(self) -> bool:
+        """Whether the number of particles is still to be found."""
+        return isinstance(self.particles, str)
 
 
 class EvaluationSection(Section):

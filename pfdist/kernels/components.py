@@ -20,14 +20,16 @@ _VARYING = "[t]"  # the end of the name of an array that has an entry for each i
 
 @cache
 def tuple_of(
-    components: int, arguments: str, entry: str, **functions: Callable[..., Any]
+    components: int, arguments: str, entry: str | tuple[str, ...], **functions: Callable[..., Any]
 ) -> Callable[..., Any]:
     """Compile a function whose result is a tuple with an entry for each component.
 
     `arguments` names the function's arguments. `entry` is the expression of entry c, for instance
-    ``"a[c] + b[c]"``. `functions` are those that the expression calls, by name.
+    ``"a[c] + b[c]"``, or there is an expression for each entry. `functions` are those that the
+    expressions call, by name.
     """
-    entries = "".join(f"{_for_component(c, entry)}," for c in range(components))
+    expressions = (entry,) * components if isinstance(entry, str) else entry
+    entries = "".join(f"{_for_component(c, text)}," for c, text in enumerate(expressions))
     return _made(f"def result({arguments}):\n    return ({entries})\n", **functions)
 
 

@@ -19,6 +19,7 @@ from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
+from pfdist.kernels.overloads import ELEMENTARY
 from pfdist.kernels.resampling import RESAMPLE
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch, with_sizes
@@ -65,24 +66,44 @@ def _leave_unsorted(cloud, here, particles, weight, row, scratch):
     return here
 
 
+_SIN, _COS = ELEMENTARY["sin"], ELEMENTARY["cos"]
+_SQUARED = "(values[c] - mean[c]) ** 2"
+_ANGULAR = "2.0 * sin(0.5 * (values[c] - mean[c])) ** 2"  # 1 - cos
+
+
 @lru_cache(maxsize=32)
 def moments(
-    quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
+    quantity_of_interest: Callable[..., Any],
+    components: tuple[int, int, int],
+    is_angle: tuple[bool, ...],
 ) -> tuple[Callable[..., Any], ...]:
-    """Compile the weighted mean of z, and its variance.
+    """Compile the weighted mean of z, and its variance; of an angle, mean direction and 1 - R.
 
     A particle of weight 0 does not count. The terms are computed first, in vectors whose length
-    depends on the processor. Then `row_sum` adds them in a fixed order.
+    depends on the processor. Then `row_sum` adds them in a fixed order. The cosine of an angle has
+    the row of its component, and the sines follow in rows of their own.
     """
     states, _, quantities = components
+    angles = [c for c, angle in enumerate(is_angle) if angle]
+    values = ["cos(values[c])" if angle else "values[c]" for angle in is_angle]
+    values += [f"sin(values[{c}])" for c in angles]
+    means = ["row_sum(terms, uintp(c)) / total"] * quantities
+    for row, c in enumerate(angles, start=quantities):
+        means[c] = f"arctan2(row_sum(terms, uintp({row})), row_sum(terms, uintp(c)))"
     quantity = formula(quantity_of_interest, "quantity_of_interest")
     read_x = reader(states, "half, c, i")
-    weighted = tuple_of(
+    terms_of = tuple(f"weight * ({value} if weight > 0.0 else 0.0)" for value in values)
+    weighted = tuple_of(len(values), "weight, values", terms_of, sin=_SIN, cos=_COS)
+    weighted_squares = tuple_of(
         quantities, "weight, values", "weight * (values[c] if weight > 0.0 else 0.0)"
     )
-    squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
-    write_terms = writer(quantities, "c, i")
+    entries = tuple(_ANGULAR if angle else _SQUARED for angle in is_angle)
+    squares = tuple_of(quantities, "values, mean", entries, sin=_SIN)
+    write_terms, write_squares = writer(len(values), "c, i"), writer(quantities, "c, i")
     mean_of = tuple_of(
+        quantities, "terms, total", tuple(means), row_sum=row_sum, arctan2=ELEMENTARY["arctan2"]
+    )
+    mean_of_squares = tuple_of(
         quantities, "terms, total", "row_sum(terms, uintp(c)) / total", row_sum=row_sum
     )
 
@@ -96,19 +117,22 @@ def moments(
     def fill_squares(cloud, here, t, p, weight, row, mean, terms):
         for i in range(cloud.shape[2]):
             z = quantity(read_x(cloud, here, i), t, p)
-            write_terms(terms, i, weighted(weight[row, i], squares(z, mean)))
+            write_squares(terms, i, weighted_squares(weight[row, i], squares(z, mean)))
 
-    return fill_terms, fill_squares, mean_of
+    return fill_terms, fill_squares, mean_of, mean_of_squares
 
 
 @lru_cache(maxsize=32)
-def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[..., Any], ...]:
+def recorders(is_angle: tuple[bool, ...]) -> tuple[Callable[..., Any], ...]:
     """Compile what records mean and variance, and the part of an instant's error they estimate.
 
     Each filter contributes its variance, by the estimator's weights. The first of two filters
-    stores its mean, and the second adds the squared distance to it.
+    stores its mean, and the second adds the distance to it, as `pfdist.filters.one_by_one` does.
     """
-    error_of = formula(error, "error")
+    quantities = len(is_angle)
+    weighted = f"(1.0 - variances[c]) * {_ANGULAR}"  # by the second filter's R
+    entries = tuple(weighted if angle else _SQUARED for angle in is_angle)
+    distances = tuple_of(quantities, "values, mean, variances", entries, sin=_SIN)
     write_z = writer(quantities, "d, t, c")
     read_mean, write_mean = (make(quantities, "s, t, c") for make in (reader, writer))
 
@@ -119,9 +143,7 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
             write_z(results.variance, d, t, variances)
 
     @melted
-    def error_by_variance(
-        weights, first_means, filter_number, s, t, mean, variances, truth, instant
-    ):
+    def error_by_variance(weights, first_means, filter_number, s, t, mean, variances):
         total = 0.0
         if weights.variance != 0.0:  # else an infinite variance would make a NaN
             for variance in variances:
@@ -129,7 +151,9 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
             total *= weights.variance
         if first_means.size > 0:
             if filter_number > 0:
-                distance = error_of(read_mean(first_means, s, t), mean, instant, truth)
+                distance = 0.0
+                for each in distances(read_mean(first_means, s, t), mean, variances):
+                    distance += each
                 total += weights.distance * distance
             write_mean(first_means, s, t, mean)
         return total
@@ -197,6 +221,7 @@ def fused_filter(
     components: tuple[int, int, int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
+    is_angle: tuple[bool, ...],
 ) -> WithScratch:
     """Compile ``filter_draws(request, plan, results)``, or load it from disk.
 
@@ -204,13 +229,13 @@ def fused_filter(
     `functions` are initial, transition, log_likelihood and quantity_of_interest of the filter's
     model, and error of the truth. `noise_kinds` are those of the initial state and of the process,
     and `components` the numbers of components of x, y and z. `parameters` names those of the
-    filter's model, and of the truth.
+    filter's model, and of the truth. `is_angle` says which components of z are angles.
     """
-    states, _, quantities = components
+    states, rows = components[0], components[2] + sum(is_angle)
     noise_rows = max(1, *map(len, noise_kinds))
     compiled = cached_on_disk(
-        _filter_draws(functions, noise_kinds, components, parameters, resampling),
-        functions, noise_kinds, components, parameters, resampling,
+        _filter_draws(functions, noise_kinds, components, parameters, resampling, is_angle),
+        functions, noise_kinds, components, parameters, resampling, is_angle,
     )  # fmt: skip
 
     def with_scratch(request, plan, results):
@@ -218,7 +243,7 @@ def fused_filter(
         # threads filter at the same time. Python frees it even if a formula raises.
         first_means = (results.mse.shape[1] if len(request.streams) > 1 else 0, request.y.shape[1])
         scratch = filter_scratch(
-            (states, quantities), noise_rows, request.particles, plan.clouds, first_means
+            (states, rows), noise_rows, request.particles, plan.clouds, first_means
         )
         compiled(request, plan, results, scratch)
 
@@ -231,17 +256,18 @@ def _filter_draws(
     components: tuple[int, int, int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
+    is_angle: tuple[bool, ...],
 ) -> Callable[..., None]:
     """The loop over draws, filters and sets of times, which is compiled when it is first called."""
-    filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
+    filter_draw = _filter_draw(functions, noise_kinds, components, resampling, is_angle)
     named, named_truth = map(naming, parameters)
     noise_rows = max(1, *map(len, noise_kinds))
-    states, _, quantities = components
+    states, rows = components[0], components[2] + sum(is_angle)
 
     @njit(nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
     def filter_draws(request, plan, results, scratch):
         models = _Models(named(request.parameters), named_truth(request.true_parameters))
-        sized = with_sizes(scratch, states, quantities, noise_rows, request.particles)
+        sized = with_sizes(scratch, states, rows, noise_rows, request.particles)
         mse = results.mse
         # Sets are innermost and in the plan's order: a set resumes from a cloud that an earlier set
         # saved for the same draw and filter. The next draw or filter overwrites all saved clouds.
@@ -261,6 +287,7 @@ def _filter_draw(
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
     resampling: str,
+    is_angle: tuple[bool, ...],
 ) -> Callable[..., float]:
     """Compile the filter of one draw with one set of times, which returns the draw's MSE.
 
@@ -268,9 +295,9 @@ def _filter_draw(
     """
     begin, propagate, fill_log_weights = cloud_steps(functions[:3], noise_kinds, components)
     weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
-    fill_terms, fill_squares, mean_of = moments(functions[3], components)
+    fill_terms, fill_squares, mean_of, mean_of_squares = moments(functions[3], components, is_angle)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
-    record, error_by_variance = recorders(functions[4], components[2])
+    record, error_by_variance = recorders(is_angle)
     put_truth = _truth_put(components[0]) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
 
     @melted
@@ -306,10 +333,10 @@ def _filter_draw(
                 mean = mean_of(terms, total)
                 if not only_by_error:
                     fill_squares(cloud, here, instant, p, weight, row, mean, terms)
-                    variances = mean_of(terms, total)
+                    variances = mean_of_squares(terms, total)
                     record(results, d, t, mean, variances)
                     variance = error_by_variance(
-                        weights, first_means, filter_number, s, t, mean, variances, truth, instant
+                        weights, first_means, filter_number, s, t, mean, variances
                     )
                     weighed_variance = _weighed(variance, request.instant_weights[t])
                     error += weighed_variance

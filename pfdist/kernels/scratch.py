@@ -46,8 +46,8 @@ class Scratch(NamedTuple):
     # after a measurement
     weight: NDArray[np.float32]
     log_weight: NDArray[np.float64]  # (W,)
-    # (q, W): the terms of a weighted sum. `log_weight` has the memory of the first row: it is no
-    # longer needed when the terms are computed.
+    # (q, W), and a row for each angle: the terms of a weighted sum. `log_weight` has the memory of
+    # the first row: it is no longer needed when the terms are computed.
     terms: NDArray[np.float64]
     resampling: ResamplingScratch
     sorting: SortingScratch  # in the memory of `resampling` and `log_weight`
@@ -65,17 +65,17 @@ def filter_scratch(
 ) -> Scratch:
     """Arrays for a filter of draws.
 
-    `components` are the numbers of components of x and z. `slots` is the largest number of clouds
-    that are saved at a time, and `first_means` the numbers of sets and of instants of
-    `Scratch.first_means`.
+    `components` are the numbers of components of x and of rows of `Scratch.terms`. `slots` is the
+    largest number of clouds that are saved at a time, and `first_means` the numbers of sets and of
+    instants of `Scratch.first_means`.
     """
-    (states, quantities), size = components, int(width(particles))
+    (states, rows), size = components, int(width(particles))
     spacious = int(padded(particles + SPARE))
     weight = aligned((2, size), np.float32)
     weight[:] = 0.0
     weight[EQUAL, :particles] = 1.0
     noise = aligned((noise_rows, spacious), np.float32)
-    terms = aligned((quantities, size), np.float64)
+    terms = aligned((rows, size), np.float64)
     cumulative, sums = aligned((size,), np.float64), aligned((spacious,), np.float64)
     points, shares, ancestor = (aligned((spacious,), np.uint32) for _ in range(3))
     ancestor[:] = 0
@@ -90,12 +90,12 @@ def filter_scratch(
         ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
         SortingScratch(terms[0], aligned((2, DIGITS), np.uint32), points, shares, ancestor),
         Saved(aligned((slots, states, size), np.float64), aligned((slots,), np.float64)),
-        aligned((*first_means, quantities), np.float64),
+        aligned((*first_means, rows), np.float64),
     )
 
 
 @melted
-def with_sizes(scratch, states, quantities, noise_rows, particles):
+def with_sizes(scratch, states, rows, noise_rows, particles):
     """The same arrays with sizes that LLVM knows, or knows to be multiples of a vector's length."""
     size, spacious = width(particles), padded(particles + SPARE)
     given = scratch.resampling
@@ -111,7 +111,7 @@ def with_sizes(scratch, states, quantities, noise_rows, particles):
         noise,
         shaped(scratch.weight, (2, size)),
         log_weight,
-        shaped(scratch.terms, (quantities, size)),
+        shaped(scratch.terms, (rows, size)),
         ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
         SortingScratch(log_weight, counts, points, shares, ancestor),
         Saved(shaped(scratch.saved.clouds, (errors.size, states, size)), errors),

@@ -3,9 +3,11 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
+
+import numpy as np
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import did_you_mean
@@ -29,6 +31,37 @@ def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
     for value, estimated in zip(z, estimate):  # noqa: B905  Numba knows no strict
         total += (value - estimated) ** 2
     return total
+
+
+def angular_error(value: Any, estimated: Any) -> Any:
+    """1 - cos(value - estimated), accurate for small differences."""
+    return 2.0 * np.sin(0.5 * (value - estimated)) ** 2
+
+
+def within_half_turn(values: Any, centre: Any, is_angle: Sequence[bool]) -> Any:
+    """The values, (..., q), with the angles among them at most half a turn from a centre.
+
+    Other components are unchanged.
+    """
+    turns = np.round((centre - values) / (2 * np.pi))
+    return np.where(is_angle, values + 2 * np.pi * turns, values)
+
+
+@cache
+def error_with_angles(is_angle: tuple[bool, ...]) -> Callable[..., Any]:
+    """The default error of a model with circular components.
+
+    It is the sum of `angular_error` of the components of z that are angles, and of the squared
+    differences of the others.
+    """
+
+    def error(z, estimate, t, p):
+        total = 0.0
+        for value, estimated, angle in zip(z, estimate, is_angle):  # noqa: B905
+            total += angular_error(value, estimated) if angle else (value - estimated) ** 2
+        return total
+
+    return error
 
 
 @dataclass(frozen=True)
@@ -67,7 +100,12 @@ class StateSpaceModel:
         Lowest and highest allowed value. A parameter without a range may have any finite value.
     error : callable
         ``(z, estimate, t, p) -> number``, the error of an estimate of z. An MSE is its mean over t.
-        By default the squared Euclidean norm of the difference.
+        By default the sum over the components of z of the squared difference, and of 1 - cos of the
+        difference for those that are `circular`.
+    circular : tuple of str or int
+        Components of z that are angles, in radians, by their names without the unit or by their
+        numbers. Such a component is estimated by the mean direction of the particles, in -pi..pi,
+        and its variance is the circular variance (1 - R).
     linear_gaussian : bool
         Whether every formula is linear in x and noise, and every noise is normal. The engine
         "kalman" then computes the expected MSE exactly, and checks this declaration.
@@ -92,7 +130,12 @@ class StateSpaceModel:
     ModelError
         A formula does not take its arguments or does not give a tuple of components; a kind of
         noise is unknown; a parameter lies outside its range, or a data file outside the folder;
-        names do not fit the components.
+        names do not fit the components; a circular component is unknown, or the model declares
+        itself linear and Gaussian.
+
+    References
+    ----------
+    Mardia, Jupp, "Directional statistics", 2000, chapter 2 (mean direction, circular variance).
     """
 
     name: str
@@ -114,6 +157,7 @@ class StateSpaceModel:
     x_names: tuple[str, ...] = ()
     y_names: tuple[str, ...] = ()
     z_names: tuple[str, ...] = ()
+    circular: tuple[str | int, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -128,6 +172,7 @@ class StateSpaceModel:
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
         for kind in _NAMES:
             self.named(kind)
+        self.is_angle  # noqa: B018  evaluated here, because it refuses unknown components
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, without the values that are cached beside them."""
@@ -197,16 +242,40 @@ class StateSpaceModel:
         except ValueError as error:
             raise ModelError(f"model {self.name}: {_NAMES[kind]}: {error}") from error
 
+    @cached_property
+    def is_angle(self) -> tuple[bool, ...]:
+        """Whether each component of z is circular."""
+        components = self.named("z")
+        names = {str(number): number for number in range(len(components))}
+        names |= {each.name: number for number, each in enumerate(components) if each.name}
+        for name in self.circular:
+            if str(name) not in names:
+                raise ModelError(
+                    f"model {self.name}: circular must name components of z, as "
+                    f"{', '.join(map(repr, names))}, got {name!r}{did_you_mean(str(name), names)}"
+                )
+        if self.circular and self.linear_gaussian:
+            raise ModelError(
+                f"model {self.name}: circular must be empty in a linear-Gaussian model, got "
+                f"{self.circular!r}: the Kalman filter has no mean direction"
+            )
+        angles = {names[str(name)] for name in self.circular}
+        return tuple(number in angles for number in range(len(components)))
+
     def named_as(self, truth: "StateSpaceModel") -> "StateSpaceModel":
-        """The model with the names that another model gives to y and z."""
-        if (self.y_names, self.z_names) == (truth.y_names, truth.z_names):
+        """The model with the names that another model gives to y and z, and with its angles."""
+        names = {key: getattr(truth, key) for key in ("y_names", "z_names", "circular")}
+        if names == {key: getattr(self, key) for key in names}:
             return self
-        return dataclasses.replace(self, y_names=truth.y_names, z_names=truth.z_names)
+        return dataclasses.replace(self, **names)
 
     @cached_property
     def formulas(self) -> dict[str, Callable[..., Any]]:
-        """The formulas by their names."""
-        return {name: getattr(self, name) for name in ARGUMENTS}
+        """The formulas by their names, with the default error of angles if there are any."""
+        formulas = {name: getattr(self, name) for name in ARGUMENTS}
+        if any(self.is_angle) and self.error is squared_error:
+            formulas["error"] = error_with_angles(self.is_angle)
+        return formulas
 
     def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
         """The model with some parameters changed.

@@ -85,7 +85,7 @@ def carried(
     inspection = inspected(model, data)
     fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
     fields |= {key: dict(value) for key, value in fields.items() if isinstance(value, Mapping)}
-    fields |= with_named_modules(model.formulas)
+    fields |= with_named_modules(model.formulas | {"error": model.error})
     try:
         with _sent_by_value(inspection.modules):
             content = cloudpickle.dumps((fields, inspection.texts))

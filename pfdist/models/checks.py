@@ -117,7 +117,7 @@ def _check_parameter(model: Any, name: str, value: Parameter) -> None:
             f"model {model.name}: the name of a parameter must be that of a variable, got {name!r}"
         )
     low, high = model.parameter_ranges.get(name, (-math.inf, math.inf))
-    for number in values_of_parameter(value):
+    for t, number in enumerate(values_of_parameter(value)):
         if isinstance(number, bool) or not isinstance(number, int | float):
             raise ModelError(
                 f"model {model.name}: parameter {name} must be a number, or a sequence of "
@@ -126,7 +126,7 @@ def _check_parameter(model: Any, name: str, value: Parameter) -> None:
         if not (math.isfinite(number) and low <= number <= high):
             raise ModelError(
                 f"model {model.name}: parameter {name} must be a finite number in "
-                f"{low:g}..{high:g}, got {number!r}"
+                f"{low:g}..{high:g}, got {number!r}{'' if number is value else f' for t = {t}'}"
             )
 
 

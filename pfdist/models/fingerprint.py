@@ -7,7 +7,8 @@ Two models with the same fingerprint give the same figures. The fingerprint hold
 - the value of each global variable, variable of a closure and default argument that these functions
   name: numbers, text, tuples and arrays;
 - the version of every other installed package of which they use a function;
-- the parameters, the kinds of noise, the names of components, and the bytes of declared data files.
+- the parameters, the kinds of noise, the names of components, those that are circular, and the
+  bytes of declared data files.
 
 Anything else could change without notice, so it is refused by its name: another kind of value, a
 class, an import inside a function, `eval` and `getattr`, a function whose source is not known. The
@@ -41,7 +42,7 @@ Fingerprint = dict[str, Any]
 
 FORMULAS: Final = "formulas"
 _SETTINGS = ("initial_noise", "process_noise", "measurement_noise", "linear_gaussian")
-_NAMES = ("x_names", "y_names", "z_names")  # they name columns
+_NAMES = ("x_names", "y_names", "z_names", "circular")  # they name columns and components
 _DYNAMIC = {"__import__", "eval", "exec", "getattr", "globals", "locals", "setattr", "vars"}
 _HIDDEN = {
     *("__annotations__", "__closure__", "__code__", "__dict__", "__doc__", "__globals__"),
@@ -79,7 +80,7 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     walk = _Walk(model.name, model.formulas)
     entries = walk.fingerprint()
     entries[FORMULAS] = digest([entries[FORMULAS], *(repr(getattr(model, k)) for k in _SETTINGS)])
-    names = {name: ", ".join(given) for name in _NAMES if (given := getattr(model, name))}
+    names = {name: ", ".join(map(str, given)) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
     fingerprint = entries | names | files | parameters_of(model.parameters)
     return Inspection(fingerprint, walk.modules, walk.texts)
@@ -134,7 +135,8 @@ class _Walk:
         """Add the syntax of a function of the user, and all that the function names."""
         self._place = place_of_function(function)
         if Path(function.__code__.co_filename) == _PFDIST / "models" / "base.py":
-            self._syntax.append(function.__qualname__.encode())  # the squared norm
+            angles = [cell.cell_contents for cell in function.__closure__ or ()]
+            self._syntax.append(f"{function.__qualname__}{angles or ''}".encode())  # default error
             return
         if own := vars(function).keys() - {"__wrapped__"}:
             self._refuse(label, f"has an attribute of its own, {min(own)}: use a variable")

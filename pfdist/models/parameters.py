@@ -19,16 +19,20 @@ CLOCK: Final = ("time", "dt")
 
 def values_of_parameter(value: Any) -> Iterable[Any]:
     """The numbers of a parameter."""
-    if isinstance(value, np.ndarray) and value.ndim == 1:
-        return list(value.tolist())
+    value = _plain(value)
     return value if isinstance(value, list | tuple) and value else (value,)
 
 
 def fixed_parameter(value: Any) -> Any:
     """A checked parameter in a form that can be compared: a sequence becomes a tuple."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return tuple(map(float, values_of_parameter(value)))
-    return value
+    value = _plain(value)
+    return tuple(map(float, value)) if isinstance(value, list | tuple) else value
+
+
+def _plain(value: Any) -> Any:
+    """An array, or a column of a DataFrame, as a list; other values as they are."""
+    is_column = hasattr(value, "tolist") and getattr(value, "ndim", 0) == 1
+    return value.tolist() if is_column else value
 
 
 def named_parameters(parameters: Mapping[str, Any]) -> Any:
@@ -70,7 +74,7 @@ def check_lengths(
         got = len(value) if isinstance(value, tuple) else instants
         if got < instants or (exactly and got > instants):
             raise ModelError(
-                f"{where}{name} must have a number for each of {instants} instants, got {got}"
+                f"{where}{name} needs {instants} values, one for each instant, got {got}"
             )
 
 

@@ -2,9 +2,9 @@
 
 The functions `belief`, `bound`, `budget`, `comparison`, `cost`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
-`online_shares`, `sampling_windows`, `shifts`, `times`, `uncertainty` and `worth` each draw one
-panel: of a run, or of tables, into ``ax``, or into a new figure of pyplot. They return the axes. So
-do `against`, `heat_map` and `found_times`, which draw a table of many runs.
+`online_shares`, `particle_losses`, `sampling_windows`, `shifts`, `times`, `uncertainty` and `worth`
+each draw one panel: of a run, or of tables, into ``ax``, or into a new figure of pyplot. They
+return the axes. So do `against`, `heat_map` and `found_times`, which draw a table of many runs.
 ``plt.style.use("pfdist.plots.print")`` gives the look of printed figures, and
 ``pfdist.plots.screen`` that of figures on a screen.
 """
@@ -19,7 +19,12 @@ from pfdist.plots.measurements import sampling_windows, shifts, worth
 from pfdist.plots.online import online_gain, online_raster, online_shares
 from pfdist.plots.sweeps import against, found_times, heat_map
 from pfdist.plots.times_axis import times, uncertainty
-from pfdist.plots.why import degenerate_draws, effective_sample_size, error_profile
+from pfdist.plots.why import (
+    degenerate_draws,
+    effective_sample_size,
+    error_profile,
+    particle_losses,
+)
 
 __all__ = [
     "against",
@@ -44,6 +49,7 @@ __all__ = [
     "online_gain",
     "online_raster",
     "online_shares",
+    "particle_losses",
     "sampling_windows",
     "shifts",
     "times",

@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from pfdist.analysis import Run
+from pfdist.analysis.particle_loss import SMALL, SMALL_AT_MOST
 from pfdist.analysis.reference import label
 from pfdist.common.formatted_times import formatted_time
 from pfdist.plots.figure import Plot, Tables, figure
@@ -14,6 +15,7 @@ from pfdist.plots.measurements import shifts, worth
 from pfdist.plots.panel import (
     BAND,
     axes_for,
+    check_kind,
     cut_outliers,
     label_times,
     legend_above,
@@ -26,6 +28,7 @@ from pfdist.plots.panel import (
     verbatim,
     write_instead,
 )
+from pfdist.plots.style import set_style
 
 _MOST_SETS = 5  # in the figure of the filters
 _LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
@@ -242,5 +245,44 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
     ax.set_ylim(0, ax.get_ylim()[1] if table["degenerate_draws"].any() else 1.0)
     ax.set_ylabel("degenerate draws [%]")
     label_times(ax, table)
+    legend_above(ax)
+    return ax
+
+
+def particle_losses(losses: pd.DataFrame, *, ax: Axes | None = None) -> Axes:
+    """Draw the loss against the number of particles, by two filters and at most.
+
+    Dotted lines are the limits of ``filter.particles = "auto"``, 1 and 5 %.
+
+    Parameters
+    ----------
+    losses : DataFrame
+        A table as `pfdist.particle_losses` gives it.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    check_kind(losses, (pd.DataFrame,), "losses")
+    table, ax = losses.sort_values("particles"), axes_for(ax)
+    ax.set_xscale("log")
+    ax.set_yscale("log", nonpositive="clip")
+    for column, errors, most, style, name in (
+        ("particle_loss", "particle_loss_error", SMALL, set_style(1), "two filters"),
+        ("particle_loss_limit", None, SMALL_AT_MOST, set_style(0), "at most (95 %)"),
+    ):
+        share = 100 * table[column].where(table[column] > 0)  # a logarithmic axis has no 0
+        half = None if errors is None else 100 * BAND * table[errors]
+        ax.errorbar(
+            table["particles"], share, half, lw=thin(), ms=marker(), elinewidth=thin(), label=name,
+            **style,
+        )  # fmt: skip
+        ax.axhline(100 * most, color=style["color"], ls=":", lw=thin())
+    ax.xaxis.set_major_formatter("{x:,.0f}")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.set_xlabel("number of particles")
+    ax.set_ylabel("loss [% of the MSE]")
     legend_above(ax)
     return ax

@@ -73,8 +73,11 @@ def build(job: Job) -> Built:
     """Make the objects of a job, and check that they fit each other.
 
     Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
-    range, or if an estimator or a resampling scheme does not fit.
+    range, or if an estimator or a resampling scheme does not fit. Raises `JobError` if the job
+    wants a number of particles that is enough, and none is.
     """
+    if job.filter.is_automatic:
+        return build(_with_enough_particles(job))
     model, filter_model = models_of(job)
     evaluator = carried_evaluator(
         model,
@@ -105,6 +108,43 @@ def build(job: Job) -> Built:
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
     return built
+
+
+def _with_enough_particles(job: Job) -> Job:
+    """The job with a number in the place of ``filter.particles = "auto"``.
+
+    The number is enough for the regular times and the filter's own model. The job is built with few
+    particles first, so whatever else is wrong is named first.
+    """
+    # Imported here, so that workers, which know the number, need no pandas.
+    from pfdist.analysis.particle_loss import SMALL, SMALL_AT_MOST  # noqa: PLC0415
+    from pfdist.checks.particles import (  # noqa: PLC0415
+        NUMBERS,
+        enough_particles,
+        has_particle_loss,
+    )
+
+    def with_number(particles: int) -> Job:
+        return job.with_changes(settings={"filter": {"particles": particles}})
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EngineWarning)  # it comes again with the number
+        built = build(with_number(NUMBERS[0]))
+    evaluator, times = built.evaluator.self_consistent, job.problem.feasible.regular()
+    must = "filter.particles must be a number, got 'auto'"
+    if not has_particle_loss(evaluator):
+        raise JobError(
+            f"{must}: it needs an engine with particles, and the squared error ({job.path})"
+        )
+    loss = enough_particles(evaluator, times, job.seed, built.comparing)
+    if not loss.is_small:
+        left_out = f", and {loss.left_out} draws are degenerate" * bool(loss.left_out)
+        raise JobError(
+            f"{must}: no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters "
+            f"and less than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
+            f"{left_out} ({job.path})"
+        )
+    return with_number(loss.particles)
 
 
 def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:

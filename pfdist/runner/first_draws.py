@@ -14,6 +14,7 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.work import Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.base import within_half_turn
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.row_formats import RowsByDraw
@@ -164,6 +165,7 @@ def _trajectory_columns(model: StateSpaceModel, piece: Work, result: Result) -> 
     z, y = model.named("z"), model.named("y")
     columns |= _by_component("z", z, result.z) | _by_component("y", y, result.y)
     for name, estimate in zip(piece.ids, result.estimates, strict=True):
+        estimate = within_half_turn(estimate, result.z, model.is_angle)  # noqa: PLW2901
         columns |= _by_component(f"estimate_{name}", z, estimate)
     return columns
 

@@ -152,12 +152,13 @@ def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
     """Raise a `RunMismatchError` if a question about a run comes with another job.
 
     `recorded` is the run's own job. The question leaves the numbers of draws as they are in the
-    run, so they may differ.
+    run, so they may differ. So does the number of particles that the run has found itself.
     """
+    left = (*_LENGTHS, "filter.particles") if job.filter.is_automatic else _LENGTHS
     changes = [
         f"{key}: {_short(was)} -> {_short(is_now)}"
         for key, was, is_now in _changes(recorded, job.identity())
-        if key not in _LENGTHS
+        if key not in left
     ]
     if changes:
         own = f"give results another folder, or name the run's own job, {path / 'job.toml'}"

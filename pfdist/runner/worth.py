@@ -6,7 +6,7 @@ Everything is computed on new draws, which neither chose the times nor compared 
 import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,44 +14,18 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
 from pfdist.common.streams import stream_of
-from pfdist.errors import MeasurementsError
-from pfdist.filters.cloud import Cloud
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.sequential.beliefs import Particles, weights_after
-from pfdist.sequential.one_filter import OneFilter, begin
+from pfdist.sequential.filter import effective_sample_sizes
+from pfdist.sequential.one_filter import begin
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.moves import moved
 
 Array = NDArray[np.float64]
-
-
-def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list[float]:
-    """Effective sample size after each measurement, (N,), before the particles are resampled.
-
-    The filter has particles and stands before the first of N times; y, (N, m), has the measurement
-    at each. The sizes are NaN from the first measurement at which the filter fails: no particle
-    explains it, or a state is not finite. (Kong, Liu, Wong, "Sequential imputations and Bayesian
-    missing data problems", Journal of the American Statistical Association 89, 1994.)
-    """
-    sizes = [math.nan] * len(times)
-    for number, (t, measured) in enumerate(zip(times, y, strict=True)):
-        try:
-            predicted, *_ = filtering.at(t)
-            filtering, *_ = predicted.at(t, measured)
-        except MeasurementsError:
-            return sizes  # from here on the filter has no belief
-        cloud = cast(Cloud, predicted.settings.prior)
-        share, _ = weights_after(filtering.model, cloud, measured)
-        sizes[number] = Particles(cloud.x, share).effective_sample_size()
-    return sizes
-
-
-# --- worth and error over time --------------------------------------------------------------------
 
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]

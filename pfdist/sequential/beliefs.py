@@ -13,6 +13,7 @@ from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import within_half_turn
 
 Array = NDArray[np.float64]
 
@@ -91,11 +92,13 @@ def weights_after(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array
     return share, log_sum - math.log(cloud.particles)
 
 
-def quantity(model: StateSpaceModel, cloud: Cloud) -> Array:
-    """Quantity of interest z of each particle, (q, P)."""
+def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
+    """Quantity of interest z of each particle, (q, P); angles at most half a turn from the mean."""
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         z = model.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
-    return np.stack([np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z])
+    parts = [np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z]
+    around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
+    return around.T
 
 
 def surprise_of_particles(

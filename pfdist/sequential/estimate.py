@@ -22,6 +22,9 @@ class Estimate:
     measured : bool
         Whether the filter has the measurement at t.
     mean, standard_deviation : array of float64, (q,)
+        For an angle the mean direction in -pi..pi, and sqrt(-2 log R), where R is the length of the
+        mean of the particles' unit vectors. For a narrow distribution, this is the usual standard
+        deviation.
     effective_sample_size : float or None
         Number of particles of equal weight that are worth as much as the weighted particles; None
         for the engine "kalman", which has no particles.
@@ -44,7 +47,7 @@ class Estimate:
         Parameters
         ----------
         levels : float or sequence of float
-            In 0..1, without the ends.
+            In 0..1, without the ends. Quantiles of an angle are at most half a turn from the mean.
         """
         try:
             wanted = np.atleast_1d(np.array(levels, np.float64))
@@ -56,14 +59,21 @@ class Estimate:
 
 
 def estimate_of(
-    t: int, mean: Array, variance: Array, belief: Belief, surprise: float | None = None
+    t: int,
+    mean: Array,
+    variance: Array,
+    is_angle: Sequence[bool],
+    belief: Belief,
+    surprise: float | None = None,
 ) -> Estimate:
     """The estimate at t, by its moments; t was measured if there is a surprise."""
+    with np.errstate(all="ignore"):  # 1 - variance is below 0 where z is no angle
+        squares = np.where(is_angle, -2 * np.log1p(-variance), variance)
     return Estimate(
         t,
         surprise is not None,
         mean,
-        np.sqrt(variance),
+        np.sqrt(squares),
         belief.effective_sample_size(),
         surprise,
         belief,

@@ -40,6 +40,7 @@ from pfdist.sequential.formatted_instant import formatted_instant
 from pfdist.sequential.measurements import checked_instant, checked_measurement
 from pfdist.sequential.one_filter import OneFilter, begin
 from pfdist.sequential.user_prior import as_prior
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
@@ -207,7 +208,8 @@ class Filter:
         self._filter = self._ahead = moved
         self._unseen_by_many.append((t, measurement))
         self._evidence += log_density
-        self._now = estimate_of(t, mean[-1], variance[-1], belief, surprise)
+        is_angle = self.model.is_angle
+        self._now = estimate_of(t, mean[-1], variance[-1], is_angle, belief, surprise)
         return self._now
 
     def predict(self, t: int) -> Estimate:
@@ -279,8 +281,8 @@ class Filter:
         prior = _prior(self._filter if at is None else at)
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
-            belief = Particles(quantity(self.model, prior), np.ones(prior.particles))
-        return estimate_of(prior.t, mean, variance, belief)
+            belief = Particles(quantity(self.model, prior, mean), np.ones(prior.particles))
+        return estimate_of(prior.t, mean, variance, self.model.is_angle, belief)
 
     def _explained(
         self, predicted: OneFilter, y: Array, mean: Array, variance: Array
@@ -294,7 +296,7 @@ class Filter:
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)
-        return Particles(quantity(self.model, prior), share), log_density, surprise
+        return Particles(quantity(self.model, prior, mean[-1]), share), log_density, surprise
 
     def _confirmed(self, surprise: float, t: int, y: Array) -> float:
         """Surprise of a measurement for the filter with many particles.
@@ -336,3 +338,24 @@ def _check_integers(**values: Any) -> None:
         if not whole or not (name == "seed" or 0 <= value <= most):
             bounds = "" if name == "seed" else f" in 0..{most}"
             raise ArgumentError(f"{name} must be an integer{bounds}, got {shown(value)}")
+
+
+def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list[float]:
+    """Effective sample size after each measurement, (N,), before the particles are resampled.
+
+    The filter has particles and stands before the first of N times; y, (N, m), has the measurement
+    at each. The sizes are NaN from the first measurement at which the filter fails: no particle
+    explains it, or a state is not finite. (Kong, Liu, Wong, "Sequential imputations and Bayesian
+    missing data problems", Journal of the American Statistical Association 89, 1994.)
+    """
+    sizes = [math.nan] * len(times)
+    for number, (t, measured) in enumerate(zip(times, y, strict=True)):
+        try:
+            predicted, *_ = filtering.at(t)
+            filtering, *_ = predicted.at(t, measured)
+        except MeasurementsError:
+            return sizes  # from here on the filter has no belief
+        cloud = cast(Cloud, predicted.settings.prior)
+        share, _ = weights_after(filtering.model, cloud, measured)
+        sizes[number] = Particles(cloud.x, share).effective_sample_size()
+    return sizes

@@ -1,7 +1,7 @@
 """Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
 
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 
@@ -24,24 +24,27 @@ MOST_COLUMNS = 1000
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 
 
-def read_user_table(path: Path | pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
+def read_user_table(
+    path: Path | pd.DataFrame, check_header: CheckHeader, only: Collection[str] = ()
+) -> dict[str, Array]:
     """The columns of a table of numbers by their names; a missing number is NaN.
 
     A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
     raises an error if the names of the columns are wrong; it is called before any number is read.
+    With `only`, other columns are left out, and may hold anything.
 
     Raises `ValueError` if the file is too large, is no such table, or holds other things than
     numbers. Raises `OSError` if it cannot be read.
     """
     if isinstance(path, pd.DataFrame):
-        return _columns_of(path, check_header)
+        return _columns_of(path, check_header, only)
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
         raise ValueError("a table must be a file, got something else")
     if about.st_size > MOST_BYTES:
         raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
-    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header)
+    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header, only)
 
 
 def is_parquet(path: Path) -> bool:
@@ -49,14 +52,16 @@ def is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _columns_of(table: pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
+def _columns_of(
+    table: pd.DataFrame, check_header: CheckHeader, only: Collection[str]
+) -> dict[str, Array]:
     if table.index.name is not None:
         table = table.reset_index()
     header = list(map(str, table.columns))
     _check_size(header, len(table))
     check_header(header)
     columns = {}
-    for column, name in enumerate(header):
+    for column, name in _wanted(header, only):
         try:
             columns[name] = pd.to_numeric(table.iloc[:, column]).to_numpy(np.float64, copy=True)
         except (TypeError, ValueError) as error:
@@ -65,7 +70,12 @@ def _columns_of(table: pd.DataFrame, check_header: CheckHeader) -> dict[str, Arr
     return columns
 
 
-def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+def _wanted(header: list[str], only: Collection[str]) -> list[tuple[int, str]]:
+    """Numbers and names of the columns that are read."""
+    return [(column, name) for column, name in enumerate(header) if not only or name in only]
+
+
+def _read_csv(path: Path, check_header: CheckHeader, only: Collection[str]) -> dict[str, Array]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
             text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False, low_memory=True)
@@ -86,7 +96,7 @@ def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     values = text.iloc[1:]
     return {
         name: _numbers(name, values.iloc[:, column].str.strip())
-        for column, name in enumerate(header)
+        for column, name in _wanted(header, only)
     }
 
 
@@ -104,7 +114,7 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
     return numbers
 
 
-def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+def _read_parquet(path: Path, check_header: CheckHeader, only: Collection[str]) -> dict[str, Array]:
     try:
         with path.open("rb") as file, pq.ParquetFile(file) as table:
             header = list(map(str, table.schema_arrow.names))
@@ -114,7 +124,7 @@ def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     except (pa.ArrowException, pa.ArrowInvalid) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"a Parquet table was expected, got {shown(reason)}") from error
-    return {name: _values(name, columns.column(k)) for k, name in enumerate(header)}
+    return {name: _values(name, columns.column(k)) for k, name in _wanted(header, only)}
 
 
 def _values(name: str, column: pa.ChunkedArray) -> Array:

@@ -7,13 +7,23 @@ add where the value came from: ``forbidden must lie in 0..60, got 61``.
 from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
-from math import gcd
+from math import gcd, lcm
 
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
+
+Money = int | Decimal
+"""A price, exactly as the user has written it."""
+
+
+def money(number: float) -> Money:
+    """The exact price that a number is written for: 0.1 means one tenth, not its binary value."""
+    return number if isinstance(number, int) else Decimal(repr(number))
 
 
 @dataclass(frozen=True)
@@ -30,10 +40,10 @@ class Constraints:
     required: Times = ()  # times that every set must contain, sorted
     # smallest difference of two times of a set: instants, or time on the clock
     minimum_spacing: int | float = 1
-    # (T+1,): cost of a measurement at each time, at least 1, in whole units
-    cost: tuple[int, ...] | None = None
+    # (T+1,): cost of a measurement at each time, above 0
+    cost: tuple[Money, ...] | None = None
     # largest cost of all measurements together; given with `cost`, in place of N
-    total_cost: int | None = None
+    total_cost: Money | None = None
     clock: Clock | None = None  # by default instants are counted
 
     @property
@@ -69,7 +79,8 @@ class Constraints:
     @cached_property
     def price(self) -> tuple[int, ...]:
         """Price of a measurement at each time, in units of `total`; 1 if times are counted."""
-        return tuple(cost // self.unit for cost in self.cost or (1,) * (self.horizon + 1))
+        costs = self.cost or (1,) * (self.horizon + 1)
+        return tuple(int(Fraction(cost) / self.unit) for cost in costs)
 
     @cached_property
     def total(self) -> int:
@@ -79,7 +90,8 @@ class Constraints:
         """
         if self.measurement_budget is not None:
             return self.measurement_budget
-        return min((self.total_cost or 0) // self.unit, self.spent(self.allowed))
+        affordable = Fraction(self.total_cost or 0) // self.unit
+        return min(affordable, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
         """The sum of the prices of some times."""
@@ -130,7 +142,7 @@ class Constraints:
             sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
         return sentences
 
-    def cost_of(self, times: Iterable[int]) -> int:
+    def cost_of(self, times: Iterable[int]) -> Money:
         """The cost of a set, in the unit of `cost`; its size if times are counted."""
         return sum(self.cost[time] if self.cost else 1 for time in times)
 
@@ -188,9 +200,11 @@ class Constraints:
         return tuple(chosen)
 
     @cached_property
-    def unit(self) -> int:
+    def unit(self) -> Fraction:
         """The largest unit of money in which all costs are whole."""
-        return gcd(*(self.cost or (1,)))
+        costs = [Fraction(cost) for cost in self.cost or (1,)]
+        parts = lcm(*(cost.denominator for cost in costs))
+        return Fraction(gcd(*(int(cost * parts) for cost in costs)), parts)
 
     @cached_property
     def _capacities(self) -> dict[tuple[int, int], int]:

@@ -40,7 +40,7 @@ def _check_times(constraints: Constraints) -> None:
 
 
 def _check_budget_or_cost(constraints: Constraints) -> None:
-    """Refuse a budget with costs, and costs without a sum, below 1 or of a wrong number."""
+    """Refuse a budget with costs, and costs without a sum, not above 0 or of a wrong number."""
     given = (constraints.measurement_budget, constraints.cost, constraints.total_cost)
     if given == (None, None, None):
         raise MeasurementTimesError(
@@ -60,10 +60,10 @@ def _check_budget_or_cost(constraints: Constraints) -> None:
     cost, instants = constraints.cost, constraints.horizon + 1
     if cost is not None and len(cost) != instants:
         raise MeasurementTimesError(
-            f"cost must have a number for each of {instants} instants, got {len(cost)}"
+            f"cost needs {instants} values, one for each instant, got {len(cost)}"
         )
-    if cost is not None and min(cost) < 1:
-        raise MeasurementTimesError(f"cost must be at least 1, got {min(cost)}")
+    if cost is not None and min(cost) <= 0:
+        raise MeasurementTimesError(f"cost must be above 0, got {min(cost)}")
 
 
 def _check_that_a_set_exists(constraints: Constraints) -> None:
@@ -91,15 +91,14 @@ def _check_that_a_set_exists(constraints: Constraints) -> None:
 
 
 def _check_money(constraints: Constraints) -> None:
-    unit, money = constraints.unit, constraints.total_cost or 0
-    required = constraints.spent(constraints.required) * unit
+    money, required = constraints.total_cost or 0, constraints.cost_of(constraints.required)
     if money < required:
         raise MeasurementTimesError(
             f"total_cost must pay for the required times, which cost {required}, got {money}"
         )
     if not constraints.allowed:
         raise MeasurementTimesError("forbidden must leave a time, got all times")
-    least = min(constraints.price[time] for time in constraints.allowed) * unit
+    least = min(constraints.cost_of((time,)) for time in constraints.allowed)
     if money < least:
         raise MeasurementTimesError(
             f"total_cost must pay for a measurement, and the cheapest costs {least}, got {money}"
@@ -107,5 +106,5 @@ def _check_money(constraints: Constraints) -> None:
     if constraints.total > _MOST_UNITS:
         raise MeasurementTimesError(
             f"total_cost must be at most {_MOST_UNITS:,} times the largest unit in which every "
-            f"cost is whole, {unit}, got {money}: give costs in larger units"
+            f"cost is whole, {float(constraints.unit):.15g}, got {money}: give rounder costs"
         )

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,24 +82,23 @@ def loss(particles: int, by_two_filters: float, at_most: float, error: float = 0
     return ParticleLoss(particles, Estimate(by_two_filters, error), Estimate(at_most, error))
 
 
-COARSE = loss(100, 0.2, 0.4)
-
-
 @pytest.mark.parametrize(
-    ("coarse", "fine", "expected"),
+    ("by_two_filters", "at_most", "error", "small", "open_"),
     [
-        (COARSE, loss(400, 0.05, 0.1), 400),  # as 1/P
-        (COARSE, loss(400, 0.1, 0.15), 800),  # nearly
-        (COARSE, loss(400, 0.19, 0.1), None),  # two filters agree in error
-        (COARSE, loss(400, 0.05, 0.4), None),  # the upper figure does not fall: a collapse
-        (COARSE, loss(400, 0.19, 0.4, 0.2), 1600),  # noise hides it
-        (loss(500, 100.0, 100.0), loss(2000, 25.0, 25.0), None),  # nobody can afford so many
+        (0.01, 0.049, 0.0, True, True),
+        (0.011, 0.02, 0.0, False, False),
+        (0.01, 0.05, 0.0, False, False),
+        (0.005, 0.04, 0.01, False, True),  # more draws may show it
+        (0.005, 0.08, 0.01, False, False),
+        (math.nan, math.nan, 0.0, False, False),  # all draws are degenerate
     ],
 )
-def test_a_number_is_named_only_if_both_figures_follow_one_over_p(
-    coarse: ParticleLoss, fine: ParticleLoss, expected: int | None
+def test_a_loss_is_small_if_both_figures_are_and_more_draws_are_taken_where_it_is_open(
+    by_two_filters: float, at_most: float, error: float, small: bool, open_: bool
 ) -> None:
-    assert coarse.enough(fine) == expected
+    found = loss(100, by_two_filters, at_most, error)
+    assert (found.is_small, found.may_be_small) == (small, open_)
+    assert not replace(found, left_out=1).is_small  # a degenerate draw counts as infinite
 
 
 def test_a_large_loss_must_be_clear() -> None:

@@ -268,7 +268,7 @@ def test_commands_read_and_write_hours(
         ("problem.horizon=12", r"problem\.horizon must be left out, because times say every inst"),
         ("problem.forbidden=[4]", r"problem\.forbidden must be times .* nearest are 3 and 5 h"),
         ("problem.minimum_spacing=0", r"problem\.minimum_spacing must be above 0, got 0"),
-        ("problem.instant_weights=[1, 2]", r"a number for each of 8 instants, got 2"),
+        ("problem.instant_weights=[1, 2]", r"needs 8 values, one for each instant, got 2"),
         ("comparison.reference=[0, 4]", r"comparison\.reference must be times of .*, got 4"),
     ],
 )

@@ -46,6 +46,7 @@ LOOKS = [
     "every instant",
     "degenerate draws",
     "expected MSE",
+    "effective sample size",
     "particles",
     "an evaluation",
 ]

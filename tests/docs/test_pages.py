@@ -110,11 +110,18 @@ def test_the_worked_example_prints_what_its_page_shows(
 
 
 @pytest.mark.slow
-def test_the_model_of_the_page_about_densities_is_checked_as_its_page_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("page", "model"), [("densities", "photons"), ("models", "vane")])
+def test_the_model_of_a_page_is_checked_as_the_page_shows(
+    page: str,
+    model: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (_, code), (_, console) = _blocks(DOCS / "densities.md")
+    blocks = [text for _, text in _blocks(DOCS / f"{page}.md")]
+    (code,) = (text for text in blocks if text.startswith(f"# {model}.py"))
+    (console,) = (text for text in blocks if text.startswith(f"$ pfdist check-model {model}.py"))
     file, _, source = code.partition("\n")
     Path(file.removeprefix("# ")).write_text(source, encoding="utf-8")
     command, _, shown = console.partition("\n")
@@ -145,6 +152,25 @@ def test_duckdb_polars_and_xarray_read_what_pandas_reads(monkeypatch: pytest.Mon
         exec(text, names)
     assert names["means"]["mse_regular"][0] == pytest.approx(draws["mse_regular"].mean())
     assert names["error"].sizes == {"t": 61}
+
+
+@pytest.mark.slow
+def test_the_page_about_particles_prints_and_draws_what_it_shows(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    [(_, console)] = _blocks(DOCS / "particles.md", "console")
+    command, _, shown = console.partition("\n")
+    assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
+    printed = capsys.readouterr().out
+    assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
+    [(_, code)] = _blocks(DOCS / "particles.md", "python")
+    names = dict[str, Any]()
+    exec(compile(code, "particles.md", "exec"), names)
+    assert names["axes"].has_data()
+    assert names["losses"]["particle_loss"].is_monotonic_decreasing
+    [(_, section)] = _blocks(DOCS / "particles.md", "toml")
+    assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
 
 
 @pytest.mark.slow

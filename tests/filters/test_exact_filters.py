@@ -52,6 +52,13 @@ CASES = {
         300,
         quadrature_filter,
     ),
+    "epidemic_counts": Case(
+        load_model("epidemic_counts").on_clock(range(81)).with_parameters({"return_days": 1e12}),
+        80,
+        regular(80, 12),
+        300,
+        quadrature_filter,
+    ),
 }
 
 
@@ -60,7 +67,7 @@ def marked(*names: str) -> list[Any]:
 
 
 ON_GRIDS = marked("ungm", "ungm_gordon", "stochastic_volatility")
-ON_SQUARES = marked("pharmacokinetics", "epidemic")
+ON_SQUARES = marked("pharmacokinetics", "epidemic", "epidemic_counts")
 
 
 @cache
@@ -107,7 +114,12 @@ def test_half_the_step_changes_nothing(name: str) -> None:
 
 @pytest.mark.zoo
 @pytest.mark.parametrize(
-    ("name", "rtol", "atol"), [("pharmacokinetics", 1e-7, 1e-6), ("epidemic", 1e-3, 1e-4)]
+    ("name", "rtol", "atol"),
+    [
+        ("pharmacokinetics", 1e-7, 1e-6),
+        ("epidemic", 1e-3, 1e-4),
+        ("epidemic_counts", 1e-3, 1e-4),
+    ],
 )
 def test_half_the_step_of_the_quadrature_changes_nothing(
     name: str, rtol: float, atol: float

@@ -68,7 +68,7 @@ def test_a_parameter_that_is_too_short_is_refused() -> None:
         lambda: simulate(short, HORIZON, range(2), 1),
         lambda: filter_draws(short, draws, (1, 4), 50, 2),
     ):
-        with pytest.raises(ModelError, match="rate must have a number for each of 7 instants"):
+        with pytest.raises(ModelError, match="rate needs 7 values, one for each instant"):
             compute()
 
 
@@ -107,7 +107,7 @@ def test_a_job_says_how_many_numbers_a_parameter_needs(count: int, tmp_path: Pat
         ("model.filter", pfdist.load_job(path, [f"model.filter.parameters.{change}"])),
     ]
     for part, problem in problems:
-        says = f"^{part}.parameters.rate must have a number for each of 31 instants, got {count}$"
+        says = f"^{part}.parameters.rate needs 31 values, one for each instant, got {count}$"
         for function in (pfdist.simulate, pfdist.Planner, lambda each: pfdist.evaluate(each, [1])):
             with pytest.raises(ModelError, match=says):
                 function(problem)
@@ -119,12 +119,12 @@ def test_a_check_and_a_filter_say_how_many_numbers_a_parameter_needs(tmp_path: P
     (tmp_path / "model.py").write_text(SOURCE.replace("COUNT", "4"))
     *_, last = check_model("model.py:model", 30, 50, tmp_path)
     assert last.state == "wrong"
-    assert last.text == "parameter rate must have a number for each of 31 instants, got 4"
+    assert last.text == "parameter rate needs 31 values, one for each instant, got 4"
     model = pfdist.load_model(f"{tmp_path / 'model.py'}:model")
     for engine in ("compiled", "numpy", "kalman"):
         filtering = pfdist.Filter(model, particles=20, engine=engine)
         filtering.update(3, 0.5)
-        with pytest.raises(ModelError, match=r"rate must have a number for each of 7 .*, got 4$"):
+        with pytest.raises(ModelError, match=r"rate needs 7 values, .*, got 4$"):
             filtering.update(6, 0.5)
 
 

@@ -10,7 +10,7 @@ from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
 HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
-CLOCKS = {"epidemic": range(81), "pharmacokinetics": HOURS}
+CLOCKS = {"epidemic": range(81), "epidemic_counts": range(81), "pharmacokinetics": HOURS}
 
 
 @pytest.mark.zoo
@@ -23,7 +23,9 @@ CLOCKS = {"epidemic": range(81), "pharmacokinetics": HOURS}
         ("lotka_volterra", 30, regular(30, 5), 1000, 500),
         ("constant_velocity", 40, regular(40, 6), 500, 500),
         ("epidemic", 80, regular(80, 12), 1000, 500),
+        ("epidemic_counts", 80, regular(80, 12), 1000, 500),
         ("pharmacokinetics", 17, (2, 5, 9, 13), 1000, 1000),
+        ("robot", 40, regular(40, 6), 1000, 1000),
     ],
 )
 def test_measurements_help(name, horizon, some_times, draws, particles):
@@ -41,9 +43,11 @@ def test_measurements_help(name, horizon, some_times, draws, particles):
 OUTSIDE = {
     "constant_velocity": {"acceleration_sd": -0.1, "range_sd": 0.0, "bearing_sd": 0.0},
     "epidemic": {"sensitivity": 1.0, "return_days": 0.0, "first_infectious": 1.5},
+    "epidemic_counts": {"consulting": 1.5, "background": 0.0},
     "lorenz63": {"step": 0.3, "diffusion": -0.1, "measurement_sd": 0.0},
     "lotka_volterra": {"birth": -0.5, "step": -1.0, "measurement_sd": 0.0},
     "pharmacokinetics": {"clearance": 0.0, "volume_sd": -0.1, "measurement_sd": 0.0},
+    "robot": {"concentration": -1.0, "slip": -0.1},
     "stochastic_volatility": {"phi": 1.0, "sigma": -0.1},
     "tumour": {"frequency_sd": -0.1, "measurement_sd": 0.0},
     "ungm": {"initial_sd": -1.0, "process_sd": -1.0, "measurement_sd": 0.0},

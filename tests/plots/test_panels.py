@@ -40,6 +40,8 @@ PROFILE = pd.DataFrame(
         for t in range(10)
     ]
 )  # fmt: skip
+LOSSES = pd.DataFrame({"particles": [50, 200, 1000], "particle_loss": [0.05, 0.012, 0.001]})
+LOSSES = LOSSES.assign(particle_loss_error=0.002, particle_loss_limit=[0.1, 0.03, 0.004])
 CHANGES = ("removed", "earlier", "later")
 WORTH = pd.DataFrame([{"name": name, "t": t} for name in SETS for t in range(0, 10, 3)])
 WORTH = WORTH.assign(**dict.fromkeys(CHANGES, 0.1 * WORTH["t"]))
@@ -165,6 +167,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "online_gain": [call(proved)],
         "online_raster": [call(proved), call(proved.online())],
         "online_shares": [call(proved), call(proved.online(), planned=(0, 3), plan="it")],
+        "particle_losses": [call(LOSSES), call(LOSSES.iloc[::-1])],
         "shifts": [call(WORTH), call(WHY)],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
         "uncertainty": [call(proved), call(plain, ["regular", "genetic"]), call(_trajectory())],
@@ -184,7 +187,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 21
+    assert len(NAMES) == 22
 
 
 @every
@@ -302,6 +305,16 @@ def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
     known = PROFILE.assign(effective_sample_size=np.nan, draws=0)
     for draw in (plots.effective_sample_size, plots.degenerate_draws):
         assert "exact filters" in draw(known, ax=_axes()).texts[0].get_text()
+
+
+def test_the_loss_is_in_per_cent_and_a_loss_below_0_has_no_place_on_the_axis() -> None:
+    losses = LOSSES.assign(particle_loss=[0.05, 0.012, -0.001]).iloc[::-1]
+    axes = plots.particle_losses(losses, ax=_axes())
+    (by_two, *_), (limit, *_) = axes.containers
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    np.testing.assert_array_equal(by_two.get_xdata(), LOSSES["particles"])
+    np.testing.assert_allclose(by_two.get_ydata(orig=False), [5.0, 1.2, np.nan])
+    np.testing.assert_allclose(limit.get_ydata(orig=False), [10.0, 3.0, 0.4])
 
 
 def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_open() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.filters.settings import FilterSettings
-from pfdist.runner.worth import effective_sample_sizes
+from pfdist.sequential.filter import effective_sample_sizes
 from pfdist.sequential.one_filter import begin
 
 P = 4000

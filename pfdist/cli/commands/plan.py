@@ -49,6 +49,9 @@ def _add_bound_draws(parser: ArgumentParser) -> None:
         "pfdist plan jobs/plan.toml --set seed=3 --results results/seed3": (
             "Change a key of the job, and keep the run in another folder"
         ),
+        "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/enough": (
+            "Find first how many particles are enough"
+        ),
         "pfdist plan jobs/plan.toml --search greedy_forward --results results/greedy": (
             "Search by another method"
         ),

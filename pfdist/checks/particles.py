@@ -1,0 +1,109 @@
+"""How many particles a filter needs: the loss by their number, and effective sample sizes.
+
+Where the filter's model is not the truth, the draws are those of the filter's model
+(`pfdist.filters.evaluator.Evaluator.self_consistent`): the price of a wrong model does not depend
+on the number of particles.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from pfdist.analysis import Moments
+from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
+from pfdist.common.streams import stream_of
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation, Work, with_truth
+from pfdist.kernels.estimators import FILTER_NOISE
+from pfdist.models import squared_error
+from pfdist.sequential.filter import effective_sample_sizes
+from pfdist.sequential.one_filter import begin
+from pfdist.times.measurement_times import Times
+
+NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
+"""Numbers of particles among which `enough_particles` finds one."""
+_DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
+_FILTERS = 4  # of a draw behind a loss
+_SECONDS = 2.0  # of draws in memory at once
+_SIZE_DRAWS = 20  # behind a mean effective sample size
+
+
+def work_of_loss(
+    evaluator: Evaluator, times: Times, seed: int, estimation: Estimation, draws: int
+) -> Work:
+    """The work by which the loss of a set of times is measured.
+
+    All numbers of particles share the draws.
+    """
+    streams = {role: stream_of("particles", seed, role) for role in ("draws", "filter")}
+    ends = (evaluator.horizon,)
+    return Work((times,), ends, (streams["filter"],), streams["draws"], (0, draws), estimation)
+
+
+def has_particle_loss(evaluator: Evaluator) -> bool:
+    """Whether the engine has particles, and the error is the squared norm."""
+    return not evaluator.exact and evaluator.model.error is squared_error
+
+
+def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Moments]:
+    """The loss by the number of particles on the draws of a work, and moments of the MSE."""
+    particles, errors = work.estimation.particles, []
+    for estimation in (
+        work.estimation,
+        replace(work.estimation, estimator=FILTER_NOISE.name),
+        with_truth(particles),
+    ):
+        pieces = evaluator.pieces(replace(work, estimation=estimation), _SECONDS)
+        errors.append(np.concatenate([evaluator.filtered(piece).mse[:, 0] for piece in pieces]))
+    squared, distance, variance = errors
+    whole = Moments()
+    whole.add(squared[~np.isnan(squared)])
+    return particle_loss(particles, whole, squared, distance, variance), whole
+
+
+def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]":
+    """Mean effective sample size after each measurement of a work of one set, by its instant.
+
+    A draw counts up to the measurement at which its filter fails. NaN if no draw counts.
+    """
+    (times,), (stream,) = work.measurement_times, work.filter_streams
+    draws = evaluator.draws(range(_SIZE_DRAWS), work.draws_stream)
+    settings, engine = evaluator.settings(work.estimation), evaluator.computed_by.name
+    first = begin(evaluator.believed, settings, stream, engine=engine)
+    sizes = [
+        effective_sample_sizes(replace(first, draw=draw), times, y[list(times)])
+        for draw, y in zip(draws.index, draws.y, strict=True)
+    ]
+    return pd.DataFrame(sizes, columns=times, dtype=np.float64).mean()
+
+
+def enough_particles(
+    evaluator: Evaluator,
+    times: Times,
+    seed: int,
+    estimation: Estimation,
+    most_steps: float = math.inf,
+) -> ParticleLoss:
+    """The loss with the least of `NUMBERS` with which it is small.
+
+    If it is small with none, the loss with the largest number, or with the largest for which at
+    most so many particle-steps are enough. The result depends on the arguments alone, so the same
+    job gets the same number.
+    """
+    losses, steps = list[ParticleLoss](), 0
+    for number in NUMBERS:
+        for draws in _DRAWS:
+            chosen = replace(estimation, particles=number)
+            work = work_of_loss(evaluator, times, seed, chosen, draws)
+            steps += _FILTERS * work.steps
+            if losses and steps > most_steps:
+                return losses[-1]
+            loss, _ = measured_loss(evaluator, work)
+            losses.append(loss)
+            if loss.is_small:
+                return loss
+            if not loss.may_be_small:
+                break
+    return losses[-1]

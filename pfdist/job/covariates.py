@@ -1,0 +1,72 @@
+"""Parameters of a job's models that are columns of tables: covariates, a value for each instant.
+
+A job then holds the values, so its identity does, too. A run needs the table no more.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pfdist.common.nearest import did_you_mean, did_you_mean_path
+from pfdist.errors import JobError, shown
+
+_KEYS = {"file", "column"}
+
+
+def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
+    """A section [model] or [model.filter] of a job, with the values of the columns that it names.
+
+    Paths are relative to the folder. `key` names the section in the job. A `JobError` says that a
+    table cannot be read, that it has no such column, or that a value is no finite number.
+    """
+    if not isinstance(section, dict):
+        return section
+    read = dict(section)
+    if isinstance(read.get("parameters"), dict):
+        read["parameters"] = {
+            name: _column(value, name, folder, f"{key}.parameters.{name}")
+            if isinstance(value, dict)
+            else value
+            for name, value in read["parameters"].items()
+        }
+    if "filter" in read:
+        read["filter"] = with_columns(read["filter"], folder, f"{key}.filter")
+    return read
+
+
+def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[float]:
+    """The values of a column; by default it has the name of the parameter."""
+    # Imported here, because most jobs need no tables.
+    from pfdist.store.user_tables import read_user_table  # noqa: PLC0415
+
+    file, column = given.get("file"), given.get("column", name)
+    if given.keys() - _KEYS or not (isinstance(file, str) and isinstance(column, str)):
+        raise JobError(
+            f"{key} must be numbers, or a column of a table, as "
+            f'{{file = "weather.csv", column = "rain"}}, got {shown(given)}'
+        )
+
+    def check_header(header: list[str]) -> None:
+        if column not in header:
+            raise ValueError(
+                f"the table must have the column {shown(column)}, got the columns "
+                f"{', '.join(header)}{did_you_mean(column, header)}"
+            )
+
+    path = folder / file
+    try:
+        values = read_user_table(path, check_header, only=(column,))[column]
+    except OSError as error:
+        meant = did_you_mean_path(path, (path.parent,), lambda other: other.suffix == path.suffix)
+        raise JobError(f"{key}: cannot read {path}: {error.strerror}{meant}") from error
+    except ValueError as error:
+        raise JobError(f"{key}: {error} ({path})") from error
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if wrong.size:
+        row = int(wrong[0])
+        raise JobError(
+            f"{key}: column {shown(column)} must hold finite numbers, got {values[row]} in row "
+            f"{row + 1} ({path})"
+        )
+    return [float(value) for value in values]

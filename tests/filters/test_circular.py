@@ -1,0 +1,266 @@
+"""Angles: the mean direction, its error 1 - cos, the estimators and the bound, against the circle.
+
+Mardia, Jupp, "Directional statistics", 2000, sections 2.2 to 2.3.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import pfdist
+from oracles.circle import circle_filter
+from oracles.moments import assert_mean, assert_positive
+from pfdist import Filter, Problem, StateSpaceModel, densities, load_model
+from pfdist.errors import ModelError
+from pfdist.filters import plain
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws, filter_sets
+from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
+from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
+from pfdist.models import carried
+from pfdist.models.base import within_half_turn
+
+HORIZON, TIMES = 8, (1, 4, 5)
+Array = NDArray[np.float64]
+
+
+def _wrapped(angle: Any) -> Any:
+    return angle - 2 * math.pi * np.ceil((angle - math.pi) / (2 * math.pi))
+
+
+HEADING = StateSpaceModel(
+    name="heading",
+    initial=lambda w, p: (p.first + p.unknown * w[0],),
+    transition=lambda x, t, w, p: (x[0] + p.drift + p.turn_sd * w[0],),
+    measurement=lambda x, t, v, p: (
+        _wrapped(densities.von_mises_draw(v[0], x[0], p.concentration)),
+    ),
+    log_likelihood=lambda y, x, t, p: p.concentration * np.cos(y[0] - x[0]),
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("uniform",),
+    process_noise=("normal",),
+    measurement_noise=("uniform",),
+    parameters={
+        "first": 0.0,
+        "unknown": 2 * math.pi,
+        "drift": 2.0,
+        "turn_sd": 0.4,
+        "concentration": 4.0,
+    },
+    z_names=("heading [rad]",),
+    circular=("heading",),
+)
+POINTS = replace(  # an angle between two components that are none
+    HEADING,
+    name="points",
+    quantity_of_interest=lambda x, t, p: (x[0] - 1.0, x[0] + 1.0, 0.5 * x[0]),
+    z_names=(),
+    circular=(1,),
+)
+
+
+def _mse(draws: int, particles: int, estimator: str, times: Sequence[int] = TIMES) -> Array:
+    drawn = simulate(HEADING, HORIZON, range(draws), 3)
+    return filter_sets(HEADING, drawn, [tuple(times)], particles, 5, estimator=estimator)[:, 0]
+
+
+def _angular(difference: Array) -> Array:
+    return 1 - np.cos(difference)
+
+
+@pytest.fixture(scope="module")
+def exact() -> tuple[Any, Array, Array]:
+    draws = simulate(HEADING, HORIZON, range(4000), 3)
+    return (draws, *circle_filter(HEADING, draws.y[:, :, 0], TIMES))
+
+
+@pytest.mark.parametrize("model", [HEADING, POINTS], ids=lambda model: model.name)
+@pytest.mark.parametrize("estimator", [*ESTIMATORS, FILTER_NOISE.name])
+def test_the_compiled_filter_is_its_plain_twin(model: StateSpaceModel, estimator: str) -> None:
+    draws = simulate(model, HORIZON, range(6), 3)
+    settings = FilterSettings(70, estimator=estimator)
+    sets, ends = [TIMES, (1, 4), ()], [HORIZON, 6, HORIZON]
+    fast, slow = (
+        f(model, draws, sets, ends, 9, settings)
+        for f in (filter_checked_sets, plain.filter_checked_sets)
+    )
+    np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", [HEADING, POINTS], ids=lambda model: model.name)
+def test_estimates_and_variances_are_those_of_the_plain_twin(model: StateSpaceModel) -> None:
+    draws = simulate(model, HORIZON, range(6), 3)
+    fast, slow = (
+        f(model, draws, TIMES, 70, 9, trajectories=True) for f in (filter_draws, plain.filter_draws)
+    )
+    assert fast.estimate is not None
+    assert slow.estimate is not None
+    np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(fast.variance, slow.variance, rtol=1e-9, atol=1e-9)
+    angles = fast.estimate[:, :, model.is_angle]
+    assert (np.abs(angles) <= np.pi).all()
+    errors = (draws.z - fast.estimate) ** 2
+    errors[:, :, model.is_angle] = _angular(draws.z[:, :, model.is_angle] - angles)
+    np.testing.assert_allclose(fast.mse, errors.sum(axis=2).mean(axis=1), rtol=1e-9)
+
+
+def test_the_estimate_converges_to_the_exact_filters_mean_direction(exact: Any) -> None:
+    # The distance falls as 1 / P: a factor of 16, and 6 allows for chance and for flat densities.
+    draws, mean, _ = exact
+    few, many = (
+        np.mean(_angular(estimate[:, list(TIMES), 0] - mean[:, list(TIMES)]))
+        for particles in (100, 1600)
+        for estimate in [
+            filter_draws(HEADING, draws, TIMES, particles, 1, trajectories=True).estimate
+        ]
+    )
+    assert many < few / 6
+    assert many < 2e-3
+
+
+def test_the_error_of_the_exact_filter_is_its_circular_variance(exact: Any) -> None:
+    draws, mean, variance = exact
+    assert_mean(np.mean(_angular(draws.z[:, :, 0] - mean) - variance, axis=1))
+
+
+def test_many_particles_reach_the_exact_expected_error(exact: Any) -> None:
+    # R (1 - cos(m' - m)) is what particles lose; at 2,000 it is below a thousandth of the error.
+    draws, mean, _ = exact
+    mse = filter_draws(HEADING, draws, TIMES, 2000, 1).mse
+    least = np.mean(_angular(draws.z[:, :, 0] - mean), axis=1)
+    assert mse.mean() == pytest.approx(least.mean(), rel=5e-3)
+
+
+@pytest.mark.parametrize("particles", [3, 20])
+def test_two_filters_estimate_the_error_without_bias(particles: int) -> None:
+    # 1 - R' cos(m - m') and 1 - cos(z - m) have the same expectation, for any number of particles,
+    # if the mean vectors have no bias, as without measurements.
+    squared, estimate = (
+        _mse(10_000, particles, estimator, ()) for estimator in ("squared_error", "two_filters")
+    )
+    assert_mean(squared - estimate)
+
+
+def test_with_measurements_two_filters_estimate_the_error(exact: Any) -> None:
+    squared, estimate, variance = (
+        _mse(8000, 60, estimator)
+        for estimator in ("squared_error", "two_filters", "filter_variance")
+    )
+    assert_mean(squared - estimate)
+    assert_positive(squared - variance)  # too small by what particles cost
+
+
+@pytest.mark.parametrize("particles", [2, 5, 50])
+def test_beside_the_truth_the_error_is_one_minus_r_and_at_most_the_exact_error(
+    exact: Any, particles: int
+) -> None:
+    """The identity on which the lower bound rests (see test_conditional)."""
+    draws, _, variance_of_exact = exact
+    variance, squared = (
+        filter_checked_sets(
+            HEADING, draws, [TIMES], [HORIZON], 7,
+            FilterSettings(particles, "conditional", estimator=estimator),
+        )[:, 0]
+        for estimator in ("filter_variance", "squared_error")
+    )  # fmt: skip
+    assert_mean(squared - variance)
+    assert_positive(variance_of_exact.mean(axis=1) - variance)
+
+
+def test_without_measurements_a_wrapped_normal_angle_has_its_closed_form() -> None:
+    # R = exp(-s^2 / 2), and the filter's P particles lose little more.
+    model = HEADING.with_parameters({"first": 3.0, "unknown": 0.0})
+    draws = simulate(model, HORIZON, range(4000), 3)
+    spread = model.p.turn_sd * np.sqrt(np.arange(HORIZON + 1))
+    mse = filter_draws(model, draws, (), 2000, 1).mse
+    assert_mean(mse, np.mean(1 - np.exp(-(spread**2) / 2)))
+
+
+@pytest.mark.slow
+def test_no_set_costs_less_than_the_bound(tmp_path: Any) -> None:
+    problem = Problem(HEADING, horizon=5, measurement_budget=2, particles=200)
+    run = pfdist.plan(problem, tmp_path / "run", figures=False, progress=False)
+    drawn = simulate(HEADING, 5, range(20_000), 11)
+    costs = [
+        np.mean(circle_filter(HEADING, drawn.y[:, :, 0], times, 90)[1])
+        for times in combinations(range(6), 2)
+    ]
+    (gap, *_) = pfdist.bound(run).gaps
+    assert not gap.reason
+    assert gap.bound.value < min(costs) + 4.5 * gap.bound.standard_error
+    assert gap.bound.value > 0.8 * min(costs)
+
+
+# --- figures, real measurements, identity ---------------------------------------------------------
+
+
+def test_a_circle_has_no_place_where_it_is_cut(exact: Any) -> None:
+    # The same headings and measurements, turned by 2 rad.
+    turned = HEADING.with_parameters({"first": 2.0})
+    first, second = (filter_draws(m, simulate(m, HORIZON, range(500), 3), TIMES, 100, 1)
+                     for m in (HEADING, turned))  # fmt: skip
+    np.testing.assert_allclose(first.mse, second.mse, rtol=1e-6, atol=1e-9)
+
+
+def test_angles_are_written_within_half_a_turn() -> None:
+    values = within_half_turn(
+        np.array([[3.0, 3.0], [-3.0, -3.0]]), np.array([-3.0, -3.0]), (True, False)
+    )
+    np.testing.assert_allclose(values, [[3.0 - 2 * np.pi, 3.0], [-3.0, -3.0]])
+
+
+def test_the_trajectories_of_a_run_have_estimates_near_the_truth(tmp_path: Any) -> None:
+    problem = Problem(HEADING, horizon=5, measurement_budget=2, particles=50)
+    job = problem.job(search=[{"method": "random", "evaluations": 3}], comparison={"draws": 200})
+    run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
+    rows = run.trajectories()
+    estimates = [name for name in rows.columns if name.startswith("estimate_")]
+    assert rows["z_heading"].max() > np.pi
+    for name in estimates:
+        assert (np.abs(rows[name] - rows["z_heading"]) <= np.pi + 1e-12).all()
+
+
+def test_a_filter_of_real_measurements_has_a_mean_direction_and_quantiles_around_it() -> None:
+    filtering = Filter(HEADING.with_parameters({"concentration": 50.0}), particles=2000)
+    estimate = filtering.update(0, 3.1)
+    assert abs(float(_wrapped(estimate.mean[0] - 3.1))) < 0.02
+    low, high = estimate.quantiles([0.05, 0.95])[:, 0]
+    assert low < estimate.mean[0] < high
+    # For a concentration of 50, the standard deviation is 1 / sqrt(50) but for a percent.
+    assert estimate.standard_deviation[0] == pytest.approx(1 / math.sqrt(50), rel=0.06)
+    assert high - low == pytest.approx(2 * 1.645 / math.sqrt(50), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("circular", "message"),
+    [
+        (("heding",), r"circular must name components of z, as '0', 'heading', got 'heding'; did"),
+        ((1,), r"circular must name components of z, as '0', 'heading', got 1$"),
+    ],
+)
+def test_an_unknown_component_is_refused(circular: Sequence[Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        replace(HEADING, circular=circular)
+
+
+def test_a_linear_gaussian_model_has_no_angles() -> None:
+    with pytest.raises(ModelError, match=r"circular must be empty .* got \(0,\): the Kalman"):
+        replace(load_model("random_walk"), circular=(0,))
+
+
+def test_angles_count_in_the_identity_of_a_model() -> None:
+    plain_heading = replace(HEADING, circular=())
+    keys = {carried(model, "python:heading").key for model in (HEADING, plain_heading)}
+    assert len(keys) == 2
+    assert carried(HEADING, "python:heading").model.is_angle == (True,)
+
+
+def test_a_filters_model_takes_the_angles_of_the_truth() -> None:
+    believed = replace(HEADING, circular=(), z_names=())
+    assert believed.named_as(HEADING).is_angle == (True,)
