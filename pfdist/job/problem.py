@@ -30,7 +30,7 @@ from pfdist.models import (
 
 _SECTIONS: dict[str, type[Section]] = {"problem": ProblemSection, "filter": Filter}
 _OWN = ("seed", "model", *_SECTIONS)
-_STRANGE = re.compile(r"[^\w. -]+")
+_STRANGE = re.compile(r"[^\w.-]+")
 
 
 class Problem(Shown):
@@ -116,7 +116,7 @@ class Problem(Shown):
         name = _name_of(self._model).removeprefix(PYTHON)
         if ".py:" in name:
             name = Path(name.rpartition(":")[0]).stem
-        return _STRANGE.sub("-", name).strip(" .") or "model"
+        return _STRANGE.sub("-", name).strip("-.") or "model"
 
     def with_changes(self, **arguments: Any) -> "Problem":
         """The problem with some arguments changed; parameters and errors as of the class.
