@@ -18,7 +18,6 @@ from pfdist.answers.subject import (
     number_of,
     percent_cell,
     sets_table,
-    without_folder,
 )
 from pfdist.answers.why import worth
 from pfdist.common.gap_sentence import gap_sentence
@@ -92,7 +91,6 @@ def page_of(run: Run, seconds: int = 0) -> Page:
     )  # fmt: skip
     if run.has_budget:
         chapters = (budget, problem)
-    name = without_folder(subject.run.job["model"]["name"])
     warnings = _warnings(subject)
     if run.state != "finished":
         draws = number_of(run.draws_compared, "draw")
@@ -100,7 +98,8 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         warnings.insert(0, f"{unfinished}change.")
     ending = (searches, computed, tables, citation)
     sections = _sections(subject, (*chapters, *ending))
-    return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)
+    title = f"When to measure: {subject.model_name}"
+    return Page(title, f"Run {run.path.name}", sections, warnings, seconds)
 
 
 def answer_of(run: Run, target: float | None = None, *, details: bool = False) -> Page:

@@ -33,6 +33,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         job.filter.particles,
         job.seed,
         resampling=job.filter.resampling,
+        resample=job.filter.resample or "always",
         engine=built.evaluator.engine,
         prior=prior,
         draw=draw,

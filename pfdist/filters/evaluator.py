@@ -278,7 +278,7 @@ class Evaluator:
             *(each.key for each in self.carried),
             self.horizon,
             self.engine,
-            vars(estimation),
+            estimation.recorded,
             *(part for part in (self.clock, self.weights) if part is not None),
             *([[*map(vars, self.scenarios)], self.told] if self.scenarios else []),
             *parts,
@@ -309,8 +309,9 @@ class Evaluator:
             return ()
         self.compile(*self.estimations)
         names = set(libm_of_simulation(self.model))
-        for resampling in {each.resampling for each in self.estimations if not self.exact}:
-            names |= {*libm_of_filter(self.believed, self.model, resampling)}
+        for estimation in () if self.exact else self.estimations:
+            settings = self.settings(estimation)
+            names |= {*libm_of_filter(self.believed, self.model, settings)}
         return tuple(sorted(names))
 
     @property
@@ -318,7 +319,7 @@ class Evaluator:
         """Whether compiled formulas make arrays for each particle."""
         self.compile(*self.estimations)
         return simulation_makes_arrays(self.model) or any(
-            filter_makes_arrays(self.believed, self.model, each.resampling)
+            filter_makes_arrays(self.believed, self.model, self.settings(each))
             for each in self.estimations
         )
 
@@ -430,7 +431,11 @@ class Evaluator:
     def settings(self, estimation: Estimation) -> FilterSettings:
         """Settings of the filter of an estimation."""
         return FilterSettings(
-            estimation.particles, estimation.resampling, estimation.estimator, self.prior
+            estimation.particles,
+            estimation.resampling,
+            estimation.estimator,
+            self.prior,
+            estimation.threshold,
         )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pfdist.filters.settings import filter_streams
 from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.schemes import CONDITIONAL
+from pfdist.kernels.schemes import ALWAYS, CONDITIONAL
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
@@ -36,6 +36,13 @@ class Estimation:
     particles: int
     resampling: str = "multinomial"
     estimator: str = SQUARED_ERROR.name  # name in `pfdist.kernels.estimators`
+    threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
+
+    @property
+    def recorded(self) -> dict[str, int | float | str]:
+        """The fields by their names; a filter that always resamples has no threshold."""
+        fields = vars(self)
+        return {key: fields[key] for key in fields if key != "threshold" or self.threshold < ALWAYS}
 
     @property
     def steps_an_instant(self) -> int:

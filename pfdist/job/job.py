@@ -210,6 +210,8 @@ class Job(Section):
     ----------
     origin : Origin
         Where the job comes from.
+    seed : int
+        The number from which every random number follows.
     **data
         The sections, as in a job file.
 

@@ -30,7 +30,7 @@ from pfdist.models import (
 
 _SECTIONS: dict[str, type[Section]] = {"problem": ProblemSection, "filter": Filter}
 _OWN = ("seed", "model", *_SECTIONS)
-_STRANGE = re.compile(r"[^\w. -]+")
+_STRANGE = re.compile(r"[^\w.-]+")
 
 
 class Problem(Shown):
@@ -70,8 +70,8 @@ class Problem(Shown):
         Largest sum of costs, in the place of the measurement budget.
     particles : int or "auto"
         "auto": a number that is enough is found when something is computed.
-    resampling, engine : str
-        The filter, as in the section [filter] of a job file.
+    resampling, resample, engine : str
+        The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises
     ------
@@ -126,7 +126,7 @@ class Problem(Shown):
         name = _name_of(self._model).removeprefix(PYTHON)
         if ".py:" in name:
             name = Path(name.rpartition(":")[0]).stem
-        return _STRANGE.sub("-", name).strip(" .") or "model"
+        return _STRANGE.sub("-", name).strip("-.") or "model"
 
     def with_changes(self, **arguments: Any) -> "Problem":
         """The problem with some arguments changed; parameters and errors as of the class.

@@ -29,6 +29,20 @@ class Scenarios(Section):
     each of ``count`` scenarios has the median of one of ``count`` parts of equal probability. The
     parts of the first parameter are in order, and those of each other parameter in an order that
     its name gives (a Latin hypercube).
+
+    Parameters
+    ----------
+    parameters : list of sections, or section of sections
+        The parameters of each scenario, or a distribution for each parameter: ``normal`` (mean and
+        sd), ``lognormal`` (median and sd of the logarithm) or ``uniform`` (ends).
+    weights : list of float
+        Above 0, for each scenario of a list; only ratios matter. By default all are equal.
+    count : int
+        Number of scenarios, of distributions alone.
+    criterion : str
+        Whether the mean of the scenarios' expected MSEs decides, or the largest of them.
+    filter : str
+        Whether the filter has the parameters of the job, or is told those of the draw's scenario.
     """
 
     parameters: (

@@ -27,9 +27,11 @@ class Prior(NamedTuple):
     # (F, D, P): the column of x that each particle of each of F filters of each draw starts as;
     # empty if the filters start from `initial`
     particle: NDArray[np.int64]
+    # (P,): weights, if the particles are those of a filter that carries weights; else empty
+    weight: NDArray[np.float64]
 
 
-FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64))
+FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64), np.empty(0))
 
 
 @lru_cache(maxsize=32)
@@ -37,6 +39,7 @@ def cloud_steps(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
+    adds: bool = False,
 ) -> tuple[Callable[..., Any], ...]:
     """Compile what a model does to a cloud: begin, propagate, and compute log-weights.
 
@@ -48,7 +51,8 @@ def cloud_steps(
       the errors so far. It copies the saved cloud number `source`. If `source` is -1, it takes the
       request's prior for the draw ``at.d``, or without a prior x(0);
     - ``propagate(cloud, here, noise, particles, p, stream, draw, t)``: x(t+1) from x(t);
-    - ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a measurement y at t.
+    - ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a measurement y at t;
+      if it `adds`, the log-likelihood is added to what `log_weight` holds.
     """
     initial, transition, log_likelihood = map(formula, functions, _FORMULAS)
     fill_w0, fill_w = map(filler, noise_kinds)
@@ -66,7 +70,7 @@ def cloud_steps(
             _copy_prior(request.prior, at, particles, cloud)
             return 0.0
         fill_w0(noise, particles, at.stream, at.draw, np.int64(0), FILTER_INITIAL)
-        _repeat_first(noise, particles, cloud.shape[2])
+        repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))
         return 0.0
@@ -74,20 +78,29 @@ def cloud_steps(
     @melted
     def propagate(cloud, here, noise, particles, p, stream, draw, t):
         fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
-        _repeat_first(noise, particles, cloud.shape[2])
+        repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
 
+    fill_log_weights = _log_weights(log_likelihood, read_x, adds)
+    return begin, propagate, fill_log_weights
+
+
+def _log_weights(
+    log_likelihood: Callable[..., Any], read_x: Callable[..., Any], adds: bool
+) -> Callable[..., None]:
     @melted
     def fill_log_weights(cloud, here, particles, p, y, t, log_weight):
         for i in range(log_weight.size):
             value = log_likelihood(y, read_x(cloud, here, i), t, p)
+            if adds:
+                value += log_weight[i]
             log_weight[i] = value if abs(value) < np.inf else IMPOSSIBLE
         for i in range(particles, log_weight.size):
             log_weight[i] = IMPOSSIBLE
 
-    return begin, propagate, fill_log_weights
+    return fill_log_weights
 
 
 @melted
@@ -100,7 +113,7 @@ def _copy_prior(prior, at, particles, cloud):
 
 
 @melted
-def _repeat_first(noise, particles, size):
+def repeat_first(noise, particles, size):
     """Copy the first particle's noise behind the last particle's.
 
     So a formula cannot fail behind the last particle if it fails for no particle.

@@ -33,12 +33,17 @@ ARGUMENTS = {
     "log_likelihood": ("y", "x", "t", "p"),
     "quantity_of_interest": ("x", "t", "p"),
     "error": ("z", "estimate", "t", "p"),
+    "proposal": ("x", "y", "t", "u", "p"),
+    "proposal_log_density": ("w", "x", "y", "t", "p"),
 }
 """Names of a model's formulas, and of their arguments."""
+OPTIONAL = ("proposal", "proposal_log_density")
+"""Formulas that a model may lack."""
 _PARTICLES = 2
 _ONE_NUMBER = {
     "log_likelihood": "one number a particle",
     "error": "one number for z and its estimate",
+    "proposal_log_density": "one number a particle",
 }
 
 
@@ -52,9 +57,11 @@ def check_fields(model: Any) -> None:
     folder, or a parameter has a wrong name or value.
     """
     for name, arguments in ARGUMENTS.items():
-        _check_signature(model, name, arguments)
-    for name in ("initial_noise", "process_noise", "measurement_noise"):
+        if name not in OPTIONAL or getattr(model, name) is not None:
+            _check_signature(model, name, arguments)
+    for name in ("initial_noise", "process_noise", "measurement_noise", "proposal_noise"):
         _check_noise(model, name)
+    _check_proposal(model)
     _check_data_files(model)
     for name in model.parameter_ranges:
         if name not in model.parameters:
@@ -100,6 +107,20 @@ def _advice_on_noise(name: str, kinds: Any) -> str:
     variates = ", ".join(f"{w}[{i}]" for i in range(len(noise)))
     arguments = ", ".join((variates, *densities[0].parameters))
     return f"; declare {noise!r}, and write pfdist.densities.{draw}({arguments}) in the formula"
+
+
+def _check_proposal(model: Any) -> None:
+    lacking = [name for name in OPTIONAL if getattr(model, name) is None]
+    if len(lacking) == 1:
+        raise ModelError(
+            f"model {model.name}: a proposal must have both proposal and proposal_log_density, got "
+            f"none for {lacking[0]}"
+        )
+    if lacking and model.proposal_noise:
+        raise ModelError(
+            f"model {model.name}: proposal_noise must be empty without a proposal, got "
+            f"{model.proposal_noise!r}"
+        )
 
 
 def _check_data_files(model: Any) -> None:
@@ -161,6 +182,14 @@ def count_components(model: Any, p: Any) -> tuple[int, int, int]:
         z = _call(model, "quantity_of_interest", x, 0, p)
         _call(model, "log_likelihood", y, x, 0, p)
         _call(model, "error", z, z, 0, p)
+        if model.guided:
+            w = _call(model, "proposal", x, y, 0, _variates(model.proposal_variates), p)
+            if len(w) != len(model.process_noise):
+                raise ModelError(
+                    f"model {model.name}: proposal must give a component for each entry of "
+                    f"process_noise, {len(model.process_noise)}, got {len(w)}"
+                )
+            _call(model, "proposal_log_density", w, x, y, 0, p)
     return len(x), len(y), len(z)
 
 

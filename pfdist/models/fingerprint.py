@@ -79,7 +79,8 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     """
     walk = _Walk(model.name, model.formulas)
     entries = walk.fingerprint()
-    entries[FORMULAS] = digest([entries[FORMULAS], *(repr(getattr(model, k)) for k in _SETTINGS)])
+    settings = [*(getattr(model, k) for k in _SETTINGS), *filter(None, [model.proposal_noise])]
+    entries[FORMULAS] = digest([entries[FORMULAS], *map(repr, settings)])
     names = {name: ", ".join(map(str, given)) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
     fingerprint = entries | names | files | parameters_of(model.parameters)

@@ -256,7 +256,8 @@ def _ships(model: CarriedModel) -> bool:
 
 
 def _comparing(job: Job) -> Estimation:
-    return Estimation(job.filter.particles, job.filter.resampling)
+    own = job.filter
+    return Estimation(own.particles, own.resampling, threshold=own.threshold)
 
 
 def _compiled_or_numpy(evaluator: Evaluator) -> str:

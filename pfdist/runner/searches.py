@@ -51,6 +51,7 @@ class Settings:
                 own.particles_of(job.filter.particles),
                 own.resampling or job.filter.resampling,
                 guide if estimator == AUTO else estimator,
+                job.filter.threshold,
             ),
         )
 
@@ -122,7 +123,8 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
 def _with_settings(
     job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
 ) -> NamedSearch:
-    own = Estimation(job.filter.particles, job.filter.resampling)
+    settled = job.filter
+    own = Estimation(settled.particles, settled.resampling, threshold=settled.threshold)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
     if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
         believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)

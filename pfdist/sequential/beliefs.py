@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,12 @@ from scipy.special import logsumexp, ndtr, ndtri
 
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.plain import step
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
+from pfdist.sequential.one_filter import OneFilter
 
 Array = NDArray[np.float64]
 
@@ -75,21 +77,41 @@ class Normal:
 # --- particles ----------------------------------------------------------------------------------
 
 
-def weights_after(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
-    """Weights of predicted particles after a measurement, (P,), and the log of their mean before.
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Particles that a measurement has weighted, and that are not resampled."""
 
-    Before the measurement, the particles have equal weights. The returned weights have a sum of 1;
-    some particle must have a finite log-likelihood. The other value is the logarithm of the mean of
-    the weights that are not normalised: log p(y(t) | earlier measurements), if the model's
-    log-likelihood is normalised.
+    cloud: Cloud  # at the instant of the measurement
+    share: Array  # (P,): weights after the measurement, with a sum of 1
+    # The logarithm of the mean weight before it is normalised: log p(y(t) | earlier measurements),
+    # if the model's log-likelihood is normalised.
+    log_density: float
+
+
+def explained(at: OneFilter, t: int, y: Array) -> Explained:
+    """The particles of a filter at t, weighted by the measurement y, (m,), there.
+
+    Some particle must have a finite log-likelihood. If the filter stands before t and has a
+    proposal, the proposal makes the step to t.
     """
+    model, guide = at.model, np.zeros(1)
+    guides = at.t < t and at.settings.guides(model)
+    cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
+    own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
+    measured = tuple(np.full(cloud.particles, value) for value in y)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        values = model.log_likelihood(_components(y, cloud), tuple(cloud.x), cloud.t, model.p)
-    log_weight = np.broadcast_to(np.asarray(values, np.float64), (cloud.particles,))
-    log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+        if guides:
+            draws = range(at.draw, at.draw + 1)
+            x, guide = step(
+                model, tuple(cloud.x), measured, t - 1, cloud.particles, at.stream, draws
+            )
+            cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
+        values = model.log_likelihood(measured, tuple(cloud.x), t, model.p)
+        log_weight = np.broadcast_to(np.asarray(values, np.float64) + guide, (cloud.particles,))
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)
-    return share, log_sum - math.log(cloud.particles)
+    return Explained(cloud, share, log_sum - math.log(own.sum()))
 
 
 def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
@@ -114,7 +136,7 @@ def surprise_of_particles(
     ----------
     model : StateSpaceModel
     cloud : Cloud
-        Particles with equal weights, predicted for the instant of the measurement.
+        Particles, predicted for the instant of the measurement.
     y : array of float64, (m,)
         The measurement; NaN marks a missing component.
     stream, draw : int
@@ -127,7 +149,11 @@ def surprise_of_particles(
         variates(kind, number, stream, draw, cloud.t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(kinds)
     )
-    x = tuple(np.tile(cloud.x, copies))
+    states = cloud.x
+    if cloud.weight is not None:  # of a filter that carries weights
+        (chosen,) = cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)
+        states = states[:, chosen]
+    x = tuple(np.tile(states, copies))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         simulated = model.measurement(x, cloud.t, v, model.p)
     measured = np.flatnonzero(~np.isnan(y))
@@ -146,10 +172,6 @@ def surprise_of_particles(
 def two_sided(rank: float) -> float:
     """The two-sided p-value of a rank in 0..1."""
     return 2 * min(rank, 1 - rank)
-
-
-def _components(y: Array, cloud: Cloud) -> tuple[Array, ...]:
-    return tuple(np.full(cloud.particles, value) for value in y)
 
 
 # --- normal distributions -----------------------------------------------------------------------
