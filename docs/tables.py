@@ -47,8 +47,8 @@ from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.store.schema import (
     KEYS,
-    compared_schema,
     bound_schema,
+    compared_schema,
     comparison_schema,
     distance_schema,
     filtered_schema,

@@ -32,7 +32,7 @@ class Scenarios(Section):
 
     Parameters
     ----------
-    parameters : list of sections, or section of sections
+    parameters : list of sections or section of sections
         The parameters of each scenario, or a distribution for each parameter: ``normal`` (mean and
         sd), ``lognormal`` (median and sd of the logarithm) or ``uniform`` (ends).
     weights : list of float
