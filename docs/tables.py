@@ -7,28 +7,98 @@ The command replaces the lines between them. A test fails if a page has an old t
 import argparse
 import inspect
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, get_args
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pandas as pd
+import pyarrow as pa
 from pydantic.fields import FieldInfo
 
 from pfdist import plots
 from pfdist.cli.command import COMMANDS, Command
+from pfdist.cli.parser import complete_parser, subparsers_of
+from pfdist.common.component_names import Component
+from pfdist.common.rounding import with_error
+from pfdist.common.section import Section
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
+from pfdist.job.job import Job
+from pfdist.job.online_section import Online
+from pfdist.job.problem_section import ProblemSection, SensorSection
+from pfdist.job.scenarios_section import Scenarios
+from pfdist.job.sections import (
+    Budget,
+    Comparison,
+    EvaluationSection,
+    Execution,
+    Filter,
+    FilterModel,
+    Model,
+    Until,
+)
+from pfdist.job.sweep import SweepFile
 from pfdist.kernels.estimators import ESTIMATORS, Estimator
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.plots.figure import FIGURES
 from pfdist.pools.kinds import POOLS
-from pfdist.search.methods import DEFAULT_METHOD, METHODS, Method
+from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, SearchSection
+from pfdist.store.schema import (
+    KEYS,
+    bound_schema,
+    compared_schema,
+    comparison_schema,
+    distance_schema,
+    filtered_schema,
+    schema,
+    trajectories_schema,
+    variance_schema,
+)
 
 FOLDER = Path(__file__).parent
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 _UNBOUNDED = 2**63  # whole numbers of a job have 64 bits
 _MARKED = re.compile(r"(?s)(<!-- table: (\w+) -->\n).*?(<!-- end -->)")
+_SECTIONS: Mapping[str, type[Section]] = {
+    "[model]": Model,
+    "[model.filter]": FilterModel,
+    "[problem]": ProblemSection,
+    "[problem.sensors.NAME]": SensorSection,
+    "[filter]": Filter,
+    "[evaluation]": EvaluationSection,
+    "[scenarios]": Scenarios,
+    "[[search]]": SearchSection,
+    "[search.evaluation]": EvaluationSettings,
+    "[comparison]": Comparison,
+    "[comparison.until]": Until,
+    "[budget]": Budget,
+    "[online]": Online,
+    "[execution]": Execution,
+}
+_KINDS = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "value"}
+_COMMON_DEFAULTS = CommonNoiseSettings().model_dump(exclude_none=True)
+_MODEL = (Component("0"),)  # of a model without names
+_ROWS = {
+    "evaluations": "each evaluation of a search",
+    "draws": "each draw of each evaluation, and of the compared sets alone where there is a bound",
+    "compared": "each compared set",
+    "comparison": "each draw, with a column for each SET; all sets filter the same draws",
+    "repeated": "up to 2,000 of these draws: the reference under other noise",
+    "filter_distance": "up to 1,000 of these draws, with a column for each SET",
+    "filter_variance": "up to 1,000 of these draws, with a column for each SET",
+    "online": "each draw whose times are chosen one after another",
+    "trajectories": "each instant of the first 100 draws of the comparison",
+    "timings": "each task; the one table that may differ between two runs of one job",
+    "bound": "each set and each proof of a lower bound",
+    "error_sums": "each block of 24 draws of a relaxation",
+    "profile": "each compared set and instant, by `pfdist why`",
+    "worth": "each compared set and measurement, by `pfdist why`",
+    "sampling_windows": "each compared set, measurement and tried instant, by `pfdist why`",
+    "jitter": "each compared set and width of its sampling windows, by `pfdist why`",
+}
 
 
 def methods() -> str:
@@ -53,11 +123,84 @@ def settings() -> str:
     rows = [
         [f"`{name}`", f"`{key}`", _value(field.default), _bounds(field), described[key]]
         for name, method in METHODS.items()
-        for described in (_described(method),)
+        for described in (_described(method.optimiser),)
         for key, field in method.section.model_fields.items()
         if key not in _COMMON
     ]
     return _table(["method", "setting", "default", "bounds", "meaning"], rows)
+
+
+def keys() -> str:
+    """Give the tables of all keys of a job, a table for each section."""
+    seed = {"seed": Job.model_fields["seed"]}
+    tables = [_table_of_keys("Above all sections", seed, Job)]
+    for head, section in _SECTIONS.items():
+        tables.append(_table_of_keys(f"`{head}`", section.model_fields, section))
+    return "\n\n".join(tables)
+
+
+def sweep_keys() -> str:
+    """Give the table of the keys of a sweep file."""
+    return _table_of_keys("", SweepFile.model_fields, SweepFile)
+
+
+def columns() -> str:
+    """Give the tables of all columns of the tables of a run."""
+    schemas = {
+        "compared": compared_schema(with_exact=True),
+        "bound": bound_schema(with_shares=True),
+        "comparison": comparison_schema(["SET"], with_scenarios=True),
+        "filter_distance": distance_schema(["SET"]),
+        "filter_variance": variance_schema(["SET"]),
+        "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),
+    }
+    parts = []
+    for name, identifying in KEYS.items():
+        columns = schemas.get(name) or schema(name)
+        key = ", ".join(f"`{column}`" for column in identifying)
+        parts.append(
+            f"## `{name}`\n\nA row for {_ROWS[name]}. Key: {key}.\n\n{_table_of_columns(columns)}"
+        )
+    return "\n\n".join(parts)
+
+
+def filtered_columns() -> str:
+    """Give the table of the columns of filtered measurements."""
+    return _table_of_columns(filtered_schema(_MODEL))
+
+
+def usage() -> str:
+    """Give all arguments and examples of each command, from its parser."""
+    parts = []
+    for name, parser in subparsers_of(complete_parser()).items():
+        rows = [
+            [_spelling(argument), _escaped(argument.help or "")]
+            for argument in parser._actions
+            if argument.dest not in ("help", "debug")
+        ]
+        examples = "\n".join(
+            f"{line}    # {does}" for line, does in COMMANDS[name].examples.items()
+        )
+        parts.append(
+            f"## {name}\n\n{COMMANDS[name].description}\n\n{_table(['argument', 'meaning'], rows)}"
+            + f"\n\n```\n{examples}\n```" * bool(examples)
+        )
+    return "\n\n".join(parts)
+
+
+def gallery() -> str:
+    """Give the table of the gallery, which ``python docs/gallery.py`` computes."""
+    rows = [
+        [
+            f"[{row.job}](#{row.job})",
+            with_error(row.regular, row.regular_error),
+            with_error(row.found, row.found_error),
+            f"{100 * row.gain:.0f} % ({100 * row.gain_low:.0f} to {100 * row.gain_high:.0f})",
+        ]
+        for row in pd.read_csv(FOLDER / "gallery.csv").itertuples()
+    ]
+    head = ["job", "expected MSE, regular times", "found times", "lower by (95 %)"]
+    return _table(head, rows)
 
 
 def engines() -> str:
@@ -163,8 +306,8 @@ def densities() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, engines, estimators, schemes, commands, figures, panels, pools,
-        densities,
+        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, gallery, engines,
+        estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 
@@ -184,33 +327,116 @@ def _usage(command: Command) -> str:
     return " ".join(words)
 
 
-def _described(method: Method) -> dict[str, str]:
-    """Give the meaning of each setting, from the section Parameters of the docstring."""
-    text = inspect.getdoc(method.optimiser) or ""
+def _described(documented: type) -> dict[str, str]:
+    """Give the meaning of each key, from the docstring."""
+    return {name: meaning for name, (_, meaning) in _documented(documented).items()}
+
+
+def _documented(documented: type) -> dict[str, tuple[str, str]]:
+    """Give the unit and the meaning of each key, from the section Parameters of the docstring."""
+    text = inspect.getdoc(documented) or ""
     parameters = text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
-    found = re.findall(r"(?m)^(\w+) : .*\n((?:    .*\n?)+)", parameters + "\n")
-    return {name: _sentence(" ".join(lines.split())) for name, lines in found}
+    found = re.findall(r"(?m)^(\w+) : (.*)\n((?:    .*\n?)+)", parameters + "\n")
+    return {
+        name: (kind.partition(", ")[2], _sentence(" ".join(lines.split())).replace("``", "`"))
+        for name, kind, lines in found
+    }
+
+
+def _table_of_keys(head: str, fields: Mapping[str, FieldInfo], section: type[Section]) -> str:
+    described = _documented(section)
+    rows = []
+    for key, field in fields.items():
+        if not _is_section(field.annotation):
+            unit, meaning = described[key]
+            allowed = "any [method](searches.md)" if key == "method" else _bounds(field)
+            rows.append([f"`{key}`", allowed, _default(key, field), unit, meaning])
+    title = f"## {head}\n\n" if head else ""
+    return title + _table(["key", "allowed", "default", "unit", "meaning"], rows)
+
+
+def _default(key: str, field: FieldInfo) -> str:
+    if key == "method":
+        return f"`{DEFAULT_METHOD}`"
+    if key in _COMMON_DEFAULTS and field.default is None:
+        return f"that of the job; under common noise {_value(_COMMON_DEFAULTS[key])}"
+    if field.is_required():
+        return "required"
+    default = field.get_default(call_default_factory=True)
+    if isinstance(default, SearchSection):
+        return f"method `{default.method}`"
+    return "" if default in (None, "", {}, []) else _value(default)
+
+
+def _table_of_columns(columns: pa.Schema) -> str:
+    rows = []
+    for column in columns:
+        kind, metadata = column.type, column.metadata
+        type_name = f"list of {kind.value_type}" if pa.types.is_list(kind) else str(kind)
+        unit, description = (metadata[key].decode() for key in (b"unit", b"description"))
+        rows.append([f"`{column.name}`", type_name, unit, _escaped(description)])
+    return _table(["column", "type", "unit", "meaning"], rows)
+
+
+def _spelling(argument: argparse.Action) -> str:
+    name = argument.metavar or argument.dest.upper()
+    if not argument.option_strings:
+        return f"`{name}`"
+    value = "" if argument.nargs == 0 else f" {name}"
+    return ", ".join(f"`{option}{value}`" for option in argument.option_strings)
 
 
 def _bounds(field: FieldInfo) -> str:
-    """Give the bounds of a setting in words."""
-    if field.annotation is bool:
-        return "true or false"
+    """Give the allowed values of a key in words."""
+    return _limits(field.metadata) or _allowed(field.annotation)
+
+
+def _limits(metadata: Iterable[Any]) -> str:
     parts = []
-    for bound in field.metadata:
+    for bound in metadata:
         for key, words in _BOUNDS.items():
             limit = getattr(bound, key, None)
             if limit is not None and limit != _UNBOUNDED:
                 parts.append(f"{words} {_value(limit)}")
         if multiple := getattr(bound, "multiple_of", None):
             parts.append("even" if multiple == 2 else f"a multiple of {multiple}")
-    return ", ".join(parts) or ", ".join(map(str, get_args(field.annotation)))
+    return ", ".join(parts)
+
+
+def _allowed(annotation: Any) -> str:
+    """Give the values of a type in words."""
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        bounds = [bound for field in arguments[1:] for bound in getattr(field, "metadata", ())]
+        return _limits(bounds) or _allowed(arguments[0])
+    if origin is Literal:
+        return ", ".join(f"`{value}`" for value in arguments)
+    if origin in (Union, UnionType):
+        kinds = dict.fromkeys(_allowed(kind) for kind in arguments if kind is not type(None))
+        if _KINDS[float] in kinds:
+            kinds.pop(_KINDS[int], None)
+        return " or ".join(kinds)
+    if origin in (tuple, list):
+        return f"list ({_allowed(arguments[0])})"
+    if annotation is dict or origin is dict:
+        return f"section ({_allowed(arguments[1])})"
+    return "section" if _is_section(annotation) else _KINDS[annotation]
+
+
+def _is_section(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Section)
 
 
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return f"`{value}`"
     return f"{value:,}" if isinstance(value, int) else f"{value:g}"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("<", "&lt;").replace("|", "\\|").replace("%%", "%")
 
 
 def _sentence(text: str) -> str:

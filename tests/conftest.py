@@ -9,6 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -39,6 +40,21 @@ SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 @pytest.fixture(scope="session")
 def ungm() -> StateSpaceModel:
     return load_model("ungm")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """The machine's Chromium: Debian's package chromium, or that which PFDIST_CHROMIUM names."""
+    from playwright.sync_api import sync_playwright
+
+    program = os.environ.get("PFDIST_CHROMIUM") or shutil.which("chromium")
+    assert program, (
+        "there is no Chromium: install Debian's package chromium, or set PFDIST_CHROMIUM"
+    )
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield started
+        started.close()
 
 
 @pytest.fixture

@@ -22,5 +22,6 @@ def last_bounds(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
     last = rows.sort_values(["compared_draws", "steps"], kind="stable").groupby("name").tail(1)
     proofs = last.drop(columns=_OF_THE_SET).to_dict("records")
     for proof in proofs:
-        proof["path"] = proof["path"].tolist()
+        for key in proof.keys() & {"path", "shares"}:
+            proof[key] = proof[key].tolist()
     return dict(zip(last["name"], proofs, strict=True))

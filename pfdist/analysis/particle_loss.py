@@ -137,7 +137,9 @@ def less(whole: Moments, first: Array, other: Array) -> Estimate:
     if first.size < 2:
         return Estimate(math.nan, math.nan)
     with np.errstate(over="ignore", invalid="ignore"):  # errors may be huge
-        common = float(np.cov(first, other)[0, 1])
+        # Not by np.cov: BLAS rounds differently on other processors.
+        products = (first - np.mean(first)) * (other - np.mean(other))
+        common = float(np.sum(products)) / (first.size - 1)
         error = whole.standard_error**2 + float(np.var(other, ddof=1)) / other.size
     error -= 2 * common / whole.count
     return Estimate(whole.mean - float(np.mean(other)), math.sqrt(max(0.0, error)))

@@ -20,6 +20,7 @@ from pfdist.analysis.pairs import pairs_table, ranks_table
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.reference import references_of, without_number
+from pfdist.analysis.scenarios import scenarios_table
 from pfdist.analysis.summary import SetResult, Summary, summary_of
 from pfdist.common.percent import cost, percent_with_interval
 from pfdist.common.rounding import with_error
@@ -28,6 +29,7 @@ from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.errors import StoreError, shown
 from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
+from pfdist.job.scenarios_section import Scenarios
 from pfdist.store import QUESTIONS, Store, check_entries, schema
 from pfdist.times.measurement_times import Times
 
@@ -192,7 +194,8 @@ class Run(Shown):
     @property
     def filter_is_wrong(self) -> bool:
         """Whether the filter's model is not the truth."""
-        return bool(self._about["filter_model"])
+        is_told = self.job.get("scenarios", {}).get("filter", "told") == "told"
+        return bool(self._about["filter_model"]) or not is_told
 
     @property
     def state(self) -> str:
@@ -346,6 +349,18 @@ class Run(Shown):
         MSEs without draws, difference and gain_of_means are exact, and all their limits are equal.
         """
         return pairs_table(self.names, self._columns(), exact_costs(self))
+
+    def scenarios(self) -> pd.DataFrame:
+        """A row for each scenario of the job and each compared set.
+
+        The columns are scenario (its number, from 0), share and parameters; name (of the set);
+        draws (without the degenerate_draws), expected_mse and standard_error in this scenario; and
+        gain_of_means over the reference with gain_of_means_low and gain_of_means_high (95 %,
+        Fieller's, for one scenario alone). Without scenarios the table is empty.
+        """
+        section = self.job.get("scenarios")
+        scenarios = Scenarios.model_validate(section).each if section else ()
+        return scenarios_table(scenarios, self.names, self.references, self.blocks())
 
     def ranks(self) -> pd.DataFrame:
         """A row for each compared set, the lowest expected MSE first.

@@ -167,6 +167,10 @@ class Summary:
         the online times over the set.
     pairs, ranks : list of dict or None
         Rows of `pfdist.analysis.Run.pairs` and `pfdist.analysis.Run.ranks`, if the job names sets.
+    scenarios : list of dict or None
+        Rows of `pfdist.analysis.Run.scenarios`, if the job has scenarios.
+    is_worst : bool
+        Whether the job asks for the least expected MSE in the worst scenario.
     """
 
     state: str
@@ -182,20 +186,30 @@ class Summary:
     online: Row | None
     pairs: list[Row] | None
     ranks: list[Row] | None
+    scenarios: list[Row] | None = None
+    is_worst: bool = False
 
     @property
     def by_error(self) -> list[str]:
         """Names of the found sets, or of all sets of a run without a search, the best first.
 
         Exact errors decide if the engine knows them, and else the errors on the compared draws.
-        Sets whose error is unknown or infinite come last. The run has one number of measurements.
+        If the worst scenario decides, the errors are those of each set's worst scenario. Sets whose
+        error is unknown or infinite come last. The run has one number of measurements.
         """
         found_results = {name: result for name, result in self.results.items() if result.is_found}
         errors = {
             name: result.exact_mse if self.is_exact else result.expected_mse
             for name, result in (found_results or self.results).items()
         }
+        if self.is_worst and self.scenarios:
+            errors = {name: self._worst_mse(name) for name in errors}
         return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
+
+    def _worst_mse(self, name: str) -> float | None:
+        """The largest expected MSE of a set in a scenario; None if one is unknown or infinite."""
+        errors = [row["expected_mse"] for row in self.scenarios or [] if row["name"] == name]
+        return None if None in errors else max(errors)
 
     def as_json(self) -> Row:
         """All fields; those of each set as a dict."""
@@ -211,6 +225,7 @@ def summary_of(run: "Run") -> Summary:
     """
     compared, problem = run.has("comparison"), run.problem
     named = compared and bool(run.named)
+    scenarios = run.job.get("scenarios", {})
     return Summary(
         state=run.state,
         run=str(run.path),
@@ -225,6 +240,8 @@ def summary_of(run: "Run") -> Summary:
         online=finite(online_draws(run).summary()) if compared and run.has("online") else None,
         pairs=finite(run.pairs().to_dict("records")) if named else None,
         ranks=finite(run.ranks().to_dict("records")) if named else None,
+        scenarios=finite(run.scenarios().to_dict("records")) if compared and scenarios else None,
+        is_worst=bool(scenarios) and scenarios["criterion"] == "worst",
     )
 
 

@@ -1,6 +1,6 @@
 """How much lower the error of other times can be: the lower bound and the parts of the gap."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pfdist.answers.subject import Subject
@@ -18,6 +18,16 @@ _MEANING = (
     "Both errors in this table were computed on draws of their own, so they differ a little from "
     "the errors above."
 )
+_TOLD = (
+    "The lower bound is that of a filter that is told the scenario of its draw. It knows more than "
+    "any real filter, so the bound holds for all."
+)
+_WORST = (
+    "The expected error is that of the worst scenario. The lower bound is one of a mean of the "
+    "scenarios: the worst error of any times is at least this mean. Even the best times may lie "
+    "above it (a duality gap). The shares of the scenarios in the mean, for which the bound is "
+    "largest: "
+)
 _HEAD = (
     "times", "expected error", "lower bound", "gap", "gap at most", "part: relaxation",
     "part: particles", "part: model",
@@ -29,7 +39,9 @@ def proof(subject: Subject) -> Section | None:
     proofs = {name: each.lower_bound for name, each in subject.others.items() if each.lower_bound}
     if not proofs:
         return None
-    blocks = [Text(_MEANING, detail=True), *_table(proofs), *_reasons(proofs)]
+    shares = next(iter(proofs.values())).get("shares") or ()
+    texts = _scenarios(shares) if subject.summary.scenarios else []
+    blocks = [Text(_MEANING, detail=True), *_table(proofs), *texts, *_reasons(proofs)]
     title = "How much better can other times be?"
     return Section(title, [*blocks, Figures(["bound"])])
 
@@ -58,7 +70,8 @@ def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:
         if each.get("warning"):
             warnings.append(f"{name}: {each['warning']}")
     blocks += [Text(NO_LIMITS)] if answer["leaves_out_limits"] else []
-    blocks += [*_table(proofs), *_reasons(proofs), Text(_MEANING, detail=True)]
+    texts = _scenarios(answer["shares"]) if answer["has_scenarios"] else []
+    blocks += [*_table(proofs), *texts, *_reasons(proofs), Text(_MEANING, detail=True)]
     if answer["within_reached"] is False:
         blocks.append(
             Text(
@@ -75,6 +88,12 @@ def _table(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
     rows = [_row(name, each) for name, each in proofs.items() if not each["reason"]]
     optional = _HEAD[:-4:-1]  # the parts
     return [Table("Lower bounds and gaps", _HEAD, rows, optional=optional)] if rows else []
+
+
+def _scenarios(shares: Sequence[float]) -> list[Block]:
+    """Say which filter the bound is of, and which mean of the scenarios."""
+    listed = ", ".join(percent(share, 1) for share in shares)
+    return [Text(_TOLD), *([Text(f"{_WORST}{listed}.")] if shares else [])]
 
 
 def _reasons(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:

@@ -1,7 +1,9 @@
 """The expected MSE of sets of times (``pfdist evaluate``)."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+from pfdist.answers.robust import parameters_text
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Cell, Page, Section, Table
@@ -11,9 +13,14 @@ _HEAD = ("times", "number", "expected MSE", "draws", "degenerate")
 
 
 def evaluate_page(
-    evaluations: Mapping[str, Evaluation], broken: Mapping[str, Sequence[str]]
+    evaluations: Mapping[str, Evaluation],
+    broken: Mapping[str, Sequence[str]],
+    scenarios: Sequence[Mapping[str, Any]] = (),
 ) -> Page:
-    """The expected MSE of each set, and the constraints of the job that it breaks."""
+    """The expected MSE of each set, and the constraints of the job that it breaks.
+
+    `scenarios` are the parameters of the job's scenarios.
+    """
     line, rows = "", [_row(name, evaluation) for name, evaluation in evaluations.items()]
     if list(evaluations) == [""]:
         _, _, mse, *counts = (cell.text for cell in rows.pop())
@@ -25,7 +32,30 @@ def evaluate_page(
         warnings += [f"{these} a constraint: {constraint}" for constraint in broken[name]]
         warnings += filter(None, [heavy_tail_warning({name: evaluation.top_percent_share})])
     tables = [Table("", _HEAD, rows)] if rows else []
+    tables += _of_scenarios(evaluations, scenarios)
     return Page("", line, [Section("", tables)], warnings)
+
+
+def _of_scenarios(
+    evaluations: Mapping[str, Evaluation], parameters: Sequence[Mapping[str, Any]]
+) -> list[Table]:
+    """The expected MSE of each set in each scenario that has a draw."""
+    if not all(evaluation.of_scenarios for evaluation in evaluations.values()):
+        return []
+    columns = {name or "expected MSE": each.of_scenarios for name, each in evaluations.items()}
+    rows = [
+        [
+            Cell(parameters_text(parameters[number])),
+            *(_mse(each[number]) for each in columns.values()),
+        ]
+        for number in sorted(next(iter(columns.values())))
+    ]
+    return [Table("Expected MSE in each scenario", ("scenario", *columns), rows)]
+
+
+def _mse(evaluation: Evaluation) -> Cell:
+    mse = evaluation.expected_mse
+    return Cell(with_error(mse, evaluation.standard_error), mse)
 
 
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:

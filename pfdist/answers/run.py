@@ -10,6 +10,7 @@ from pfdist.answers.bound import proof
 from pfdist.answers.budget import budget
 from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
+from pfdist.answers.robust import scenarios
 from pfdist.answers.subject import (
     Subject,
     effect,
@@ -17,7 +18,6 @@ from pfdist.answers.subject import (
     number_of,
     percent_cell,
     sets_table,
-    without_folder,
 )
 from pfdist.answers.why import worth
 from pfdist.common.gap_sentence import NO_LIMITS, gap_sentence
@@ -86,10 +86,11 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         After so many seconds the page reloads itself; 0 for never.
     """
     subject = Subject(run)
-    chapters: Sequence[Chapter] = (answer, compared, problem, gains, proof, worth, online)
+    chapters: Sequence[Chapter] = (
+        answer, scenarios, compared, problem, gains, proof, worth, online,
+    )  # fmt: skip
     if run.has_budget:
         chapters = (budget, problem)
-    name = without_folder(subject.run.job["model"]["name"])
     warnings = _warnings(subject)
     if run.state != "finished":
         draws = number_of(run.draws_compared, "draw")
@@ -97,7 +98,8 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         warnings.insert(0, f"{unfinished}change.")
     ending = (searches, computed, tables, citation)
     sections = _sections(subject, (*chapters, *ending))
-    return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)
+    title = f"When to measure: {subject.model_name}"
+    return Page(title, f"Run {run.path.name}", sections, warnings, seconds)
 
 
 def answer_of(run: Run, target: float | None = None, *, details: bool = False) -> Page:
@@ -113,7 +115,7 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, gains, compared, online)
+    chapters: Sequence[Chapter] = (answer, gains, scenarios, compared, online)
     if run.has_budget:
         chapters = (budget,)
     summary = subject.summary

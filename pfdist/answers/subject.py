@@ -7,13 +7,14 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from pfdist.analysis import Run
+from pfdist.analysis import Run, read_recorded
 from pfdist.analysis.reference import label
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.documents.parts import Cell, Table, Text
+from pfdist.errors import one_line
 
 MOST_SETS = 4
 """Sets that have figures in a report; each has about 60 kB of them."""
@@ -48,6 +49,12 @@ class Subject:
         """The section [problem] of the job."""
         problem: Mapping[str, Any] = self.run.job["problem"]
         return problem
+
+    @property
+    def model_name(self) -> str:
+        """The name that the model gives itself; in an older run, the name that the job gives."""
+        own_name = read_recorded(self.run.path)[0]["provenance"].get("model_name")
+        return one_line(own_name or without_folder(self.run.job["model"]["name"]))
 
     @property
     def is_exact(self) -> bool:

@@ -51,6 +51,10 @@ _MOST_CELLS = 24  # values of a key of the heat map
 _BEST_OF_SEVERAL = (
     "The best of several points looks better than it is, the more so the more points there are."
 )
+_SEEDS = (
+    "Each seed has draws of its own. So the interval of a mean, by Student's t over the seeds, "
+    "holds the chance of the search and that of the draws together."
+)
 _LINES = "A result of all points against a key of their jobs, with 95 % intervals."
 _MAP = "A result of all points as a heat map over two keys of their jobs."
 _TIMES = "The found times of all points, a row for each run and set."
@@ -73,6 +77,39 @@ def answer(subject: SweepSubject) -> Section | None:
     return Section("The answer", blocks)
 
 
+def means(subject: SweepSubject) -> Section | None:
+    """A table of the means over the seeds; None if no runs differ in their seeds alone."""
+    errors, gains = (
+        averages(subject.frame, subject.columns, value) for value in ("expected_mse", GAIN)
+    )
+    if all(len(each.replicates) < 2 for each in errors):
+        return None
+    gain_of = {each.point: each for each in gains}
+    rows = [
+        [
+            *(map(_value, each.point) if each.point else [Cell("all")]),
+            Cell(str(len(each.replicates)), len(each.replicates)),
+            _interval_cell(each),
+            Cell(f"{rounded(min(each.replicates), 4)} to {rounded(max(each.replicates), 4)}"),
+            _interval_cell(gain_of[each.point], 100.0) if each.point in gain_of else Cell(""),
+        ]
+        for each in errors
+    ]
+    head = [*(subject.short.get(name, name) for name in subject.columns)] or ["points"]
+    head += ["seeds", "expected MSE (95 %)", "least to largest", "gain % (95 %)"]
+    return Section(
+        "What changes between seeds", [Text(_SEEDS), Table("Means over the seeds", head, rows)]
+    )
+
+
+def _interval_cell(average: Average, factor: float = 1.0) -> Cell:
+    """A mean over seeds with its interval, in units of 1 / factor."""
+    ends = (factor * x for x in (average.mean, average.low, average.high))
+    value, low, high = with_interval(*ends)
+    interval = "" if math.isnan(average.low) else f" ({low} to {high})"  # of a single seed
+    return Cell(value + interval, average.mean)
+
+
 def points(subject: SweepSubject) -> Section:
     """A table with a row for each point and set, and a table of the damaged points."""
     blocks: list[Block] = []
@@ -80,7 +117,7 @@ def points(subject: SweepSubject) -> Section:
     rows = [_row(subject, keys, row) for row in subject.rows]
     if rows:
         head = [subject.short[key] for key in keys] or ["point"]
-        head += [SET, "state", "expected MSE", "gain % (95 %)", "times", "seconds"]
+        head += [SET, "state", "expected MSE", "gain % (95 %)", "seconds", "times"]
         is_linked = any(row[0].link for row in rows)
         links = "Each row begins with a link to the report of the point." * is_linked
         seconds = "The seconds are those of all workers, for all sets of a run together."
@@ -175,8 +212,8 @@ def _row(subject: SweepSubject, keys: list[str], row: Row) -> list[Cell]:
         Cell("" if is_finished else point.state),
         Cell(formatted_mse(row), None if is_missing(mse) else mse),
         Cell(formatted_gain(row), None if is_missing(gain) else gain),
-        Cell("" if is_missing(times) else formatted_times(times, unit)),
         Cell(formatted_seconds(row["worker_seconds"]), row["worker_seconds"]),
+        Cell("" if is_missing(times) else formatted_times(times, unit)),
     ]
 
 
@@ -225,9 +262,8 @@ def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) ->
     if subject.numeric(key) and len(order) > 1:
         first, last = (formatted_value(order[end]) for end in (0, -1))
         start, end = (_number(least[order[end]]) for end in (0, -1))
-        text = (
-            f"From {name} = {first} to {last}, the lowest expected MSE goes from {start} to {end}"
-        )
+        change = f"stays at {start}" if start == end else f"goes from {start} to {end}"
+        text = f"From {name} = {first} to {last}, the lowest expected MSE {change}"
     else:
         best = min(order, key=lambda value: least[value].mean)
         text = f"The lowest expected MSE is that of {subject.phrase([key], [best])}"
@@ -388,7 +424,7 @@ def _phrase(subject: SweepSubject, row: Row) -> str:
     return one_line(phrase or row["run"])
 
 
-_CHAPTERS = (answer, points, judged, figures, computed)
+_CHAPTERS = (answer, points, means, judged, figures, computed)
 
 
 def sweep_page(path: Path) -> Page:

@@ -53,6 +53,11 @@ class Bound(Shown):
         Whether the job excludes some times, beside their number or cost.
     leaves_out_limits : bool
         Whether sensors have limits of their own, which the bound leaves out.
+    has_scenarios : bool
+        Whether the job has scenarios. Then the bound is that of a filter that is told the scenario.
+    shares : tuple of float
+        Shares of the scenarios on the draws of the bound, if the worst scenario decides; else
+        empty.
     """
 
     run: Path
@@ -67,6 +72,8 @@ class Bound(Shown):
     losses: dict[str, ParticleLoss]
     is_constrained: bool = False
     leaves_out_limits: bool = False
+    has_scenarios: bool = False
+    shares: tuple[float, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -166,6 +173,8 @@ def bound(
         proved.particle_losses(),
         built.job.problem.is_constrained,
         bool(built.feasible.limits),
+        built.job.scenarios is not None,
+        prover.shares,
     )
 
 

@@ -10,11 +10,10 @@ import numpy as np
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Work
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
-from pfdist.runner.build import build
+from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
 from pfdist.times.clock import Clock, Time
@@ -106,11 +105,10 @@ def prepare(
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    built = build(job)
-    evaluator, policy = built.evaluator, job.evaluation.degenerate_draws
-    clock = job.problem.clock
+    built, policy = build(job), job.evaluation.degenerate_draws
+    evaluator, clock = built.evaluator, job.problem.clock
     if evaluator.exact:
-        return partial(_exact, evaluator, sets, policy, clock)
+        return partial(_exact, built, sets, policy, clock)
     evaluation = Settings.from_job(built.job)
     work = Work(
         measurement_times=tuple(sets.values()),
@@ -122,7 +120,7 @@ def prepare(
         ids=tuple(sets),
         sensors=evaluator.sensors,
     )
-    return partial(_estimated, evaluator, work, policy, clock)
+    return partial(_estimated, built, work, policy, clock)
 
 
 def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
@@ -137,9 +135,9 @@ def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Tim
 
 
 def _exact(
-    evaluator: Evaluator, sets: Mapping[str, Times], policy: str, clock: Clock
+    built: Built, sets: Mapping[str, Times], policy: str, clock: Clock
 ) -> dict[str, Evaluation]:
-    costs = evaluator.expected_mse([*sets.values()])
+    costs = built.exact_costs([*sets.values()])
     return {
         name: _on_clock(
             Evaluation(times, np.empty(0), policy, float(cost), purpose="evaluate"), clock
@@ -148,12 +146,22 @@ def _exact(
     }
 
 
-def _estimated(
-    evaluator: Evaluator, work: Work, policy: str, clock: Clock
-) -> dict[str, Evaluation]:
+def _estimated(built: Built, work: Work, policy: str, clock: Clock) -> dict[str, Evaluation]:
+    evaluator = built.evaluator
+    scenarios = evaluator.scenarios_of(work.draws_stream, range(*work.draws))
     pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
     return {
-        name: _on_clock(Evaluation(times, mse, policy, purpose="evaluate"), clock)
+        name: _on_clock(
+            Evaluation(
+                times,
+                mse,
+                policy,
+                purpose="evaluate",
+                scenarios=scenarios,
+                is_worst=built.is_worst,
+            ),
+            clock,
+        )
         for name, times, mse in zip(
             work.ids, work.measurement_times, np.concatenate(pieces).T.copy(), strict=True
         )

@@ -1,5 +1,6 @@
 """The filter of a job, for one real system."""
 
+from pfdist.errors import JobError
 from pfdist.filters.cloud import Prior
 from pfdist.runner.build import Built
 from pfdist.sequential.filter import Filter
@@ -22,11 +23,17 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         The prior does not fit the model.
     """
     job = built.job
+    if built.evaluator.told:
+        raise JobError(
+            "a filter of real measurements cannot be told the scenario, got scenarios.filter = "
+            f"'told' ({job.path}): 'nominal' gives it the parameters of the model"
+        )
     return Filter(
         built.evaluator.believed,
         job.filter.particles,
         job.seed,
         resampling=job.filter.resampling,
+        resample=job.filter.resample or "always",
         engine=built.evaluator.engine,
         prior=prior,
         draw=draw,

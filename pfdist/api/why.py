@@ -22,6 +22,7 @@ from pfdist.api.run_of_job import run_and_job
 from pfdist.common.arguments import whole_argument
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
+from pfdist.errors import JobError
 from pfdist.job.sections import Execution
 from pfdist.job.source import JobSource
 from pfdist.models import StateSpaceModel
@@ -167,6 +168,8 @@ def why(
     with following(progress, say) as (show, tell):
         opened, built = run_and_job(job, results, changes, tell)
         sets = opened.sets_of_one_number()
+        if built.job.scenarios is not None:
+            raise JobError(f"why needs a job without scenarios, got scenarios ({built.job.path})")
         with own_store(opened, built, tell, must_be=False) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))

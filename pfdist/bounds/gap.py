@@ -24,6 +24,8 @@ class GapParts:
     # expected MSE with the filter's model, less that with the true model
     filter_model: Estimate = ZERO
     both: Estimate = ZERO  # sum of both parts, with its own error
+    # Expected MSE of the worst scenario, less the mean with the shares of the bound
+    weighting: Estimate = ZERO
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Gap:
     # on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
     gap: float = math.nan
     gap_at_most: float = math.nan  # one-sided limit of the gap
-    relaxation: Estimate = UNKNOWN  # part of the gap: relaxation and chance
+    relaxation: Estimate = UNKNOWN  # part of the gap: relaxation, also by shares, and chance
     estimate: Estimate = UNKNOWN  # part of the gap: number of particles and bias of the estimate
     filter_model: Estimate = UNKNOWN  # part of the gap: wrong model of the filter
 
@@ -71,7 +73,7 @@ def gap_of(
     mse = parts.expected_mse
     if not math.isfinite(mse.value):
         return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
-    slack, budget = proof.slack[place], proof.budgets[place]
+    slack, budget = proof.slack[place].plus(parts.weighting), proof.budgets[place]
     total = slack.plus(parts.both)
     at_most = total.at_most(confidence)
     scale = 1 / mse.value if mse.value > 0 else 0.0

@@ -64,6 +64,12 @@ class Programme:
         start = self.relaxation.index[START]
         return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
 
+    def of_set(self, times: Times) -> float:
+        """The relaxed expected MSE of a set."""
+        until = np.array([*times, self.relaxation.horizon + 1])
+        windows = np.array(self.relaxation.windows_of(times))
+        return float(self._between(windows, until).sum()) / (self.relaxation.horizon + 1)
+
     def through(self, spent: int) -> Array:
         """The least relaxed expected MSE of all sets of a sum that pass each window, (W,)."""
         sums: Array = (self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1)

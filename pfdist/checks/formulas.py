@@ -40,7 +40,14 @@ def _calls(model: StateSpaceModel, draws: Draws, t: int) -> dict[str, tuple[Any,
         )
 
     x, y, z = (tuple(values[:, t].T) for values in (draws.x, draws.y, draws.z))
-    return {
+    proposals: dict[str, tuple[Any, ...]] = {}
+    if model.guided:
+        measured_next = tuple(draws.y[:, t + 1].T)
+        u = noise(model.proposal_variates, TRUTH_PROCESS)
+        w = noise(model.process_noise, TRUTH_PROCESS)
+        proposals["proposal"] = (x, measured_next, t, u, model.p)
+        proposals["proposal_log_density"] = (w, x, measured_next, t, model.p)
+    return proposals | {
         "initial": (noise(model.initial_noise, TRUTH_INITIAL), model.p),
         "transition": (x, t, noise(model.process_noise, TRUTH_PROCESS), model.p),
         "measurement": (x, t, noise(model.measurement_noise, TRUTH_MEASUREMENT), model.p),

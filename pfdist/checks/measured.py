@@ -1,4 +1,4 @@
-"""Checks of what a model declares for real measurements: its density, and missing components."""
+"""Checks of densities that a model declares: of y, of y without a component, of its proposal."""
 
 import math
 from collections.abc import Callable
@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.formulas import formatted_state, instants_of, likelihood, measured, values_of
+from pfdist.checks.formulas import (
+    MEASUREMENTS,
+    formatted_state,
+    instants_of,
+    likelihood,
+    measured,
+    values_of,
+)
 from pfdist.common.estimate import Estimate
 from pfdist.filters.draws import Draws
+from pfdist.kernels.guiding import plain_log_density
+from pfdist.kernels.noise import FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
@@ -168,6 +177,53 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
         return "ok", f"as it declares: the probabilities of whole y add up to 1 at {states} states"
     how = "" if len(y) <= MOST_ON_A_GRID else ", by importance sampling"
     return "ok", f"as it declares: the integral over y is 1 at {states} states{how}"
+
+
+def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """State and text: the proposal's density must be that of what it draws, at a few states.
+
+    The text has the effective sample size of particles from one state, which the next measurement
+    weights: 100 % for the best proposal.
+    """
+    rng, worth = np.random.default_rng(0), list[float]()
+    for t in instants_of(draws):
+        for draw in rng.choice(len(draws.index), size=_STATES, replace=False):
+            x, y = (tuple(part.tolist()) for part in (draws.x[draw, t], draws.y[draw, t + 1]))
+            u = tuple(
+                variates(kind, MEASUREMENTS, 3, int(draw), t, FILTER_PROCESS, component)
+                for component, kind in enumerate(model.proposal_variates)
+            )
+            w = values_of(model, "proposal", (x, y, t, u, model.p), MEASUREMENTS)
+
+            def log_density(points: Array, x: Any = x, y: Any = y, t: int = t) -> Array:
+                arguments = tuple(points), x, y, t, model.p
+                (log,) = values_of(model, "proposal_log_density", arguments, points.shape[1])
+                return np.asarray(log, np.float64)
+
+            where = f"x = {formatted_state(draws.x[draw, t])}, t = {t}"
+            try:
+                total = integral(lambda points: np.exp(log_density(points)), w)
+            except NoIntegralError as reason:
+                return "note", f"it cannot be checked: {str(reason).replace('y', 'w', 1)}"
+            if not abs(total.value - 1) < _LARGEST_Z * total.standard_error + _INTEGRATION:
+                return "wrong", (
+                    "exp(proposal_log_density) must have the integral 1 over w near what proposal "
+                    f"draws, got {total.text} at {where} (another mean or deviation than the "
+                    "proposal's, or a constant left out?)"
+                )
+            following = values_of(model, "transition", (x, t, tuple(w), model.p), MEASUREMENTS)
+            arguments = y, tuple(following), t + 1, model.p
+            (log_weight,) = values_of(model, "log_likelihood", arguments, MEASUREMENTS)
+            log_weight += plain_log_density(model.process_noise, tuple(w)) - log_density(w)
+            if not np.isfinite(log_weight).any():
+                return "wrong", f"proposal must give some w that are possible, got none at {where}"
+            weight = np.exp(log_weight - np.nanmax(log_weight[log_weight < np.inf]))
+            weight = weight[np.isfinite(weight)]
+            worth.append(float(weight.sum() ** 2 / np.sum(weight**2)) / MEASUREMENTS)
+    return "ok", (
+        f"its density has the integral 1 at {len(worth)} states; the next measurement leaves an "
+        f"effective sample size of {min(worth):.0%} to {max(worth):.0%} of particles from one state"
+    )
 
 
 def missing_components(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:

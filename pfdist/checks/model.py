@@ -11,7 +11,7 @@ import numpy as np
 
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
-from pfdist.checks.measured import missing_components, normalised
+from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.particles import (
     enough_particles,
     has_particle_loss,
@@ -154,13 +154,13 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     yield Check(
         "simulate", "ok", f"x, y and z are finite in {_DRAWS} draws of {horizon + 1} instants"
     )
-    looks = dict(_LOOKS)
-    if model.linear_gaussian:
-        looks["linear_gaussian"] = _linear_gaussian
-    if model.normalised:
-        looks["normalised"] = normalised
-    if model.missing_components:
-        looks["missing components"] = missing_components
+    declared = (
+        ("linear_gaussian", model.linear_gaussian, _linear_gaussian),
+        ("normalised", model.normalised, normalised),
+        ("missing components", model.missing_components, missing_components),
+        ("proposal", model.guided, proposal),
+    )
+    looks = _LOOKS | {name: look for name, is_declared, look in declared if is_declared}
     if engine == "numpy":
         looks = {look: looks[look] for look in looks if look not in _COMPILED}
     looks["every instant"] = partial(_every_instant, engine)

@@ -1,4 +1,5 @@
 // A click on the head of a column sorts the table by it, and a second click turns the order round.
+// A table that is wider than the page says that it scrolls.
 "use strict";
 
 const unknown = (key) => key === "" || key === "nan";
@@ -21,3 +22,10 @@ for (const button of document.querySelectorAll("th button")) {
     body.append(...[...body.rows].sort(by(head.cellIndex, turned)));
   });
 }
+
+const width = new ResizeObserver((entries) => {
+  for (const { target } of entries) {
+    target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth);
+  }
+});
+for (const table of document.querySelectorAll(".table")) width.observe(table);

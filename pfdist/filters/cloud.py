@@ -145,6 +145,14 @@ class Cloud:
             )
         return chosen
 
+    def weight_of_filters(self, particles: int, truths: Indices | None = None) -> Array | None:
+        """The weights, (P,), with which filters that carry weights take the cloud as it is.
+
+        None if they choose particles from it: it has no weights or another number of particles, or
+        the draws start from it.
+        """
+        return self.weight if truths is None and self.particles == particles else None
+
     def _choose_for_filters(
         self, particles: int, draws: range, stream: int, truths: Indices | None
     ) -> Indices:

@@ -1,7 +1,7 @@
 """An estimate of the expected MSE of one set of times, and the difference of two."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +42,10 @@ class Evaluation(Shown):
         Expected error of each instant that a search has asked for.
     purpose : str
         Purpose of the draws, one of `pfdist.common.streams.CHOOSING` or `PROVING`.
+    scenarios : array of int64, (D,), optional
+        The number of each draw's scenario.
+    is_worst : bool
+        Whether the cost is the largest of the scenarios' means, and not the mean over all draws.
     """
 
     measurement_times: Times
@@ -51,6 +55,8 @@ class Evaluation(Shown):
     end: int | None = None
     errors: NDArray[np.float64] | None = None
     purpose: str = "search"
+    scenarios: NDArray[np.int64] | None = None
+    is_worst: bool = False
 
     @property
     def draws(self) -> int:
@@ -64,9 +70,14 @@ class Evaluation(Shown):
 
     @cached_property
     def expected_mse(self) -> float:
-        """Mean of the per-draw MSE; the policy says how degenerate draws count."""
+        """Mean of the per-draw MSE, or that of the worst scenario.
+
+        The policy says how degenerate draws count.
+        """
         if self.exact is not None:
             return self.exact
+        if self.is_worst:
+            return self.worst.expected_mse
         mean = float(np.mean(self.mse)) if self.draws else math.nan
         if not math.isnan(mean):  # no draw is degenerate
             return mean
@@ -78,14 +89,43 @@ class Evaluation(Shown):
         """Standard error of `expected_mse`; infinite if that is, NaN with fewer than 2 draws."""
         if self.exact is not None:
             return 0.0
+        if self.is_worst:
+            return self.worst.standard_error
         if math.isinf(self.expected_mse):
             return math.inf
         return Estimate.of_mean(self._usable).standard_error
 
     @cached_property
+    def of_scenarios(self) -> "dict[int, Evaluation]":
+        """The evaluation on the draws of each scenario, by its number; empty without scenarios."""
+        if self.scenarios is None:
+            return {}
+        return {
+            number: replace(
+                self, mse=self.mse[self.scenarios == number], scenarios=None, is_worst=False
+            )
+            for number in np.unique(self.scenarios).tolist()
+        }
+
+    @cached_property
+    def worst_scenario(self) -> int:
+        """The number of the scenario with the largest expected MSE."""
+        return max(self.of_scenarios, key=lambda number: self.of_scenarios[number].expected_mse)
+
+    @property
+    def worst(self) -> "Evaluation":
+        """The evaluation on the draws of the worst scenario."""
+        return self.of_scenarios[self.worst_scenario]
+
+    @cached_property
     def top_percent_share(self) -> float:
         """Share of `expected_mse` that 1 % of the draws carry; NaN with fewer than 100 draws."""
         return top_percent_share(self._usable, self._usable.size, self.expected_mse)
+
+    def first(self, draws: int) -> "Evaluation":
+        """The evaluation on the first draws."""
+        scenarios = None if self.scenarios is None else self.scenarios[:draws]
+        return replace(self, mse=self.mse[:draws], scenarios=scenarios)
 
     @property
     def errors_of_instants(self) -> NDArray[np.float64]:
@@ -129,8 +169,22 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
     if first.exact is not None and second.exact is not None:
         return Estimate(first.exact - second.exact)
     draws = min(first.draws, second.draws)
+    if first.is_worst:
+        return _difference_of_worst(first.first(draws), second.first(draws))
     differences = first.mse[:draws] - second.mse[:draws]
     return Estimate.of_mean(differences[~np.isnan(differences)])
+
+
+def _difference_of_worst(first: Evaluation, second: Evaluation) -> Estimate:
+    """Mean of the first in its worst scenario, less that of the second in its own, on same draws.
+
+    If both have the same worst scenario, errors common to both sets cancel.
+    """
+    worst, other = first.worst, second.worst
+    if first.worst_scenario == second.worst_scenario:
+        return difference(worst, other)
+    error = math.hypot(worst.standard_error, other.standard_error)
+    return Estimate(worst.expected_mse - other.expected_mse, error)
 
 
 def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:

@@ -27,9 +27,10 @@ from pfdist.filters.particle_filter import (
     filter_makes_arrays,
     libm_of_filter,
 )
+from pfdist.filters.scenarios import Numbers, Scenario, scenarios_of_draws, stretches
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
-from pfdist.filters.work import Estimation, Result, Work, columns, cut
+from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
 from pfdist.models import CarriedModel, StateSpaceModel
 from pfdist.models.mistakes import NO_CLOCK
@@ -67,13 +68,17 @@ class Evaluator:
     # The carried model and the carried filter's model. Without these the evaluator cannot travel,
     # and its evaluations have no ids.
     carried: tuple[CarriedModel, ...] = field(default=(), repr=False)
+    # Each draw has the parameters of one of these scenarios; none: of the model. If the filter is
+    # told, it has the parameters of the draw's scenario, too.
+    scenarios: tuple[Scenario, ...] = ()
+    told: bool = False
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
         if self.prior is not None:
             check_prior(self.prior, self.model, self.horizon)
             check_prior(self.prior, self.believed, self.horizon)
-        if self.exact:
+        if self.exact and not self.of_scenarios:
             if self.believed != self.model:
                 raise ModelError(
                     f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
@@ -112,19 +117,60 @@ class Evaluator:
 
     @cached_property
     def truth(self) -> "Evaluator":
-        """The same evaluator with a filter that knows the true model."""
-        if self.believed == self.model:
+        """The same evaluator with a filter that knows the true model, and the draw's scenario."""
+        if self.believed == self.model and self.told == bool(self.scenarios):
             return self
-        return replace(self, filter_model=None, carried=self.carried[:1] * 2, estimations=())
+        return replace(
+            self,
+            filter_model=None,
+            carried=self.carried[:1] * 2,
+            estimations=(),
+            told=bool(self.scenarios),
+        )
+
+    @cached_property
+    def of_scenarios(self) -> tuple["Evaluator", ...]:
+        """The evaluator of each scenario; empty without scenarios.
+
+        All have the formulas of this evaluator, which are compiled once.
+        """
+        evaluators = []
+        for scenario in self.scenarios:
+            model, believed = self.model.with_parameters(scenario.parameters), self.believed
+            check_lengths(scenario.parameters, self.horizon + 1, "", exactly=True)
+            if self.told:
+                believed = believed.with_parameters(scenario.parameters)
+            alone = replace(self, model=model, filter_model=believed, scenarios=(), told=False)
+            evaluators.append(alone)
+        return tuple(evaluators)
+
+    def with_shares(self, shares: Sequence[float]) -> "Evaluator":
+        """The same evaluator with other shares of its scenarios."""
+        scenarios = zip(self.scenarios, shares, strict=True)
+        return replace(
+            self,
+            scenarios=tuple(replace(each, share=share) for each, share in scenarios),
+            estimations=(),
+        )
+
+    def scenarios_of(self, stream: int, draws: range) -> Numbers | None:
+        """The number of each draw's scenario, (D,); None without scenarios."""
+        if not self.scenarios:
+            return None
+        return scenarios_of_draws([each.share for each in self.scenarios], stream, draws)
 
     @cached_property
     def self_consistent(self) -> "Evaluator":
         """The same evaluator whose draws are those of the filter's model."""
-        if self.believed == self.model:
+        if self.believed == self.model and self.told == bool(self.scenarios):
             return self
-        carried = self.carried[1:] * 2
         return replace(
-            self, model=self.believed, filter_model=None, carried=carried, estimations=()
+            self,
+            model=self.believed,
+            filter_model=None,
+            carried=self.carried[1:] * 2,
+            estimations=(),
+            scenarios=self.scenarios if self.told else (),
         )
 
     @property
@@ -149,6 +195,8 @@ class Evaluator:
 
         `ends` are the last instants whose errors count, by default T.
         """
+        if self.scenarios:
+            return self._mean([each.expected_mse(sets, ends) for each in self.of_scenarios])
         weights = self.instant_weights
         return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior, weights)
 
@@ -157,8 +205,15 @@ class Evaluator:
 
         The errors are weighted: their mean over all instants is the expected MSE.
         """
+        if self.scenarios:
+            return self._mean([each.expected_errors(sets) for each in self.of_scenarios])
         errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
         return errors if self.instant_weights is None else weighed(errors, self.instant_weights)
+
+    def _mean(self, of_scenarios: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        shares = [scenario.share for scenario in self.scenarios]
+        mean: NDArray[np.float64] = np.tensordot(shares, of_scenarios, axes=1)
+        return mean
 
     def sum_errors(self, work: Work) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
@@ -193,7 +248,12 @@ class Evaluator:
         return self._first_allowed(FILTER_VARIANCE.name, OWN_VARIANCE.name)
 
     def _first_allowed(self, *estimators: str) -> str:
-        """The first of some estimators that the models allow; else the squared error."""
+        """The first of some estimators that the models allow; else the squared error.
+
+        The variance of a filter that is not told the scenario does not see the error of that.
+        """
+        if self.scenarios and not self.told:
+            return SQUARED_ERROR.name
         for estimator in estimators:
             with contextlib.suppress(ModelError):
                 self.check(replace(_ANY, estimator=estimator))
@@ -223,8 +283,9 @@ class Evaluator:
             *(each.key for each in self.carried),
             self.horizon,
             self.engine,
-            vars(estimation),
+            estimation.recorded,
             *(part for part in (self.clock, self.weights) if part is not None),
+            *([[*map(vars, self.scenarios)], self.told] if self.scenarios else []),
             *parts,
         )
         return f"{key:016x}"
@@ -253,8 +314,9 @@ class Evaluator:
             return ()
         self.compile(*self.estimations)
         names = set(libm_of_simulation(self.model))
-        for resampling in {each.resampling for each in self.estimations if not self.exact}:
-            names |= {*libm_of_filter(self.believed, self.model, resampling)}
+        for estimation in () if self.exact else self.estimations:
+            settings = self.settings(estimation)
+            names |= {*libm_of_filter(self.believed, self.model, settings)}
         return tuple(sorted(names))
 
     @property
@@ -262,7 +324,7 @@ class Evaluator:
         """Whether compiled formulas make arrays for each particle."""
         self.compile(*self.estimations)
         return simulation_makes_arrays(self.model) or any(
-            filter_makes_arrays(self.believed, self.model, each.resampling)
+            filter_makes_arrays(self.believed, self.model, self.settings(each))
             for each in self.estimations
         )
 
@@ -271,6 +333,8 @@ class Evaluator:
 
         Exact engines ignore the estimator and the number of particles.
         """
+        for each in self.of_scenarios:
+            each.check(estimation)
         if not self.exact:
             check_filter(
                 self.believed,
@@ -278,6 +342,7 @@ class Evaluator:
                 estimation.particles,
                 estimation.resampling,
                 estimation.estimator,
+                estimation.threshold,
             )
 
     @property
@@ -341,6 +406,10 @@ class Evaluator:
 
     def filtered(self, work: Work) -> Result:
         """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
+        numbers = self.scenarios_of(work.draws_stream, range(*work.draws))
+        if numbers is not None:
+            parts = stretches(numbers, work.draws[0])
+            return joined([self.of_scenarios[n].filtered(work.part(draws)) for n, draws in parts])
         if work.summed:
             first, ends = np.array([work.since, work.ends])[:, :, None]
             t = np.arange(self.start, self.horizon + 1)
@@ -368,7 +437,11 @@ class Evaluator:
     def settings(self, estimation: Estimation) -> FilterSettings:
         """Settings of the filter of an estimation."""
         return FilterSettings(
-            estimation.particles, estimation.resampling, estimation.estimator, self.prior
+            estimation.particles,
+            estimation.resampling,
+            estimation.estimator,
+            self.prior,
+            estimation.threshold,
         )
 
 

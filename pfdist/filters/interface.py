@@ -11,6 +11,7 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.settings import FilterSettings, check_filter, check_start
+from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times, validated
 
@@ -31,6 +32,8 @@ class Filtered:
     # (n, P), resampled if the filter measured then, or a normal distribution. The particles are NaN
     # if the draw is degenerate or infinite.
     last: Sequence[NDArray[np.float64] | Gaussian] | None = None
+    # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
+    weight: NDArray[np.float64] | None = None
 
 
 def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:
@@ -49,22 +52,24 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         resampling: str = "multinomial",
         trajectories: bool = False,
         prior: Prior | None = None,
+        threshold: float = ALWAYS,
     ) -> Filtered:
         """Filter D draws with one set of measurement times, under the noise of the 64-bit key.
 
         `model` is the filter's model, which need not be the draws'. `trajectories` asks for
-        estimate and variance. The Kalman filter ignores the particles, and only it starts from a
-        normal distribution. If the draws started from the cloud `prior`, no filter starts with the
-        state of its own draw's truth.
+        estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`. The
+        Kalman filter ignores the particles, and only it starts from a normal distribution. If the
+        draws started from the cloud `prior`, no filter starts with the state of its own draw's
+        truth.
 
         Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError,
         PriorError or ArgumentError.
         """
-        check_filter(model, draws.model, particles, resampling)
+        check_filter(model, draws.model, particles, resampling, threshold=threshold)
         check_start(model, draws, prior)
         last, sensors = draws.instants[-1], len(model.parts)
         times = validated_from(draws.start, measurement_times, last, sensors)
-        settings = FilterSettings(particles, resampling, prior=prior)
+        settings = FilterSettings(particles, resampling, prior=prior, threshold=threshold)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws

@@ -8,7 +8,7 @@ Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
 from pfdist.filters.settings import FilterSettings, check_filter, check_start, filter_streams
-from pfdist.kernels.cloud import FROM_INITIAL, Prior
+from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import compiled_formulas
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
@@ -40,6 +40,7 @@ class _Wanted(NamedTuple):
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
     cloud: NDArray[np.float64] = np.empty((0, 0, 0))
+    weight: NDArray[np.float64] = np.empty((0, 0))
 
 
 _NOTHING_ELSE = _Wanted()
@@ -61,15 +62,18 @@ def filter_checked_draws(
     planned = _planned(draws, (measurement_times,)).plan
     if not trajectories:
         return Filtered(_filter(model, draws, planned, stream, settings)[:, 0])
+    count, particles = len(draws.index), settings.particles
     wanted = _Wanted(
         moments=np.full((2, *draws.z.shape), np.nan),
-        cloud=np.full((len(draws.index), model.components[0], settings.particles), np.nan),
+        cloud=np.full((count, model.components[0], particles), np.nan),
+        weight=np.ones((count, particles)),
     )
     mse = _filter(model, draws, planned, stream, settings, wanted)[:, 0]
     estimate, variance = wanted.moments
     for array in (estimate, variance, wanted.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
-    return Filtered(mse, estimate, variance, tuple(wanted.cloud))
+    weights = wanted.weight if settings.carries else None
+    return Filtered(mse, estimate, variance, tuple(wanted.cloud), weights)
 
 
 filter_draws = checking(filter_checked_draws)
@@ -166,11 +170,14 @@ def _filter(
         settings.particles,
         ALL_ESTIMATORS[settings.estimator].weights,
         draws.instant_weights,
+        settings.threshold,
         flat_parameters(model.parameters, draws.instants.stop),
         flat_parameters(truth.parameters, draws.instants.stop),
     )
     estimate, variance = wanted.moments
-    results = Results(mse, estimate, variance, wanted.errors, wanted.cloud, np.zeros(2, np.int64))
+    results = Results(
+        mse, estimate, variance, wanted.errors, wanted.cloud, wanted.weight, np.zeros(2, np.int64)
+    )
 
     def again() -> str:
         """Filter the failed draw in NumPy."""
@@ -183,7 +190,7 @@ def _filter(
         return f"the filter of draw {draw.index.start}"
 
     with compiled_formulas(model.name, again):
-        _compiled(model, truth, settings.resampling)(request, planned, results)
+        _compiled(model, truth, settings)(request, planned, results)
     return mse
 
 
@@ -203,41 +210,57 @@ def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
     prior, particles = settings.prior, settings.particles
+    weight = prior.weight_of_filters(particles, draws.origin) if settings.carries else None
+    if weight is not None:
+        as_it_is = np.broadcast_to(np.arange(particles), (2, len(draws.index), particles))
+        return Prior(np.ascontiguousarray(prior.x), np.ascontiguousarray(as_it_is), weight)
     chosen = [
         prior.chosen_for_filters(particles, draws.index, key, draws.origin)
         for key in filter_streams(stream, settings.estimator)
     ]
-    return Prior(np.ascontiguousarray(prior.x), np.stack(chosen))
+    return Prior(np.ascontiguousarray(prior.x), np.stack(chosen), np.empty(0))
 
 
 def libm_of_filter(
-    model: StateSpaceModel, truth: StateSpaceModel, resampling: str
+    model: StateSpaceModel, truth: StateSpaceModel, settings: FilterSettings
 ) -> tuple[str, ...]:
     """Functions of the C library that the compiled filter calls; see `libm_functions`.
 
     The filter must have been called before.
     """
-    return libm_functions(_compiled(model, truth, resampling).compiled)
+    return libm_functions(_compiled(model, truth, settings).compiled)
 
 
-def filter_makes_arrays(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> bool:
+def filter_makes_arrays(
+    model: StateSpaceModel, truth: StateSpaceModel, settings: FilterSettings
+) -> bool:
     """Whether the compiled filter, which was called before, makes arrays for each particle."""
-    return makes_arrays(_compiled(model, truth, resampling).compiled)
+    return makes_arrays(_compiled(model, truth, settings).compiled)
 
 
-def _compiled(model: StateSpaceModel, truth: StateSpaceModel, resampling: str) -> WithScratch:
-    formulas = (
-        model.quantity_of_interest,
-        truth.formulas["error"],
+def _compiled(
+    model: StateSpaceModel, truth: StateSpaceModel, settings: FilterSettings
+) -> WithScratch:
+    proposal: tuple[Any, ...] = ()
+    noise_kinds: tuple[tuple[str, ...], ...] = (model.initial_noise, model.process_noise)
+    if settings.guides(model):
+        proposal = (model.proposal, model.proposal_log_density)
+        noise_kinds = (*noise_kinds, model.proposal_variates)
+    formulas = FilterFormulas(
         model.initial,
         model.transition,
+        model.quantity_of_interest,
+        truth.formulas["error"],
+        tuple(part.model.log_likelihood for part in model.parts),
+        proposal,
     )
     states, _, quantities = model.components
     return fused_filter(
-        (*formulas, *(part.model.log_likelihood for part in model.parts)),
-        (model.initial_noise, model.process_noise),
+        formulas,
+        noise_kinds,
         (states, tuple(part.model.components[1] for part in model.parts), quantities),
         (parameter_names(model.parameters), parameter_names(truth.parameters)),
-        resampling,
+        settings.resampling,
         truth.is_angle,
+        settings.carries,
     )

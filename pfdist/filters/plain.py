@@ -16,6 +16,7 @@ from pfdist.filters.interface import Filtered, checking, weighed
 from pfdist.filters.one_by_one import one_by_one, summed_one_by_one
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.guiding import plain_log_density
 from pfdist.kernels.noise import (
     FILTER_INITIAL,
     FILTER_PROCESS,
@@ -81,8 +82,13 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
-    mse, estimate, variance, last = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    return Filtered(mse, estimate, variance, tuple(last)) if trajectories else Filtered(mse)
+    mse, estimate, variance, last, weight = (
+        np.concatenate(parts) for parts in zip(*blocks, strict=True)
+    )
+    if not trajectories:
+        return Filtered(mse)
+    carried = weight if settings.carries else None
+    return Filtered(mse, estimate, variance, tuple(last), carried)
 
 
 def _filter(
@@ -91,8 +97,11 @@ def _filter(
     times: Times,
     stream: int,
     settings: FilterSettings,
-) -> tuple[Array, Array, Array, Array]:
-    """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P)."""
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P).
+
+    The last array has the weights of the last particles, (D, P).
+    """
     particles, sensors = settings.particles, len(model.parts)
     scheme = ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
@@ -100,20 +109,22 @@ def _filter(
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     true_error = draws.model.formulas["error"]
     total, alive = np.zeros(count), np.ones(count, np.bool_)
-    if isinstance(settings.prior, Cloud):
-        chosen = settings.prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
-        x = _states(_flat(tuple(settings.prior.x[:, chosen])), cloud)
-    else:
-        noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-        x = _states(model.initial(_flat(noise), model.p), cloud)
+    x, carried = _first(model, draws, stream, settings)
     for k, t in enumerate(draws.instants):
+        y, log_guide = (
+            tuple(np.repeat(values, particles) for values in draws.y[:, k].T),
+            np.zeros(1),
+        )
         if k > 0:
-            w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
-            x = _states(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud)
+            seen = y if settings.guides(model) and t in times else None
+            flat, log_guide = step(model, _flat(x), seen, t - 1, particles, stream, draws.index)
+            x = _states(flat, cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
-        x, weight, degenerate = _weighed(model, draws, k, x, times, stream, settings)
+        x, weight, degenerate = _weighed(
+            model, draws, k, x, carried, log_guide, times, stream, settings
+        )
         degenerate &= alive
         total[degenerate], alive[degenerate] = np.nan, False
         share = weight / weight.sum(axis=1, keepdims=True)
@@ -125,11 +136,59 @@ def _filter(
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
+        carried = weight
         if any(time // sensors == t for time in times):
-            x = _resampled(x, settings, weight, stream, draws.index, (t + 1) * sensors - 1)
+            key = (t + 1) * sensors - 1
+            x, carried = _resampled(x, weight, settings, stream, draws.index, key)
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
-    return total / instants, mean, variance, last
+    return total / instants, mean, variance, last, carried
+
+
+def _first(
+    model: StateSpaceModel, draws: Draws, stream: int, settings: FilterSettings
+) -> tuple[tuple[Array, ...], Array]:
+    """States and weights, each (D, particles), with which the filters begin."""
+    prior, particles = settings.prior, settings.particles
+    cloud = (len(draws.index), particles)
+    if not isinstance(prior, Cloud):
+        noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
+        return _states(model.initial(_flat(noise), model.p), cloud), np.ones(cloud)
+    weight = prior.weight_of_filters(particles, draws.origin) if settings.carries else None
+    if weight is not None:
+        return _states(tuple(np.tile(prior.x, cloud[0])), cloud), np.tile(weight, (cloud[0], 1))
+    chosen = prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
+    return _states(_flat(tuple(prior.x[:, chosen])), cloud), np.ones(cloud)
+
+
+def step(
+    model: StateSpaceModel,
+    x: tuple[Array, ...],
+    y: tuple[Array, ...] | None,
+    t: int,
+    particles: int,
+    stream: int,
+    draws: range,
+) -> tuple[tuple[Any, ...], Array]:
+    """x(t+1) from x(t), and log p(w) - log q(w | x, y) of a proposal that knows y at t + 1.
+
+    Without y the noise of the process makes the step. The particles of all draws lie along one
+    axis. Plain twin of `pfdist.kernels.guiding.step_of`.
+    """
+    kinds = model.process_noise if y is None else model.proposal_variates
+    w = _flat(_noise(kinds, particles, stream, draws, t, FILTER_PROCESS))
+    log_guide: Array = np.zeros(1)
+    if model.proposal is not None and model.proposal_log_density is not None and y is not None:
+        w = tuple(_like(part, x[0].shape) for part in model.proposal(x, y, t, w, model.p))
+        log_density = model.proposal_log_density(w, x, y, t, model.p)
+        log_guide = plain_log_density(model.process_noise, w) - log_density
+    return model.transition(x, t, w, model.p), log_guide
+
+
+def _effective_sizes(weight: Array) -> Array:
+    """Effective sample size of each draw's weights, (D, 1)."""
+    sizes: Array = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
+    return sizes[:, None]
 
 
 def _weighed(
@@ -137,6 +196,8 @@ def _weighed(
     draws: Draws,
     k: int,
     x: tuple[Array, ...],
+    weight: Array,
+    log_guide: Array,
     times: Times,
     stream: int,
     settings: FilterSettings,
@@ -144,19 +205,21 @@ def _weighed(
     """Particles and weights after the measurements at an instant, and which draws degenerate.
 
     The sensors weigh in their order. The particles are resampled in between, but not propagated.
+    `weight` has the carried weights, and `log_guide` what a proposal adds to their logarithms.
     """
     count, particles = cloud = x[0].shape
-    weight, degenerate = np.ones(cloud), np.zeros(count, np.bool_)
+    degenerate = np.zeros(count, np.bool_)
     first, weighs = draws.instants[k] * len(model.parts), False
     for number, (_, sensor, of_sensor, _) in enumerate(model.parts):
         if first + number not in times:
             continue
         if weighs:
-            x = _resampled(x, settings, weight, stream, draws.index, first + number - 1)
+            key = first + number - 1
+            x, weight = _resampled(x, weight, settings, stream, draws.index, key)
         weighs = True
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, of_sensor].T)
-        log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p)
-        weight = plain_weights(_of_cloud(log_weight, cloud))
+        log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p) + log_guide
+        weight = plain_weights(_of_cloud(log_weight, cloud) + np.log(weight))
         if ALL_SCHEMES[settings.resampling].sorts:
             x, weight = _in_line(x, weight)
         degenerate |= ~weight.any(axis=1)
@@ -165,14 +228,19 @@ def _weighed(
 
 def _resampled(
     x: tuple[Array, ...],
-    settings: FilterSettings,
     weight: Array,
+    settings: FilterSettings,
     stream: int,
     index: range,
     key: int,
-) -> tuple[Array, ...]:
+) -> tuple[tuple[Array, ...], Array]:
+    """Particles and weights after resampling; draws with even weights are left as they are."""
+    particles = settings.particles
     ancestors = plain_ancestors(settings.resampling, weight, stream, index, key)
-    return tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
+    uneven = _effective_sizes(weight) < settings.threshold * particles
+    ancestors = np.where(uneven, ancestors, np.arange(particles))
+    x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
+    return x, np.where(uneven, 1.0, weight)
 
 
 def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:

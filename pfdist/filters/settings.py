@@ -9,7 +9,7 @@ from pfdist.errors import ArgumentError, ModelError, PriorError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS, ESTIMATORS, SQUARED_ERROR
-from pfdist.kernels.schemes import MULTINOMIAL, SCHEMES
+from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, MULTINOMIAL, SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 
 RESAMPLING = tuple(SCHEMES)
@@ -25,6 +25,16 @@ class FilterSettings:
     resampling: str = MULTINOMIAL.name
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.one_by_one`
     prior: Prior | None = None
+    threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
+
+    @property
+    def carries(self) -> bool:
+        """Whether the filter may carry weights from one measurement to the next."""
+        return self.threshold < ALWAYS
+
+    def guides(self, model: StateSpaceModel) -> bool:
+        """Whether the filter draws from the model's proposal; the filter of the bound does not."""
+        return model.guided and not ALL_SCHEMES[self.resampling].holds_truth
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
@@ -60,6 +70,7 @@ def check_filter(
     particles: int,
     resampling: str,
     estimator: str = SQUARED_ERROR.name,
+    threshold: float = ALWAYS,
 ) -> None:
     """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
 
@@ -80,6 +91,11 @@ def check_filter(
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
             f"{model.components[0]} components of x"
+        )
+    if model.sensors and threshold < ALWAYS:
+        raise ModelError(
+            f"resample must be 'always' for a model with sensors, got 'below {threshold:g}' for "
+            f"{model.name}"
         )
     if not ESTIMATORS[estimator].for_any_filter:
         _check_estimator(model, truth, estimator)

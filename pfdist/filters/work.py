@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pfdist.filters.settings import filter_streams
 from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.schemes import CONDITIONAL
+from pfdist.kernels.schemes import ALWAYS, CONDITIONAL
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
@@ -36,6 +36,13 @@ class Estimation:
     particles: int
     resampling: str = "multinomial"
     estimator: str = SQUARED_ERROR.name  # name in `pfdist.kernels.estimators`
+    threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
+
+    @property
+    def recorded(self) -> dict[str, int | float | str]:
+        """The fields by their names; a filter that always resamples has no threshold."""
+        fields = vars(self)
+        return {key: fields[key] for key in fields if key != "threshold" or self.threshold < ALWAYS}
 
     @property
     def steps_an_instant(self) -> int:
@@ -155,6 +162,17 @@ class Result:
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (D,): the times of each draw, if each draw has times of its own
     measurement_times: tuple[Times, ...] = ()
+
+
+def joined(results: Sequence[Result]) -> Result:
+    """The result of successive ranges of draws with the same sets; sums are added."""
+
+    def all_of(name: str, axis: int = 0) -> NDArray[np.float64]:
+        arrays = [getattr(result, name) for result in results]
+        return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
+
+    sums = np.sum([result.sums for result in results], axis=0)
+    return Result(all_of("mse"), all_of("z"), all_of("y"), all_of("estimates", 1), sums)
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

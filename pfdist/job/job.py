@@ -20,6 +20,7 @@ from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.job.covariates import with_columns
 from pfdist.job.online_section import Online, Search
 from pfdist.job.problem_section import ProblemSection
+from pfdist.job.scenarios_section import Scenarios
 from pfdist.job.sections import (
     RESERVED,
     Budget,
@@ -212,6 +213,8 @@ class Job(Section):
     ----------
     origin : Origin
         Where the job comes from.
+    seed : int
+        The number from which every random number follows.
     **data
         The sections, as in a job file.
 
@@ -226,6 +229,7 @@ class Job(Section):
     problem: ProblemSection
     filter: Filter = Filter()
     evaluation: EvaluationSection = EvaluationSection()
+    scenarios: Scenarios | None = None
     search: tuple[Search, ...] = Field(
         default=(METHODS[DEFAULT_METHOD].section(),),
         max_length=MOST_SEARCHES,
@@ -249,6 +253,23 @@ class Job(Section):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         check_names(self.comparison, (search.name for search in self.search))
+        return self
+
+    @model_validator(mode="after")
+    def _can_have_scenarios(self) -> Self:
+        if self.scenarios is None:
+            return self
+        for name in ("budget", "online"):
+            if getattr(self, name) is not None:
+                raise ValueError(f"a job with scenarios must have no section {name}, got one")
+        for search in self.search:
+            if self.scenarios.is_worst and METHODS[search.method].additive and not search.polish:
+                others = ", ".join(name for name, each in METHODS.items() if not each.additive)
+                raise ValueError(
+                    "scenarios.criterion = 'worst' needs searches that compare whole sets "
+                    f"({others}), or polish = true, got {search.name} of method {search.method!r}: "
+                    "it adds errors of instants, so it seeks the best mean"
+                )
         return self
 
     @model_validator(mode="after")

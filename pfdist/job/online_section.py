@@ -27,6 +27,16 @@ class Online(Section):
     The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` have no effect.
     Unless it names another method, the keys that are not given are those of a quick corridor
     search.
+
+    Parameters
+    ----------
+    draws : int
+        Number of first draws of the comparison whose times are chosen one after another; at most
+        ``comparison.draws``.
+    judging_draws : int
+        Number of fresh simulated systems that decide between the plan at hand and a new plan.
+    search : section
+        The search that plans the remaining measurements: the keys of a ``[[search]]``.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000

@@ -27,7 +27,7 @@ Values = Mapping[str, Any]
 class Point(NamedTuple):
     """A point of a sweep."""
 
-    name: str  # of the run's folder, made of the values: ``seed=1,measurement_budget=10``
+    name: str  # of the run's folder, made of the values: ``seed=1_measurement_budget=10``
     chosen: Values  # a value for each key that the sweep varies
 
     @property
@@ -61,7 +61,7 @@ def points_of(
     Examples
     --------
     >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
-    ['seed=1,particles=50', 'seed=2,particles=50']
+    ['seed=1_particles=50', 'seed=2_particles=50']
     """
     for name, each in (("parallel", parallel), ("points", points)):
         if not isinstance(each, list | tuple):
@@ -196,7 +196,7 @@ def _named(chosen: Sequence[Values]) -> Iterator[Point]:
         if content in seen:
             twice = shown_text(", ".join(f"{key}={value}" for key, value in texts.items()))
             raise JobError(f"a point of a sweep must stand once, got {twice} twice")
-        name = ",".join(f"{short[key]}={_slug(texts[key])}" for key in values)
+        name = "_".join(f"{short[key]}={_slug(texts[key])}" for key in values)
         if name in names or len(name) > _LONGEST_NAME:
             name = f"{name[:_LONGEST_NAME]}-{_hash(str(texts))}"
         names.add(name)

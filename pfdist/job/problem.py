@@ -30,7 +30,7 @@ from pfdist.models import (
 
 _SECTIONS: dict[str, type[Section]] = {"problem": ProblemSection, "filter": Filter}
 _OWN = ("seed", "model", *_SECTIONS)
-_STRANGE = re.compile(r"[^\w. -]+")
+_STRANGE = re.compile(r"[^\w.-]+")
 
 
 class Problem(Shown):
@@ -46,6 +46,9 @@ class Problem(Shown):
         The model; or a name as in a job file: "ungm", or "path/file.py:object".
     filter_model : StateSpaceModel or str, optional
         The model that the filter uses, if it differs from the truth.
+    scenarios : mapping of str to object, optional
+        Parameters that the truth may have, as in the section [scenarios] of a job file, for
+        instance ``{"parameters": [{"k": 0.8}, {"k": 1.2}], "criterion": "worst"}``.
     horizon : int or float
         T: the instants are 0..T. With a clock, the time of the last instant.
     time_step, time_unit, times : float, str and sequence of float, optional
@@ -70,8 +73,8 @@ class Problem(Shown):
         measurements (most) and their minimum_spacing. By default the costs that the model gives.
     particles : int or "auto"
         "auto": a number that is enough is found when something is computed.
-    resampling, engine : str
-        The filter, as in the section [filter] of a job file.
+    resampling, resample, engine : str
+        The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises
     ------
@@ -101,6 +104,7 @@ class Problem(Shown):
         model: StateSpaceModel | str,
         *,
         filter_model: StateSpaceModel | str | None = None,
+        scenarios: Mapping[str, Any] | None = None,
         **keys: Any,
     ) -> None:
         self._model, believed = _given(model, "model"), None
@@ -114,7 +118,13 @@ class Problem(Shown):
             keys["sensors"] = {
                 name: {} if cost is None else {"cost": cost} for name, cost in costs.items()
             }
-        self._arguments = {"model": self._model, "filter_model": believed, **keys}
+        self._arguments = {
+            "model": self._model,
+            "filter_model": believed,
+            "scenarios": scenarios,
+            **keys,
+        }
+        self._scenarios = {} if scenarios is None else {"scenarios": _plain(scenarios)}
         self._keys = _by_section(_plain_keys(keys))
         self.job()
 
@@ -124,7 +134,7 @@ class Problem(Shown):
         name = _name_of(self._model).removeprefix(PYTHON)
         if ".py:" in name:
             name = Path(name.rpartition(":")[0]).stem
-        return _STRANGE.sub("-", name).strip(" .") or "model"
+        return _STRANGE.sub("-", name).strip("-.") or "model"
 
     def with_changes(self, **arguments: Any) -> "Problem":
         """The problem with some arguments changed; parameters and errors as of the class.
@@ -161,7 +171,8 @@ class Problem(Shown):
             Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
         )
         filled = {name: section for name, section in sections.items() if section is not None}
-        data = {"seed": _plain(seed), "model": self._models(), **self._keys, **filled}
+        own = {"seed": _plain(seed), "model": self._models(), **self._scenarios, **self._keys}
+        data = {**own, **filled}
         return Job(origin, **data)
 
     def _models(self) -> dict[str, Any]:
@@ -182,7 +193,7 @@ class Problem(Shown):
     __hash__ = None  # type: ignore[assignment]
 
     def _page(self) -> parts.Page:
-        keys = {**self._keys["problem"], **self._keys["filter"]}
+        keys = {**self._keys["problem"], **self._keys["filter"], **self._scenarios}
         first = ("horizon", "measurement_budget", "total_cost")
         about = ", ".join(f"{key} {keys[key]}" for key in first if key in keys)
         models = {"model": self._model, "filter_model": self._filter_model}
@@ -236,7 +247,7 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     allowed = [key for section in _SECTIONS.values() for key in section.model_fields]
     for key in keys:
         if key not in allowed:
-            names = ["filter_model", *allowed]
+            names = ["filter_model", "scenarios", *allowed]
             raise JobError(
                 f"unknown argument {shown(key)} of Problem, allowed: {', '.join(names)}"
                 f"{did_you_mean(key, names)}"

@@ -63,6 +63,17 @@ class SensorSection(Section):
     """The price of a sensor's measurements, and constraints on them.
 
     The lower bound leaves out `most` and `minimum_spacing`.
+
+    Parameters
+    ----------
+    cost : number, or list or section of ranges
+        Price of a measurement by this sensor, or at each instant, or in each range.
+    forbidden : list of times and ranges, clock
+        Times at which this sensor does not measure.
+    most : int
+        Largest number of measurements by this sensor.
+    minimum_spacing : number, clock
+        Smallest difference of two times of this sensor.
     """
 
     cost: Time | _Cost | None = None
@@ -89,6 +100,33 @@ class ProblemSection(Section):
 
     Without a clock, the horizon and all times count instants. With `time_step`, `time_unit` or
     `times` there is a clock, and all times are times on the clock.
+
+    Parameters
+    ----------
+    horizon : number, clock
+        T, the last instant or its time: 1 to 32,000 steps. Required unless ``times`` is given.
+    time_step : float, time_unit
+        Time from an instant to the next. Without a clock, instants are counted.
+    time_unit : str
+        Name of the unit of time, such as "h", for tables, figures and reports.
+    times : list of numbers, time_unit
+        The time of every instant, 2 to 32,001 in ascending order, in the place of ``horizon``.
+    instant_weights : list of numbers
+        Weight of the error of each instant in the MSE, at least 0; only ratios matter.
+    measurement_budget : int
+        N, the exact number of measurements, at most the number of allowed instants.
+    forbidden : list of times and ranges, clock
+        Times without a measurement.
+    required : list of times and ranges, clock
+        Times that every set contains.
+    minimum_spacing : number, clock
+        Smallest difference of two measurement times.
+    cost : list or section of ranges
+        Cost of a measurement at each instant, or in each range: numbers, at least 0.
+    total_cost : number, that of cost
+        Largest sum of the costs of a set, in the place of ``measurement_budget``.
+    sensors : section of sections
+        Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     """
 
     horizon: Time | None = None

@@ -19,6 +19,7 @@ from pfdist.common.section import Section
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.schemes import ALWAYS, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling
@@ -50,7 +51,7 @@ def _checked_text(text: str) -> str:
     return text
 
 
-def _checked_parameters(values: Any, section: str) -> Any:
+def checked_parameters(values: Any, section: str) -> Any:
     """Parameters, with tuples for lists; others than numbers and lists of numbers are refused."""
     if not isinstance(values, dict):
         return values
@@ -107,7 +108,15 @@ Text = Annotated[str, AfterValidator(_checked_text)]
 
 
 class FilterModel(Section):
-    """The filter's model, if it differs from the truth: another model, or other parameters."""
+    """The filter's model, if it differs from the truth: another model, or other parameters.
+
+    Parameters
+    ----------
+    name : str
+        The model of the filter, named as the truth is. It starts from its own parameters.
+    parameters : dict of str to float
+        Parameters of the filter's model that replace its own, or those of the truth.
+    """
 
     name: Text = ""
     parameters: dict[str, Parameter] = Field(default_factory=dict)
@@ -115,11 +124,21 @@ class FilterModel(Section):
     @field_validator("parameters", mode="before")
     @classmethod
     def _are_numbers(cls, values: Any) -> Any:
-        return _checked_parameters(values, "model.filter.parameters")
+        return checked_parameters(values, "model.filter.parameters")
 
 
 class Model(Section):
-    """The system: a model that ships, an entry point, or ``path/file.py:object``."""
+    """The system: a model that ships, an entry point, or ``path/file.py:object``.
+
+    Parameters
+    ----------
+    name : str
+        A model that ships, an entry point of the group ``pfdist.models``, or
+        ``path/file.py:object``, relative to the job file.
+    parameters : dict of str to float, the model's unit
+        Values that replace those of the model: a number, a list with a number for each instant, or
+        a column of a table, as in ``{file = "weather.csv", column = "rain"}``.
+    """
 
     name: Text = "ungm"
     parameters: dict[str, Parameter] = Field(default_factory=dict)
@@ -128,7 +147,7 @@ class Model(Section):
     @field_validator("parameters", mode="before")
     @classmethod
     def _are_numbers(cls, values: Any) -> Any:
-        return _checked_parameters(values, "model.parameters")
+        return checked_parameters(values, "model.parameters")
 
 
 class Filter(Section):
@@ -136,6 +155,17 @@ class Filter(Section):
 
     `pfdist.runner.build.build` puts a number in the place of ``particles = "auto"``. So particles
     are an integer wherever something is computed.
+
+    Parameters
+    ----------
+    particles : int or "auto"
+        Number of particles; "auto" finds a number that is enough. Exact engines have none.
+    resampling : str
+        The resampling scheme.
+    resample : str
+        "always" (by default), or "below 0.5": only if fewer than this share of the particles count.
+    engine : str
+        The engine, which computes the filter.
     """
 
     particles: Annotated[
@@ -145,6 +175,7 @@ class Filter(Section):
         PlainSerializer(lambda value: value),
     ] = 500
     resampling: Resampling = "multinomial"
+    resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
 
     @property
@@ -152,9 +183,34 @@ class Filter(Section):
         """Whether the number of particles is still to be found."""
         return isinstance(self.particles, str)
 
+    @field_validator("resample", mode="before")
+    @classmethod
+    def _is_always_or_below(cls, value: Any) -> Any:
+        try:
+            return None if value is None or threshold_of(value) == ALWAYS else value
+        except ValueError as error:
+            raise ValueError(f"filter.{error}") from error
+
+    @property
+    def threshold(self) -> float:
+        """The share of the particles below which the effective sample size must fall."""
+        return threshold_of(self.resample or "always")
+
 
 class EvaluationSection(Section):
-    """How a search estimates the expected MSE of a set of times."""
+    """How a search estimates the expected MSE of a set of times.
+
+    Parameters
+    ----------
+    draws : int
+        K, the number of draws on which a set of times is evaluated.
+    noise : str
+        Whether each evaluation has draws of its own, or all share theirs.
+    degenerate_draws : str
+        Whether a degenerate draw makes the cost infinite, or is left out of the mean.
+    estimator : str
+        How the error of a draw is estimated.
+    """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
@@ -163,7 +219,14 @@ class EvaluationSection(Section):
 
 
 class Until(Section):
-    """The precision at which a comparison ends before it has all draws."""
+    """The precision at which a comparison ends before it has all draws.
+
+    Parameters
+    ----------
+    half_width : float, gain (0.01 is 1 %)
+        The comparison ends when the 95 % intervals of the mean relative gains are this narrow on
+        each side. 0 means after all draws.
+    """
 
     half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
 
@@ -174,6 +237,15 @@ class Comparison(Section):
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
     "regular", which stands for the feasible set nearest to the regular times, or any set of times
     in 0..T, or on the clock, or the name of a given set. A given set may break constraints.
+
+    Parameters
+    ----------
+    draws : int
+        Number of fresh draws on which all sets are compared.
+    reference : str or list of times, clock
+        The set with which the others are compared.
+    sets : dict of str to times, clock
+        At most 100 sets of your own, by names of lower-case letters, digits and underscores.
     """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
@@ -221,6 +293,15 @@ class Budget(Section):
     """The numbers of measurements of a budget study; `pfdist budget` writes them.
 
     They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
+
+    Parameters
+    ----------
+    least : int
+        Smallest number of measurements.
+    most : int
+        Largest number of measurements.
+    numbers : list of int
+        These numbers alone, in ascending order from ``least`` to ``most``. If it is not given, all.
     """
 
     least: Annotated[int, Field(ge=1, lt=2**63)]
@@ -251,7 +332,21 @@ class Budget(Section):
 
 
 class Execution(Section):
-    """Where a run is computed; not a part of the identity of a run."""
+    """Where a run is computed; not a part of the identity of a run.
+
+    Parameters
+    ----------
+    pool : str
+        The pool, which computes the tasks.
+    workers : int
+        Number of workers or threads; 0 means all cores that the process may use.
+    address : str
+        Address of a Ray cluster, as HOST:PORT, ``auto`` or ``local``.
+    wait_for_cores : int
+        Number of cores that the Ray cluster must have before the command begins.
+    failures : int
+        Number of tasks that may fail. Each is done once more.
+    """
 
     pool: PoolName = AUTO_POOL
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0

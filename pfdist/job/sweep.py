@@ -23,18 +23,30 @@ START_SECONDS = 10.0
 
 
 class SweepFile(Section):
-    """The content of a sweep file."""
+    """The content of a sweep file.
 
-    job: str  # path of the job file, relative to the folder of the sweep file
-    # Values of keys of the job that all points share.
+    Parameters
+    ----------
+    job : str
+        Path of the job file, relative to the folder of the sweep file.
+    change : dict of str to value
+        Values of keys of the job that all points share.
+    over : dict of str to list
+        Values of each key; every combination is a point, and the last key changes fastest.
+    parallel : list of dict
+        Groups of keys whose values change together. Each group is combined with the other keys.
+    point : list of dict
+        Further points.
+    judge : bool
+        Whether the times found at each point are judged at every point.
+    """
+
+    job: str
     change: dict[str, Any] = Field(default_factory=dict)
-    # Values of each key; every combination is a point.
     over: dict[str, Any] = Field(default_factory=dict)
-    # Groups of keys that change together.
     parallel: list[dict[str, Any]] = Field(default_factory=list)
-    # Further points.
     point: list[dict[str, Any]] = Field(default_factory=list)
-    judge: bool = False  # whether the times found at each point are judged at every point
+    judge: bool = False
 
 
 @dataclass(frozen=True)

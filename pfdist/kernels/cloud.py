@@ -17,7 +17,22 @@ from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler
 from pfdist.kernels.weights import IMPOSSIBLE
 
-_FORMULAS = ("initial", "transition")
+
+class FilterFormulas(NamedTuple):
+    """Formulas of a filter's model, and the error of the truth."""
+
+    initial: Callable[..., Any]
+    transition: Callable[..., Any]
+    quantity_of_interest: Callable[..., Any]
+    error: Callable[..., Any]
+    log_likelihoods: tuple[Callable[..., Any], ...]  # one of each sensor, in their order
+    # proposal and proposal_log_density of a guided filter; else empty
+    proposal: tuple[Callable[..., Any], ...] = ()
+
+    @property
+    def all(self) -> tuple[Callable[..., Any], ...]:
+        """All formulas in the order of the fields."""
+        return (*self[:4], *self.log_likelihoods, *self.proposal)
 
 
 class Prior(NamedTuple):
@@ -27,31 +42,35 @@ class Prior(NamedTuple):
     # (F, D, P): the column of x that each particle of each of F filters of each draw starts as;
     # empty if the filters start from `initial`
     particle: NDArray[np.int64]
+    # (P,): weights, if the particles are those of a filter that carries weights; else empty
+    weight: NDArray[np.float64]
 
 
-FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64))
+FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64), np.empty(0))
 
 
 @lru_cache(maxsize=32)
 def cloud_steps(
-    functions: tuple[Callable[..., Any], ...],
+    formulas: FilterFormulas,
     noise_kinds: tuple[tuple[str, ...], ...],
     states: int,
+    carries: bool = False,
 ) -> tuple[Callable[..., Any], ...]:
     """Compile what a model does to a cloud: begin, propagate, and compute log-weights.
 
-    `functions` are initial, transition, and log_likelihood of each sensor. `noise_kinds` are those
-    of the initial state and of the process, and `states` is the number of components of x. The
-    results are
+    `noise_kinds` are those of the initial state and of the process, and `states` is the number of
+    components of x. The results are
 
     - ``begin(at, request, p, scratch, source)``, which fills the first half and returns the sum of
       the errors so far. It copies the saved cloud number `source`. If `source` is -1, it takes the
       request's prior for the draw ``at.d``, or without a prior x(0);
     - ``propagate(cloud, here, noise, particles, p, stream, draw, t)``: x(t+1) from x(t);
     - for each sensor, ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a
-      measurement y at t.
+      measurement y at t. If the filter is guided or carries weights, the log-likelihood is added
+      to what `log_weight` holds.
     """
-    initial, transition = map(formula, functions[:2], _FORMULAS)
+    initial = formula(formulas.initial, "initial")
+    transition = formula(formulas.transition, "transition")
     fill_w0, fill_w = map(filler, noise_kinds)
     read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
@@ -66,7 +85,7 @@ def cloud_steps(
             _copy_prior(request.prior, at, particles, cloud)
             return 0.0
         fill_w0(noise, particles, at.stream, at.draw, np.int64(0), FILTER_INITIAL)
-        _repeat_first(noise, particles, cloud.shape[2])
+        repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))
         return 0.0
@@ -74,22 +93,28 @@ def cloud_steps(
     @melted
     def propagate(cloud, here, noise, particles, p, stream, draw, t):
         fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
-        _repeat_first(noise, particles, cloud.shape[2])
+        repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
 
-    fillers = [_log_weights(formula(each, "log_likelihood"), read_x) for each in functions[2:]]
+    adds = carries or bool(formulas.proposal)
+    fillers = [
+        _log_weights(formula(each, "log_likelihood"), read_x, adds)
+        for each in formulas.log_likelihoods
+    ]
     return begin, propagate, *fillers
 
 
 def _log_weights(
-    log_likelihood: Callable[..., Any], read_x: Callable[..., Any]
+    log_likelihood: Callable[..., Any], read_x: Callable[..., Any], adds: bool
 ) -> Callable[..., None]:
     @melted
     def fill_log_weights(cloud, here, particles, p, y, t, log_weight):
         for i in range(log_weight.size):
             value = log_likelihood(y, read_x(cloud, here, i), t, p)
+            if adds:
+                value += log_weight[i]
             log_weight[i] = value if abs(value) < np.inf else IMPOSSIBLE
         for i in range(particles, log_weight.size):
             log_weight[i] = IMPOSSIBLE
@@ -107,7 +132,7 @@ def _copy_prior(prior, at, particles, cloud):
 
 
 @melted
-def _repeat_first(noise, particles, size):
+def repeat_first(noise, particles, size):
     """Copy the first particle's noise behind the last particle's.
 
     So a formula cannot fail behind the last particle if it fails for no particle.

@@ -121,7 +121,7 @@ def _plain(line: str) -> str:
 # --- compiled formulas ----------------------------------------------------------------------------
 
 _UNCHECKED = ("as_strided", "flat", "getitem", "setitem", "take_along_axis")
-_TUPLES = ("w", "x", "v", "y", "z", "estimate")
+_TUPLES = ("w", "x", "v", "y", "z", "u", "estimate")
 """Arguments of formulas that are tuples, whose constant indices Numba checks when it compiles."""
 
 

@@ -13,16 +13,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.kernels.arithmetic import row_sum
-from pfdist.kernels.cloud import Prior, cloud_steps, copy_ancestors, copy_cloud
+from pfdist.kernels.cloud import FilterFormulas, Prior, cloud_steps, copy_ancestors, copy_cloud
 from pfdist.kernels.components import naming, reader, tuple_of, writer
 from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.guiding import step_of, weighting
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY
 from pfdist.kernels.resampling import RESAMPLE
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch, with_sizes
+from pfdist.kernels.scratch import WEIGHTED, WithScratch, filter_scratch, with_sizes
 from pfdist.kernels.sorting import sort_by_state
 from pfdist.kernels.weights import cumulate, weigh
 
@@ -221,6 +222,7 @@ class Request(NamedTuple):
     particles: int
     weights: ErrorWeights  # the terms of the estimator
     instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
+    threshold: float  # see `pfdist.kernels.schemes.threshold_of`
     parameters: NDArray[np.float64]  # of the filter's model
     true_parameters: NDArray[np.float64]  # of the truth
 
@@ -235,6 +237,7 @@ class Results(NamedTuple):
     # those of its shared prefix. The caller fills them with 0.
     errors: NDArray[np.float64]
     cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
+    weight: NDArray[np.float64]  # (D, P): their weights
     # (2,): the row of the draw and the number of the set that are filtered now; Python reads them
     # if a formula fails
     at: NDArray[np.int64]
@@ -259,28 +262,27 @@ class _Models(NamedTuple):
 
 @lru_cache(maxsize=32)
 def fused_filter(
-    functions: tuple[Callable[..., Any], ...],
+    formulas: FilterFormulas,
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, tuple[int, ...], int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
     is_angle: tuple[bool, ...],
+    carries: bool = False,
 ) -> WithScratch:
     """Compile ``filter_draws(request, plan, results)``, or load it from disk.
 
     It takes a `Request`, a `pfdist.kernels.prefixes.Plan` and `Results`, which it fills.
-    `functions` are quantity_of_interest of the filter's model, error of the truth, and initial,
-    transition and log_likelihood of each sensor of the filter's model. `noise_kinds` are those of
-    the initial state and of the process, and `components` the numbers of components of x, of the y
-    of each sensor, and of z. `parameters` names those of the filter's model, and of the truth.
-    `is_angle` says which components of z are angles.
+    `noise_kinds` are those of the initial state and of the process, and `components` the numbers
+    of components of x, of the y of each sensor, and of z. A guided filter adds the kinds of the
+    proposal's variates. `parameters` names those of the filter's model, and of the truth.
+    `is_angle` says which components of z are angles, and `carries` whether the filter may carry
+    weights from one measurement to the next. With several sensors it neither carries nor is guided.
     """
     states, rows = components[0], components[2] + sum(is_angle)
     noise_rows = max(1, *map(len, noise_kinds))
-    compiled = cached_on_disk(
-        _filter_draws(functions, noise_kinds, components, parameters, resampling, is_angle),
-        functions, noise_kinds, components, parameters, resampling, is_angle,
-    )  # fmt: skip
+    choices = (formulas, noise_kinds, components, parameters, resampling, is_angle, carries)
+    compiled = cached_on_disk(_filter_draws(*choices), formulas.all, *choices[1:])
 
     def with_scratch(request, plan, results):
         # All draws, filters and sets of this call share one scratch, and each call makes its own:
@@ -295,15 +297,16 @@ def fused_filter(
 
 
 def _filter_draws(
-    functions: tuple[Callable[..., Any], ...],
+    formulas: FilterFormulas,
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, tuple[int, ...], int],
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
     is_angle: tuple[bool, ...],
+    carries: bool,
 ) -> Callable[..., None]:
     """The loop over draws, filters and sets of times, which is compiled when it is first called."""
-    filter_draw = _filter_draw(functions, noise_kinds, components, resampling, is_angle)
+    filter_draw = _filter_draw(formulas, noise_kinds, components, resampling, is_angle, carries)
     named, named_truth = map(naming, parameters)
     noise_rows = max(1, *map(len, noise_kinds))
     states, rows = components[0], components[2] + sum(is_angle)
@@ -327,41 +330,41 @@ def _filter_draws(
 
 
 def _filter_draw(
-    functions: tuple[Callable[..., Any], ...],
+    formulas: FilterFormulas,
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, tuple[int, ...], int],
     resampling: str,
     is_angle: tuple[bool, ...],
+    carries: bool,
 ) -> Callable[..., float]:
     """Compile the filter of one draw with one set of times, which returns the draw's MSE.
 
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
-    (quantity_of_interest, error, *of_particles), (states, measurements, quantities) = (
-        functions,
-        components,
+    begin, propagate, *fillers = cloud_steps(formulas, noise_kinds[:2], components[0], carries)
+    weigh_cloud, resample_cloud = measuring(fillers, components[1], resampling)
+    begin_weighted, begin_log_weights, resample = weighting(
+        begin, resample_cloud, bool(formulas.proposal), carries
     )
-    begin, propagate, *fillers = cloud_steps(tuple(of_particles), noise_kinds, states)
-    weigh_cloud, resample_cloud = measuring(fillers, measurements, resampling)
+    step = step_of(propagate, begin_log_weights, formulas, noise_kinds, components)
     fill_terms, fill_squares, mean_of, mean_of_squares = moments(
-        quantity_of_interest, states, is_angle
+        formulas.quantity_of_interest, components[0], is_angle
     )
-    read_z, error_of = reader(quantities, "d, t, c"), formula(error, "error")
+    read_z, error_of = reader(components[2], "d, t, c"), formula(formulas.error, "error")
     record, error_by_variance = recorders(is_angle)
-    put_truth = _truth_put(states) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
+    put_truth = _truth_put(components[0]) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
-        stream, filter_number, draw, d, s = at
-        particles, p, truth = request.particles, models.p, models.truth
-        cloud, noise, weight, terms = scratch.cloud, scratch.noise, scratch.weight, scratch.terms
+        d, s, p, truth = at.d, at.s, models.p, models.truth
+        cloud, weight, terms = scratch.cloud, scratch.weight, scratch.terms
         weights, saved, first_means = request.weights, scratch.saved, scratch.first_means
         measured, begins, ends, sources, first_stops, stops, slots = plan
         only_by_error = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
         k, behind = first_stops[s], first_stops[s + 1]  # of its next stop, and of all its stops
         goes_on = slots[behind - 1] >= 0 or results.cloud.size > 0  # its last cloud counts
         here, stop, source = np.int64(0), begins[s], sources[s] if begins[s] > 0 else np.int64(-1)
-        error = begin(at, request, p, scratch, source)
+        error, row, total = begin_weighted(at, request, p, scratch, source)
         # At each instant: propagate, weight, estimate, resample. The estimate comes before
         # resampling, which adds noise. The loop pauses at each instant whose cloud a later set
         # needs: cloud[here] is then resampled, but not yet propagated to that instant.
@@ -370,10 +373,9 @@ def _filter_draw(
             for t in range(first, stop):
                 instant = request.start + t
                 if t > 0:
-                    propagate(cloud, here, noise, particles, p, stream, draw, instant - 1)
+                    step(scratch, here, row, request, p, at, t, measured[s, t])
                     here = 1 - here
                 put_truth(cloud, here, request.x, d, t)
-                row, total = EQUAL, float(particles)
                 if measured[s, t]:
                     here, total = weigh_cloud(scratch, here, request, p, at, t, measured[s, t])
                     row = WEIGHTED
@@ -385,12 +387,10 @@ def _filter_draw(
                     fill_squares(cloud, here, instant, p, weight, row, mean, terms)
                     variances = mean_of_squares(terms, total)
                     record(results, d, t, mean, variances)
-                    weighed_variance = _weighed(
-                        error_by_variance(
-                            weights, first_means, filter_number, s, t, mean, variances
-                        ),
-                        request.instant_weights[t],
+                    variance = error_by_variance(
+                        weights, first_means, at.filter_number, s, t, mean, variances
                     )
+                    weighed_variance = _weighed(variance, request.instant_weights[t])
                     error += weighed_variance
                     _add(results.errors, s, t, weighed_variance)
                 z = read_z(request.z, d, t)
@@ -401,9 +401,10 @@ def _filter_draw(
                 if not error < np.inf:
                     return _end(saved.errors, slots[k - 1 : behind], np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):
-                    here = resample_cloud(scratch, here, request, at, t, 0)
-            _save(cloud, here, saved, slots[k - 1], error)  # inside the loop over t it costs 3 %
-        _keep(cloud, here, results.cloud, d)
+                    here, row, total = resample(scratch, here, request, total, at, t)
+            # Inside the loop over t this costs 3 %.
+            _save(cloud, here, weight, row, saved, slots[k - 1], error)
+        _keep(cloud, here, weight, row, results, d)
         return _mean(error, measured.shape[1], saved.errors, slots[k:behind])
 
     return filter_draw
@@ -439,20 +440,23 @@ def _add(errors, s, t, error):
 
 
 @melted
-def _save(cloud, here, saved, slot, error):
-    """Save the cloud and the sum of errors, if a later set resumes from here."""
+def _save(cloud, here, weight, row, saved, slot, error):
+    """Save the cloud with its weights, and the sum of errors, if a later set resumes from here."""
     if slot >= 0:
         saved.errors[slot] = error
         copy_cloud(cloud, here, saved.clouds, slot)
+        for i in range(weight.shape[1]):
+            saved.weights[slot, i] = weight[row, i]
 
 
 @melted
-def _keep(cloud, here, result, d):
-    """Copy the particles of a draw into the results, if they are wanted."""
-    if result.size > 0:
-        for component in range(result.shape[1]):
-            for i in range(result.shape[2]):
-                result[d, component, i] = cloud[here, component, i]
+def _keep(cloud, here, weight, row, results, d):
+    """Copy the particles of a draw and their weights into the results, if they are wanted."""
+    if results.cloud.size > 0:
+        for i in range(results.cloud.shape[2]):
+            results.weight[d, i] = weight[row, i]
+            for component in range(results.cloud.shape[1]):
+                results.cloud[d, component, i] = cloud[here, component, i]
 
 
 @melted

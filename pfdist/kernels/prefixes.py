@@ -50,6 +50,8 @@ class Saved(NamedTuple):
 
     clouds: NDArray[np.float64]  # (slots, n, width(P))
     errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
+    # (slots, width(P)): the weights that a filter carries; not used by one that carries none
+    weights: NDArray[np.float32]
 
 
 @lru_cache(maxsize=16)

@@ -1,6 +1,11 @@
-"""The resampling schemes. Data only: this imports no Numba."""
+"""The resampling schemes, and when they resample. Data only: this imports no Numba."""
 
+import math
+import re
 from dataclasses import dataclass
+from typing import Final
+
+from pfdist.errors import shown
 
 
 @dataclass(frozen=True)
@@ -42,3 +47,24 @@ SCHEMES = {
 """The schemes that a job can name."""
 
 ALL_SCHEMES = SCHEMES | {CONDITIONAL.name: CONDITIONAL}
+
+ALWAYS: Final = math.inf
+"""The threshold of a filter that resamples at each measurement."""
+_BELOW = re.compile(r"below (\d*\.?\d+)")
+
+
+def threshold_of(resample: str) -> float:
+    """The threshold that a text stands for: "always", or "below 0.5" for 0.5.
+
+    A filter resamples if its effective sample size is below this share of its particles. Raises
+    `ValueError` if the text is none of these.
+    """
+    if resample == "always":
+        return ALWAYS
+    found = _BELOW.fullmatch(resample) if isinstance(resample, str) else None
+    if found is None or not 0.0 < float(found[1]) <= 1.0:
+        raise ValueError(
+            "resample must be 'always', or 'below' with a share of the particles above 0 and at "
+            f"most 1, as in 'below 0.5', got {shown(resample)}"
+        )
+    return float(found[1])

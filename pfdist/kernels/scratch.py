@@ -89,7 +89,11 @@ def filter_scratch(
         terms,
         ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
         SortingScratch(terms[0], aligned((2, DIGITS), np.uint32), points, shares, ancestor),
-        Saved(aligned((slots, states, size), np.float64), aligned((slots,), np.float64)),
+        Saved(
+            aligned((slots, states, size), np.float64),
+            aligned((slots,), np.float64),
+            aligned((slots, size), np.float32),
+        ),
         aligned((*first_means, rows), np.float64),
     )
 
@@ -105,7 +109,7 @@ def with_sizes(scratch, states, rows, noise_rows, particles):
     ancestor, sums = shaped(given.ancestor, (spacious,)), shaped(given.sums, (spacious,))
     cumulative = shaped(given.cumulative, (size,))
     counts = shaped(scratch.sorting.counts, (2, DIGITS))
-    errors = scratch.saved.errors
+    saved, slots = scratch.saved, scratch.saved.errors.size
     return Scratch(
         shaped(scratch.cloud, (2, states, size)),
         noise,
@@ -114,7 +118,11 @@ def with_sizes(scratch, states, rows, noise_rows, particles):
         shaped(scratch.terms, (rows, size)),
         ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
         SortingScratch(log_weight, counts, points, shares, ancestor),
-        Saved(shaped(scratch.saved.clouds, (errors.size, states, size)), errors),
+        Saved(
+            shaped(saved.clouds, (slots, states, size)),
+            saved.errors,
+            shaped(saved.weights, (slots, size)),
+        ),
         scratch.first_means,
     )
 

@@ -34,16 +34,21 @@ ARGUMENTS = {
     "log_likelihood": ("y", "x", "t", "p"),
     "quantity_of_interest": ("x", "t", "p"),
     "error": ("z", "estimate", "t", "p"),
+    "proposal": ("x", "y", "t", "u", "p"),
+    "proposal_log_density": ("w", "x", "y", "t", "p"),
 }
 """Names of a model's formulas, and of their arguments."""
 MEASURING = ("measurement", "log_likelihood")
 """Names of the formulas that each sensor of a model has for itself."""
 MOST_SENSORS = 8  # a set of the sensors that measure at an instant is a byte
 _SENSOR_NAME = re.compile(r"[A-Za-z][\w-]{0,39}")
+OPTIONAL = ("proposal", "proposal_log_density")
+"""Formulas that a model may lack."""
 _PARTICLES = 2
 _ONE_NUMBER = {
     "log_likelihood": "one number a particle",
     "error": "one number for z and its estimate",
+    "proposal_log_density": "one number a particle",
 }
 
 
@@ -59,8 +64,9 @@ def check_fields(model: Any) -> None:
     _check_sensors(model)
     for name in own_formulas(model):
         _check_signature(model, name, ARGUMENTS[name])
-    for name in ("initial_noise", "process_noise", "measurement_noise"):
+    for name in ("initial_noise", "process_noise", "measurement_noise", "proposal_noise"):
         _check_noise(model, name)
+    _check_proposal(model)
     _check_data_files(model)
     for name in model.parameter_ranges:
         if name not in model.parameters:
@@ -78,8 +84,10 @@ def formula_of_each_sensor(*_: Any) -> Any:
 
 
 def own_formulas(model: Any) -> list[str]:
-    """Names of a model's formulas but those that each sensor has for itself."""
-    return [name for name in ARGUMENTS if not (model.sensors and name in MEASURING)]
+    """Names of a model's formulas, without those that it lacks or that each sensor has."""
+    absent = {name for name in OPTIONAL if getattr(model, name) is None}
+    absent.update(MEASURING if model.sensors else ())
+    return [name for name in ARGUMENTS if name not in absent]
 
 
 def _check_sensors(model: Any) -> None:
@@ -148,6 +156,26 @@ def _advice_on_noise(name: str, kinds: Any) -> str:
     return f"; declare {noise!r}, and write pfdist.densities.{draw}({arguments}) in the formula"
 
 
+def _check_proposal(model: Any) -> None:
+    lacking = [name for name in OPTIONAL if getattr(model, name) is None]
+    given = [name for name in OPTIONAL if name not in lacking]
+    if model.sensors and given:
+        raise ModelError(
+            f"model {model.name}: a model with sensors must have no proposal, got "
+            f"{' and '.join(given)}"
+        )
+    if len(lacking) == 1:
+        raise ModelError(
+            f"model {model.name}: a proposal must have both proposal and proposal_log_density, got "
+            f"none for {lacking[0]}"
+        )
+    if lacking and model.proposal_noise:
+        raise ModelError(
+            f"model {model.name}: proposal_noise must be empty without a proposal, got "
+            f"{model.proposal_noise!r}"
+        )
+
+
 def _check_data_files(model: Any) -> None:
     files = model.data_files
     if not isinstance(files, tuple) or not all(map(is_in_folder, files)):
@@ -207,6 +235,14 @@ def count_components(model: Any, p: Any) -> tuple[int, int, int]:
         z = _call(model, "quantity_of_interest", x, 0, p)
         _call(model, "log_likelihood", y, x, 0, p)
         _call(model, "error", z, z, 0, p)
+        if model.guided:
+            w = _call(model, "proposal", x, y, 0, _variates(model.proposal_variates), p)
+            if len(w) != len(model.process_noise):
+                raise ModelError(
+                    f"model {model.name}: proposal must give a component for each entry of "
+                    f"process_noise, {len(model.process_noise)}, got {len(w)}"
+                )
+            _call(model, "proposal_log_density", w, x, y, 0, p)
     return len(x), len(y), len(z)
 
 

@@ -79,10 +79,10 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     """
     walk = _Walk(model.name, model.formulas)
     entries = walk.fingerprint()
-    settings = [repr(getattr(model, k)) for k in _SETTINGS]
-    if model.sensors:
-        settings.append(repr({k: each.measurement_noise for k, each in model.sensors.items()}))
-    entries[FORMULAS] = digest([entries[FORMULAS], *settings])
+    settings = [getattr(model, k) for k in _SETTINGS]
+    sensors = {name: sensor.measurement_noise for name, sensor in model.sensors.items()}
+    settings += filter(None, [sensors, model.proposal_noise])
+    entries[FORMULAS] = digest([entries[FORMULAS], *map(repr, settings)])
     names = {name: ", ".join(map(str, given)) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
     fingerprint = entries | names | files | parameters_of(model.parameters)

@@ -104,7 +104,6 @@ model = StateSpaceModel(
         "drift_sd": NOT_NEGATIVE,
         "concentration": NOT_NEGATIVE,
     },
-    normalised=True,
     x_names=("east [m]", "north [m]", "heading [rad]"),
     y_names=("first beacon [rad]", "second beacon [rad]"),
     z_names=("heading [rad]",),

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.component_names import Component
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError, shown
@@ -15,6 +18,7 @@ from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
 from pfdist.filters.work import Estimation
 from pfdist.job.job import ONLINE, Job
+from pfdist.job.scenarios_section import Scenarios
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
@@ -46,6 +50,24 @@ class Built:
         """The instants of sets of times on the job's clock; with sensors, the measurements."""
         clock = self.job.problem.clock
         return {name: clock.measurements(times) for name, times in sets.items()}
+
+    @property
+    def is_worst(self) -> bool:
+        """Whether the cost of a set is the expected MSE of its worst scenario."""
+        return self.job.scenarios is not None and self.job.scenarios.is_worst
+
+    def exact_costs(
+        self, sets: Sequence[Times], ends: Sequence[int] | None = None, *, additive: bool = False
+    ) -> NDArray[np.float64]:
+        """The cost of each set up to its end, (S,), from an exact engine.
+
+        If `additive`, it is the mean over scenarios even if the worst scenario decides.
+        """
+        if additive or not self.is_worst:
+            return self.evaluator.expected_mse(sets, ends)
+        costs = [each.expected_mse(sets, ends) for each in self.evaluator.of_scenarios]
+        worst: NDArray[np.float64] = np.max(costs, axis=0)
+        return worst
 
     @property
     def phases(self) -> list[str]:
@@ -89,8 +111,11 @@ def build(job: Job) -> Built:
         clock=job.problem.clock.times if job.problem.has_clock else None,
         weights=job.problem.weights,
     )
+    if job.scenarios is not None:
+        evaluator = _with_scenarios(evaluator, job.scenarios)
     # To a filter that is wrong about the truth, one more measurement may do harm.
-    feasible, is_wrong = job.problem.feasible, filter_model.key != model.key
+    feasible = job.problem.feasible
+    is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
     study = Study(job, feasible)
@@ -120,6 +145,13 @@ def _check_sensors(job: Job, model: CarriedModel) -> None:
             f"problem.sensors must name the sensors of the model {model.name}, in their order: "
             f"{shown(list(sensors)) if sensors else 'it has none'}, got {shown(list(named))}"
         )
+
+
+def _with_scenarios(evaluator: Evaluator, section: Scenarios) -> Evaluator:
+    try:
+        return replace(evaluator, scenarios=section.each, told=section.filter == "told")
+    except ModelError as error:
+        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
 
 
 def _with_enough_particles(job: Job) -> Job:
@@ -239,7 +271,8 @@ def _ships(model: CarriedModel) -> bool:
 
 
 def _comparing(job: Job) -> Estimation:
-    return Estimation(job.filter.particles, job.filter.resampling)
+    own = job.filter
+    return Estimation(own.particles, own.resampling, threshold=own.threshold)
 
 
 def _compiled_or_numpy(evaluator: Evaluator) -> str:

@@ -39,11 +39,14 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         first_draws = TABLES[table](built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
-    schema = comparison_schema(list(sets))
+    evaluator = built.evaluator
+    schema = comparison_schema(list(sets), with_scenarios=bool(evaluator.scenarios))
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
         columns = [pa.array(np.arange(*piece.draws))]
         columns += [pa.array(mse, from_pandas=True) for mse in piece.by_id(result).values()]
+        scenarios = evaluator.scenarios_of(piece.draws_stream, range(*piece.draws))
+        columns += [] if scenarios is None else [pa.array(scenarios.astype(np.int16))]
         return pa.Table.from_arrays(columns, schema=schema)
 
     def learn(piece: Work, result: Result) -> bool:
@@ -65,7 +68,8 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
 
 def _result(rows: pa.Table) -> Result:
     """The result from which these rows were made."""
-    return Result(np.stack([rows[name].to_numpy() for name in rows.column_names[1:]], axis=1))
+    names = [name for name in rows.column_names if name.startswith("mse_")]
+    return Result(np.stack([rows[name].to_numpy() for name in names], axis=1))
 
 
 def comparison_steps(built: Built) -> int:

@@ -101,8 +101,11 @@ def distances(built: Built, work: Work) -> FirstDraws | None:
 def variances(built: Built, work: Work) -> FirstDraws | None:
     """Variance of particles beside the truth, with each set and without any measurement.
 
-    None in the same cases as `distances`.
+    None in the same cases as `distances`, and if the filter is not told the scenario of a draw: the
+    difference of both filters would be no loss by particles.
     """
+    if built.evaluator.scenarios and not built.evaluator.told:
+        return None
     estimation, schema = with_truth(work.estimation.particles), variance_schema(work.ids)
     work = replace(work, measurement_times=(*work.measurement_times, ()))
     return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)

@@ -80,7 +80,9 @@ def gap_parts(
         costs = built.evaluator.expected_mse(list(sets.values())).tolist()
         return {name: GapParts(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
     draws = _draws(built, run.draws_compared, of_bound)
-    kinds = _kinds(built, estimation, are_compared=draws <= run.draws_compared)
+    # The compared draws have the job's shares of scenarios, and not those of the bound.
+    are_compared = draws <= run.draws_compared and not built.is_worst
+    kinds = _kinds(built, estimation, are_compared=are_compared)
     seed = built.job.seed
     if "squared" in kinds:
         draws_stream = stream_of("bound", seed, "draws of a set")

@@ -129,7 +129,7 @@ def estimations(built: Built) -> dict[str, dict[str, Any]]:
     """
     if built.evaluator.exact:
         return {}
-    return {search.name: vars(search.settings.estimation) for search in built.searches}
+    return {search.name: search.settings.estimation.recorded for search in built.searches}
 
 
 def _identity(built: Built) -> dict[str, Any]:

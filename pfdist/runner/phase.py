@@ -61,12 +61,15 @@ class Phase:
         *,
         keep_leaders: bool = False,
         knows_truth: bool = False,
+        additive: bool = False,
     ) -> None:
         if purpose not in CHOOSING:
             raise ValueError(f"no search may choose by draws with the purpose {purpose!r}")
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
         self.knows_truth = knows_truth
+        # Searches that add errors of instants, and are told means whatever the criterion is.
+        self.additive = additive
         # MSE of each draw by the evaluation's id, of this session, for sets that are requested
         # again.
         self.evaluated: dict[str, NDArray[np.float64]] = {}
@@ -121,8 +124,20 @@ class Phase:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
         policy = self.settings.degenerate_policy
-        purpose = self.purpose
-        return Evaluation(times, request.mse, policy, exact, end, purpose=purpose)
+        scenarios = None
+        if exact is None:
+            draws = range(request.mse.size)
+            scenarios = self.built.evaluator.scenarios_of(request.stream, draws)
+        return Evaluation(
+            times,
+            request.mse,
+            policy,
+            exact,
+            end,
+            purpose=self.purpose,
+            scenarios=scenarios,
+            is_worst=self.built.is_worst and not self.additive,
+        )
 
 
 def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence[Evaluation]]:
@@ -230,7 +245,8 @@ class _Generation:
 def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None:
     """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
-    costs = phase.built.evaluator.expected_mse(sets, [request.end for request in requests])
+    ends = [request.end for request in requests]
+    costs = phase.built.exact_costs(sets, ends, additive=phase.additive)
     for request, cost in zip(requests, costs, strict=True):
         request.mse = np.empty(0)
         record(request.candidate, phase.evaluation(request, float(cost)))

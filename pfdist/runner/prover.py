@@ -1,8 +1,8 @@
 """The proof of a lower bound for a run's sets: filters of the relaxation, and of the sets alone."""
 
 import math
-from collections.abc import Collection, Generator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Generator, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,18 +14,27 @@ from pfdist.bounds.first_windows import relaxation_for
 from pfdist.bounds.gap import Gap, GapParts, consistent, gap_of
 from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.common.estimate import CONFIDENCE
+from pfdist.bounds.weighting import best_shares
+from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
 from pfdist.filters.work import BLOCK, Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
-from pfdist.runner.block_sums import GROUPS, Array, BlockSums, Counted, GroupSums, grown
+from pfdist.runner.block_sums import (
+    CHOICE_BLOCKS,
+    GROUPS,
+    Array,
+    BlockSums,
+    Counted,
+    GroupSums,
+    grown,
+)
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
-from pfdist.store import BOUND_PHASE, schema
+from pfdist.store import BOUND_PHASE, bound_schema
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
@@ -55,12 +64,14 @@ class Prover:
 
     Before a proof, `relaxation` is that from which its windows grow; afterwards that of the proof.
     `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
-    if the proof may end after several numbers of draws. Raises `JobError` or `ModelError` if no
+    if the proof may end after several numbers of draws. `shares` are those of the scenarios on the
+    draws of the bound, where the worst scenario decides. Raises `JobError` or `ModelError` if no
     bound is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
         self._built, self._settings = built, settings
+        self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
         self._estimation = with_truth(count)
@@ -93,9 +104,11 @@ class Prover:
         """Prove the sets of a finished run, and write the table ``bound``."""
         # The sums are published before the table of the bound, which marks the proof as done. A
         # kill in between costs no filter: the next proof finds all sums by their ids.
+        built = self._built
         try:
             looks = yield from self._looks(session, run)
         finally:  # also if the driver is closed early: rows that still wait are committed
+            session.built = self._built = built
             session.commit()
             for table in ("error_sums", "draws", "timings"):
                 for phase in session.store.phases_of(table, BOUND_PHASE):
@@ -119,8 +132,10 @@ class Prover:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets()))
-        parts = yield from gap_parts(session, run, sets, self._estimation, self._blocks[-1] * BLOCK)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
+        if feasible and self._built.is_worst:
+            yield from self._weigh_scenarios(session, feasible.values())
+        parts = yield from self._parts(session, run, sets)
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self._most_steps > 0:
@@ -153,6 +168,57 @@ class Prover:
             if within is not None and looks[-1].is_within(within, self._built.unjudged):
                 break
         return looks
+
+    def _parts(
+        self, session: Session, run: Run, sets: Mapping[str, Times]
+    ) -> Generator[Batch, None, dict[str, GapParts]]:
+        """The expected MSE of each set, in its worst scenario if that decides, and gap parts."""
+        most = self._blocks[-1] * BLOCK
+        parts = yield from gap_parts(session, run, sets, self._estimation, most)
+        if not self.shares:
+            return parts
+        worst = self._worst(run, sets)
+        return {name: _of_worst(parts[name], worst[name]) for name in sets}
+
+    def _weigh_scenarios(
+        self, session: Session, sets: Iterable[Times]
+    ) -> Generator[Batch, None, None]:
+        """Give the scenarios the shares for which the bound is largest; own draws choose them."""
+        built, relaxation, errors = self._built, self.relaxation, list[Array]()
+        evaluator, counted = built.evaluator, self._counted(())
+        stream = stream_of("bound", built.job.seed, "weights")
+        blocks = math.ceil(CHOICE_BLOCKS / len(evaluator.scenarios))
+        session.reporter.begin("weights of the scenarios")
+        for number in range(len(evaluator.scenarios)):
+            alone = evaluator.with_shares(np.eye(len(evaluator.scenarios))[number].tolist())
+            if evaluator.exact:
+                errors.append(
+                    np.concatenate(counted.of_instants(alone.expected_errors(counted.sets)))
+                )
+                continue
+            session.built = replace(built, evaluator=alone)
+            sums = BlockSums(session.built, counted, (stream, stream), self._growing)
+            means = yield from sums.means(blocks, session)
+            errors.append(np.concatenate(means))
+        most = max(map(relaxation.spent, sets))
+        self.shares = best_shares(relaxation, np.stack(errors), most)
+        session.built = self._built = replace(built, evaluator=evaluator.with_shares(self.shares))
+
+    def _worst(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
+        """The expected MSE of each set in its worst scenario, exact or of the comparison."""
+        if self._built.evaluator.exact:
+            costs = self._built.exact_costs([*sets.values()]).tolist()
+            return dict(zip(sets, map(Estimate, costs), strict=True))
+        rows = run.scenarios()
+        rows = rows.loc[rows.groupby("name")["expected_mse"].idxmax()].set_index("name")
+        return {
+            name: Estimate(
+                float(rows["expected_mse"][name]),
+                float(rows["standard_error"][name]),
+                int(rows["draws"][name]) - 1,
+            )
+            for name in sets
+        }
 
     def _grown(
         self, session: Session, sets: tuple[Times, ...]
@@ -266,7 +332,15 @@ class Prover:
             for look in looks
             for position, gap in enumerate(look.gaps)
         ]
-        return pa.Table.from_pylist(rows, schema=schema("bound"))
+        if self.shares:
+            rows = [row | {"shares": self.shares} for row in rows]
+        return pa.Table.from_pylist(rows, schema=bound_schema(with_shares=bool(self.shares)))
+
+
+def _of_worst(parts: GapParts, worst: Estimate) -> GapParts:
+    """The parts of a gap from the expected MSE of the worst scenario."""
+    weighting = worst.plus(parts.expected_mse.times(-1.0))
+    return replace(parts, expected_mse=worst, weighting=weighting)
 
 
 def _doubled(blocks: int) -> list[int]:

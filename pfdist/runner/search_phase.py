@@ -188,9 +188,14 @@ def search_steps(built: Built, search: NamedSearch) -> float:
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase:
-    probed = search.again is not None
     return Phase(
-        search.name, search.optimiser, "search", search.settings, built, keep_leaders=probed
+        search.name,
+        search.optimiser,
+        "search",
+        search.settings,
+        built,
+        keep_leaders=search.again is not None,
+        additive=search.additive,
     )
 
 

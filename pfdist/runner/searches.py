@@ -51,6 +51,7 @@ class Settings:
                 own.particles_of(job.filter.particles),
                 own.resampling or job.filter.resampling,
                 guide if estimator == AUTO else estimator,
+                job.filter.threshold,
             ),
         )
 
@@ -64,6 +65,7 @@ class NamedSearch:
     settings: Settings
     polishing: Settings | None  # of exchanges that polish the best set; None for no exchanges
     racing: Settings  # of the race, which the job's own filter decides by the squared error
+    additive: bool  # whether the optimiser adds errors of instants; then costs must be means
     # The same search by the squared error, with the particles of the job's own filter. It takes the
     # place of this search if the estimator cannot be trusted. None if this search uses it.
     again: "NamedSearch | None" = None
@@ -121,13 +123,16 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
 def _with_settings(
     job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
 ) -> NamedSearch:
-    own = Estimation(job.filter.particles, job.filter.resampling)
+    settled = job.filter
+    own = Estimation(settled.particles, settled.resampling, threshold=settled.threshold)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
     if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
         believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
         polishing = replace(polishing, estimation=believed)
     racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
-    return NamedSearch(name, optimiser, settings, polishing if section.polish else None, racing)
+    additive = METHODS[section.method].additive
+    polishing_or_none = polishing if section.polish else None
+    return NamedSearch(name, optimiser, settings, polishing_or_none, racing, additive)
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:

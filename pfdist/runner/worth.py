@@ -98,7 +98,7 @@ def _effective_sizes(
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
     job = built.job.filter
-    settings = FilterSettings(job.particles, job.resampling)
+    settings = FilterSettings(job.particles, job.resampling, threshold=job.threshold)
     first = begin(built.evaluator.believed, settings, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [

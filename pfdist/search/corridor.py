@@ -26,7 +26,7 @@ from pfdist.search.survivors import Survivors, SurvivorState
 from pfdist.times.measurement_times import Times
 
 
-@method("corridor", curve="best so far")
+@method("corridor", curve="best so far", additive=True)
 @dataclass(frozen=True)
 class Corridor(Survivors):
     """Corridor method: dynamic programme that moves each time a little, again while this helps.

@@ -29,6 +29,7 @@ class Method:
     section: type[SearchSection]  # the section [[search]], with the settings of the method
     curve: Curve  # in the figure ``cost``, which shows expected MSE by evaluation
     online: bool  # whether the method can plan the remaining measurements
+    additive: bool  # whether the method adds errors of instants, so that a cost must be a mean
 
     @property
     def description(self) -> str:
@@ -64,6 +65,7 @@ def method(
     polish: bool = False,
     curve: Curve = "generations",
     online: bool = True,
+    additive: bool = False,
 ) -> Callable[[C], C]:
     """Declare an optimiser as a search method.
 
@@ -87,6 +89,8 @@ def method(
     online : bool
         Whether the method can plan the remaining measurements. A method that asks for the errors
         of each instant cannot. It takes a whole number of blocks of 24 draws.
+    additive : bool
+        Whether the method adds errors of instants or of prefixes. Then costs must be means.
     """
 
     def declare(optimiser: C) -> C:
@@ -107,7 +111,7 @@ def method(
             __doc__=optimiser.__doc__,
             **definitions,
         )
-        METHODS.declare(name, Method(name, optimiser, section, curve, online))
+        METHODS.declare(name, Method(name, optimiser, section, curve, online, additive))
         return optimiser
 
     return declare

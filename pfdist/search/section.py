@@ -28,7 +28,22 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class EvaluationSettings(Section):
-    """Settings of a search that replace those of [evaluation] and [filter] of the job."""
+    """Settings of a search that replace those of [evaluation] and [filter] of the job.
+
+    Parameters
+    ----------
+    draws : int
+        Number of draws on which the search evaluates a set.
+    noise : str
+        Whether each evaluation has draws of its own, or all share theirs.
+    particles : int
+        Number of particles of the filters of the search. By default that of the job, or under
+        common noise a fifth of it, at least 100.
+    resampling : str
+        The resampling scheme of the search.
+    estimator : str
+        How the error of a draw is estimated; "auto" chooses by the model.
+    """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
     noise: Literal["fresh", "common"] | None = None
@@ -60,7 +75,20 @@ class CommonNoiseSettings(EvaluationSettings):
 
 
 class SearchSection(Section):
-    """Base of all sections [[search]]. The section of each method adds its settings."""
+    """Base of all sections [[search]]. The section of each method adds its settings.
+
+    Parameters
+    ----------
+    name : str
+        Name of the search in tables and figures; by default that of the method.
+    evaluation : section
+        How the search evaluates sets.
+    polish : bool
+        Whether exchanges of one time for another improve the best set at the end. Some methods
+        have true as their default.
+    method : str
+        The search method.
+    """
 
     name: Name = ""
     evaluation: EvaluationSettings = EvaluationSettings()

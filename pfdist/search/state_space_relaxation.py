@@ -98,6 +98,7 @@ class RelaxationState:
     polish=True,
     curve="best so far",
     online=False,
+    additive=True,
 )
 @dataclass(frozen=True)
 class StateSpaceRelaxation:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from itertools import chain
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,12 @@ from scipy.special import logsumexp, ndtr, ndtri
 
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.plain import step
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
+from pfdist.sequential.one_filter import OneFilter
 
 Array = NDArray[np.float64]
 
@@ -76,24 +78,44 @@ class Normal:
 # --- particles ----------------------------------------------------------------------------------
 
 
-def weights_after(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
-    """Weights of predicted particles after a measurement, (P,), and the log of their mean before.
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Particles that a measurement has weighted, and that are not resampled."""
 
-    Before the measurement, the particles have equal weights. The returned weights have a sum of 1;
-    some particle must have a finite log-likelihood. The other value is the logarithm of the mean of
-    the weights that are not normalised: log p(y(t) | earlier measurements), if the model's
-    log-likelihood is normalised.
+    cloud: Cloud  # at the instant of the measurement
+    share: Array  # (P,): weights after the measurement, with a sum of 1
+    # The logarithm of the mean weight before it is normalised: log p(y(t) | earlier measurements),
+    # if the model's log-likelihood is normalised.
+    log_density: float
+
+
+def explained(at: OneFilter, t: int, y: Array) -> Explained:
+    """The particles of a filter at t, weighted by the measurement y, (m,), there.
+
+    Some particle must have a finite log-likelihood. If the filter stands before t and has a
+    proposal, the proposal makes the step to t.
     """
-    log_weight, x = np.zeros(cloud.particles), tuple(cloud.x)
+    model, guide = at.model, np.zeros(1)
+    guides = at.t < t and at.settings.guides(model)
+    cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
+    own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
+    measured = tuple(np.full(cloud.particles, value) for value in y)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        for _, sensor, own, _ in model.parts:
-            if not (model.sensors and np.isnan(y[own]).all()):  # it measured
-                seen = _components(y[own], cloud)
-                log_weight += sensor.log_likelihood(seen, x, cloud.t, model.p)
-    log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+        if guides:
+            draws = range(at.draw, at.draw + 1)
+            x, guide = step(
+                model, tuple(cloud.x), measured, t - 1, cloud.particles, at.stream, draws
+            )
+            cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
+        log_weight = np.zeros(cloud.particles) + guide
+        for _, sensor, of_sensor, _ in model.parts:
+            if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
+                seen, x = measured[of_sensor], tuple(cloud.x)
+                log_weight += sensor.log_likelihood(seen, x, t, model.p)
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)
-    return share, log_sum - math.log(cloud.particles)
+    return Explained(cloud, share, log_sum - math.log(own.sum()))
 
 
 def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
@@ -118,7 +140,7 @@ def surprise_of_particles(
     ----------
     model : StateSpaceModel
     cloud : Cloud
-        Particles with equal weights, predicted for the instant of the measurement.
+        Particles, predicted for the instant of the measurement.
     y : array of float64, (m,)
         The measurement; NaN marks a missing component.
     stream, draw : int
@@ -131,7 +153,11 @@ def surprise_of_particles(
         variates(kind, number, stream, draw, cloud.t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(kinds)
     )
-    x = tuple(np.tile(cloud.x, copies))
+    states = cloud.x
+    if cloud.weight is not None:  # of a filter that carries weights
+        (chosen,) = cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)
+        states = states[:, chosen]
+    x = tuple(np.tile(states, copies))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in model.parts)
         simulated = tuple(chain.from_iterable(by_sensor))
@@ -151,10 +177,6 @@ def surprise_of_particles(
 def two_sided(rank: float) -> float:
     """The two-sided p-value of a rank in 0..1."""
     return 2 * min(rank, 1 - rank)
-
-
-def _components(y: Array, cloud: Cloud) -> tuple[Array, ...]:
-    return tuple(np.full(cloud.particles, value) for value in y)
 
 
 # --- normal distributions -----------------------------------------------------------------------

@@ -25,15 +25,16 @@ from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.matrices import matrices_of
 from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.sequential.beliefs import (
     Belief,
     Normal,
     Particles,
+    explained,
     explained_by_normal,
     quantity,
     surprise_of_particles,
-    weights_after,
 )
 from pfdist.sequential.estimate import Estimate, estimate_of
 from pfdist.sequential.formatted_instant import formatted_instant
@@ -66,6 +67,9 @@ class Filter:
     seed : int
         Seed of the filter's noise.
     resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    resample : str
+        "always", or "below 0.5" to resample only if the effective sample size falls below this
+        share of the particles.
     engine : {"auto", "compiled", "numpy", "kalman"}
         "auto" is the compiled engine, or NumPy for a model that Numba cannot compile. "kalman" is
         exact, for models that declare themselves linear-Gaussian.
@@ -106,6 +110,7 @@ class Filter:
         seed: int = 0,
         *,
         resampling: str = "systematic",
+        resample: str = "always",
         engine: str = AUTO,
         prior: Prior | ArrayLike | None = None,
         draw: int = 0,
@@ -120,10 +125,14 @@ class Filter:
         self.horizon = horizon
         self.stream = stream_of("filter", int(seed))
         """Key of the filter's noise, 64 bits."""
-        check_filter(self.model, self.model, particles, resampling)
         start = None if prior is None else as_prior(prior, self.model)
         self._check_prior(start, engine)
-        settings = FilterSettings(particles, resampling, prior=start)
+        try:
+            threshold = threshold_of(resample)
+        except ValueError as error:
+            raise ArgumentError(str(error)) from error
+        check_filter(self.model, self.model, particles, resampling, threshold=threshold)
+        settings = FilterSettings(particles, resampling, prior=start, threshold=threshold)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
@@ -200,8 +209,12 @@ class Filter:
             self._filter = self._ahead = predicted
             self._now = self._estimate(mean[-1], variance[-1])
             return self._now
-        moved, mean, variance = predicted.at(t, measurement)
-        belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
+        # A proposal makes the step to t with the measurement, so the filter goes on from before t.
+        before = self._filter if self._filter.t < t and self.model.guided else predicted
+        moved, mean, variance = before.at(t, measurement)
+        belief, log_density, surprise = self._explained(
+            before, predicted, measurement, mean, variance
+        )
         # The filter moves only here, after everything that may raise an error. So it stays where it
         # was if a measurement is refused.
         self._filter = self._ahead = moved
@@ -280,22 +293,24 @@ class Filter:
         prior = _prior(self._filter if at is None else at)
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
-            belief = Particles(quantity(self.model, prior, mean), np.ones(prior.particles))
+            weight = np.ones(prior.particles) if prior.weight is None else prior.weight
+            belief = Particles(quantity(self.model, prior, mean), weight)
         return estimate_of(prior.t, mean, variance, self.model.is_angle, belief)
 
     def _explained(
-        self, predicted: OneFilter, y: Array, mean: Array, variance: Array
+        self, before: OneFilter, predicted: OneFilter, y: Array, mean: Array, variance: Array
     ) -> tuple[Belief, float, float]:
         """The belief after a measurement, the measurement's log-density, and its surprise."""
         prior = _prior(predicted)
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
             return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
-        share, log_density = weights_after(self.model, prior, y)
+        weighted = explained(before, prior.t, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)
-        return Particles(quantity(self.model, prior, mean[-1]), share), log_density, surprise
+        belief = Particles(quantity(self.model, weighted.cloud, mean[-1]), weighted.share)
+        return belief, weighted.log_density, surprise
 
     def _confirmed(self, surprise: float, t: int, y: Array) -> float:
         """Surprise of a measurement for the filter with many particles.
@@ -350,11 +365,10 @@ def effective_sample_sizes(filtering: OneFilter, times: Sequence[int], y: Array)
     sizes = [math.nan] * len(times)
     for number, (t, measured) in enumerate(zip(times, y, strict=True)):
         try:
-            predicted, *_ = filtering.at(t)
-            filtering, *_ = predicted.at(t, measured)
+            after, *_ = filtering.at(t, measured)
+            weighted = explained(filtering, t, measured)
         except MeasurementsError:
             return sizes  # from here on the filter has no belief
-        cloud = cast(Cloud, predicted.settings.prior)
-        share, _ = weights_after(filtering.model, cloud, measured)
-        sizes[number] = Particles(cloud.x, share).effective_sample_size()
+        sizes[number] = Particles(weighted.cloud.x, weighted.share).effective_sample_size()
+        filtering = after
     return sizes

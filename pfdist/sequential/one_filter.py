@@ -78,7 +78,8 @@ class OneFilter:
                 f"to t = {formatted_instant(self.model, t)} (model {self.model.name})"
             )
         (last,) = filtered.last
-        prior = last if isinstance(last, Gaussian) else Cloud(t, last)
+        weight = None if filtered.weight is None else filtered.weight[0]
+        prior = last if isinstance(last, Gaussian) else Cloud(t, last, weight)
         measured = y is not None or (self.measured and t == self.t)
         after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
         return after, filtered.estimate[0], filtered.variance[0]

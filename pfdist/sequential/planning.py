@@ -170,6 +170,8 @@ def check_plannable(evaluator: Evaluator) -> None:
 
     They cannot if the filter's model has states of another size than the true model.
     """
+    if evaluator.scenarios:
+        raise ModelError("times can be chosen one after another only without scenarios, got some")
     true, believed = evaluator.model.components[0], evaluator.believed.components[0]
     if true != believed:
         raise ModelError(

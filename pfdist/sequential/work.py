@@ -73,7 +73,9 @@ class OnlineWork(Work):
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
-        settings = FilterSettings(estimation.particles, estimation.resampling)
+        settings = FilterSettings(
+            estimation.particles, estimation.resampling, threshold=estimation.threshold
+        )
         filtering = begin(
             evaluator.believed, settings, self.filter_streams[0], draw, evaluator.computed_by.name
         )

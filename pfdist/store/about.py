@@ -52,6 +52,7 @@ class _Estimation(_Part):
     particles: int
     resampling: str
     estimator: str
+    threshold: float | None = None
 
 
 class _Provenance(_Part):
@@ -61,6 +62,7 @@ class _Provenance(_Part):
     folder: _PathText
     python: str
     libraries: dict[str, str]
+    model_name: str = ""  # as the model calls itself; older runs have none
     processor: _Processor
     continued_on: list[_Processor] = []
 

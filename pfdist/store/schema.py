@@ -275,9 +275,25 @@ def keys_of(table: str, columns: Sequence[str]) -> list[str]:
     return [*KEYS[table], *(["sensor"] if "sensor" in columns else [])]
 
 
-def comparison_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of the comparison of these sets: a row a draw, a column a set."""
-    return _of_sets("comparison", "mse", "null: degenerate with this set", names)
+def comparison_schema(names: Sequence[str], *, with_scenarios: bool = False) -> pa.Schema:
+    """Schema of the comparison of these sets: a row a draw, a column a set, and the scenario."""
+    comparison = _of_sets("comparison", "mse", "null: degenerate with this set", names)
+    scenario = _column(
+        "scenario",
+        pa.int16(),
+        "",
+        "number of the draw's scenario, from 0, if the job has scenarios",
+    )
+    return comparison.append(scenario) if with_scenarios else comparison
+
+
+def bound_schema(*, with_shares: bool) -> pa.Schema:
+    """Schema of proofs, with the shares of the scenarios where the worst scenario decides."""
+    shares = _column(
+        "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
+    )
+    bound = schema("bound")
+    return bound.append(shares) if with_shares else bound
 
 
 def distance_schema(names: Sequence[str]) -> pa.Schema:

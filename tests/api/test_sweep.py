@@ -110,7 +110,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
     changes = ["seed=2", "problem.measurement_budget=5"]
     changes += ["model.parameters.process_sd=1.0", "model.filter.parameters.process_sd=2.0"]
     name = (
-        "seed=2,measurement_budget=5,model.parameters.process_sd=1.0,"
+        "seed=2_measurement_budget=5_model.parameters.process_sd=1.0_"
         "filter.parameters.process_sd=2.0"
     )
     assert hashes(sweep.path / name) == hashes(finished("comparison.draws=60", *changes))
@@ -409,7 +409,7 @@ def test_times_found_at_each_point_are_judged_at_every_point(
     assert set(judged["found_at"]) == set(sweep.runs)
     assert judged["run"].nunique() == 4
     assert set(judged["set"]) == {"greedy_forward"}
-    point = "process_sd=2.0,seed=1"
+    point = "process_sd=2.0_seed=1"
     sets = judged_sets(times_by_search(sweep.runs))
     compared = pfdist.compare(
         small_job,

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from oracles.clocked import with_clock
+from oracles.guided import echoes, growth, sharp_walk
 from pfdist import StateSpaceModel, load_model
-from pfdist.checks.measured import missing_components, normalised
-from pfdist.checks.model import check_model
+from pfdist.checks.measured import missing_components, normalised, proposal
+from pfdist.checks.model import check_model, check_object
 from pfdist.filters import plain
 from pfdist.models import installed_models
 
@@ -203,3 +204,46 @@ def test_check_model_looks_at_what_a_model_declares(tmp_path: Path) -> None:
     assert checks["normalised"].state == "wrong"
     assert checks["missing components"].state == "note"
     assert "expected MSE" in checks
+
+
+# --- proposals ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "model", [growth, sharp_walk(1), sharp_walk(3), echoes], ids=lambda each: each.name
+)
+def test_right_proposals_are_accepted_with_their_effective_sample_sizes(
+    model: StateSpaceModel,
+) -> None:
+    state, text = _looked(proposal, model)
+    assert state == "ok", text
+    assert "effective sample size" in text
+
+
+WRONG_PROPOSALS = {
+    "a wider deviation": lambda u, w: (0.5 * u[0], _normal(w[0], 0.6)),
+    "another mean": lambda u, w: (0.5 * u[0], _normal(w[0] - 0.2, 0.5)),
+    "no constant": lambda u, w: (u[0], -0.5 * w[0] ** 2),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_PROPOSALS)
+def test_a_density_that_is_not_that_of_the_proposal_is_found(name: str) -> None:
+    pair = WRONG_PROPOSALS[name]
+    model = _model(
+        lambda x, t, v, p: (x[0] + v[0],),
+        lambda y, x, t, p: _normal(y[0] - x[0], 1.0),
+        "normal",
+        proposal=lambda x, y, t, u, p: (pair(u, u)[0],),
+        proposal_log_density=lambda w, x, y, t, p: pair(w, w)[1],
+    )
+    state, text = _looked(proposal, model)
+    assert (state, "exp(proposal_log_density)" in text) == ("wrong", True), text
+
+
+def test_check_model_checks_every_formula_of_a_proposal() -> None:
+    checks = {each.name: each for each in check_object(growth, 8, 50)}
+    assert checks["proposal"].state == "ok", checks["proposal"].text
+    failing = replace(growth, proposal=lambda x, y, t, u, p: (u[0] / (t < 3),))
+    found = [each.text for each in check_object(failing, 8, 50) if each.state == "wrong"]
+    assert "from proposal" in found[0]

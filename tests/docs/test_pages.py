@@ -110,7 +110,9 @@ def test_the_worked_example_prints_what_its_page_shows(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "model"), [("densities", "photons"), ("models", "vane")])
+@pytest.mark.parametrize(
+    ("page", "model"), [("densities", "photons"), ("models", "vane"), ("guided", "echo")]
+)
 def test_the_model_of_a_page_is_checked_as_the_page_shows(
     page: str,
     model: str,
@@ -128,6 +130,30 @@ def test_the_model_of_a_page_is_checked_as_the_page_shows(
     assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
     printed = capsys.readouterr().out
     assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
+def test_the_tables_of_a_run_are_read_without_pfdist(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    [code, *_] = [text for _, text in _blocks(DOCS / "dataframes.md", "python")]
+    names: dict[str, Any] = {}
+    exec(code, names)
+    assert names["gain"] == pytest.approx(0.2905, abs=1e-4)  # as README.md prints it
+    assert len(names["cheapest"]) == 5
+
+
+@pytest.mark.notebook
+def test_duckdb_polars_and_xarray_read_what_pandas_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    draws = pd.read_parquet("results/example/tables/comparison")
+    names: dict[str, Any] = {}
+    for _, text in _blocks(DOCS / "dataframes.md", "python"):
+        exec(text, names)
+    assert names["means"]["mse_regular"][0] == pytest.approx(draws["mse_regular"].mean())
+    assert names["error"].sizes == {"t": 61}
 
 
 @pytest.mark.slow
@@ -150,7 +176,7 @@ def test_the_page_about_particles_prints_and_draws_what_it_shows(
 
 
 @pytest.mark.slow
-def test_the_page_about_figures_draws_what_it_says(
+def test_the_page_about_python_draws_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -159,8 +185,9 @@ def test_the_page_about_figures_draws_what_it_says(
     exact = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=20"]
     pfdist.sweep(ROOT / "tests/small.toml", over, results="results/budgets", changes=exact)
     names: dict[str, object] = {}
-    for _, text in _blocks(DOCS / "figures.md", "python"):
-        exec(compile(text, "figures.md", "exec"), names)
+    _, *blocks = _blocks(DOCS / "python.md", "python")
+    for _, text in blocks:
+        exec(compile(text, "python.md", "exec"), names)
     assert len(pyplot.get_fignums()) == 9
     assert Path("mine.pdf").read_bytes().count(b"/FontFile2")  # TrueType fonts are embedded
 

@@ -2,11 +2,15 @@
 
 import importlib.util
 import re
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
+from pfdist.cli.parser import complete_parser, subparsers_of
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
@@ -14,6 +18,7 @@ from pfdist.kernels.schemes import SCHEMES
 from pfdist.plots.figure import FIGURES
 from pfdist.pools.kinds import POOLS
 from pfdist.search.methods import METHODS
+from pfdist.store.schema import KEYS
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
@@ -71,3 +76,48 @@ def test_an_old_table_is_replaced(tables: ModuleType) -> None:
     assert "old" not in made
     assert made.startswith("before\n<!-- table: engines -->\n| engine |")
     assert made.endswith("|\n<!-- end -->\nafter\n")
+
+
+def test_the_reference_has_every_key_of_a_job_with_its_meaning(tables: ModuleType) -> None:
+    rows = [row.split(" | ") for row in tables.keys().splitlines() if row.startswith("| `")]
+    assert all(len(row) == 5 and row[1] and row[4].strip(" |") for row in rows)
+    keys = {row[0].strip("| `") for row in rows}
+    paper = tomllib.loads((DOCS.parent / "jobs" / "paper.toml").read_text())
+    settings = {key for method in METHODS.values() for key in method.section().settings}
+    assert keys_of(paper) - settings <= keys | {"until", "filter"}
+    row = next(row for row in rows if row[0] == "| `particles`")
+    assert row[1:3] == ["at least 1, at most 10,000,000", "500"]
+
+
+def keys_of(section: dict[str, object]) -> set[str]:
+    """All keys of a job file that have values, of sections in sections too."""
+    keys = set[str]()
+    for key, value in section.items():
+        inner = value if isinstance(value, list) else [value]
+        sections = [each for each in inner if isinstance(each, dict) and key != "parameters"]
+        keys |= set().union(*map(keys_of, sections)) if sections else {key}
+    return keys
+
+
+def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> None:
+    columns = tables.columns()
+    assert all(f"## `{table}`" in columns for table in KEYS)
+    for path in (DOCS.parent / "results" / "example" / "tables").glob("*/*.parquet"):
+        for column in pq.read_schema(path):
+            generic = re.sub("(regular|relaxation|genetic)", "SET", column.name)
+            assert re.search(rf"\| `{generic}` \| .* \|", columns), (path.name, column.name)
+    usage = tables.usage()
+    for name, parser in subparsers_of(complete_parser()).items():
+        assert f"## {name}\n" in usage
+        options = [option for action in parser._actions for option in action.option_strings]
+        assert all(f"`{option}" in usage for option in {*options} - {"-h", "--help", "--debug"})
+
+
+def test_the_gallery_shows_eight_systems_that_can_be_loaded_quickly() -> None:
+    table = pd.read_csv(DOCS / "gallery.csv")
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    assert len(table) == 8
+    for name in table["job"]:
+        assert (DOCS.parent / "jobs" / f"{name}.toml").is_file()
+        assert (DOCS / "figures" / f"gallery-{name}.png").stat().st_size < 100_000
+        assert f"(figures/gallery-{name}.png)" in page

@@ -165,7 +165,8 @@ def test_figures_in_numpy_agree_to_12_digits_under_the_names_of_other_processors
     for other in others:
         assert other.keys() == first.keys()
         for name, figures in first.items():
-            np.testing.assert_allclose(other[name], figures, rtol=1e-12, err_msg=name)
+            rtol = 0.0 if name == "analysis" else 1e-12  # tables of a run have the same bytes
+            np.testing.assert_allclose(other[name], figures, rtol=rtol, err_msg=name)
 
 
 @pytest.mark.parametrize("name", MODELS)

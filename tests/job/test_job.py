@@ -324,3 +324,16 @@ def test_online_search_keeps_the_defaults_of_keys_that_are_not_given(write):
         "evaluation": {**default.evaluation.model_dump(), "draws": 32},
     }
     assert search("online.search.method=survivors") == METHODS["survivors"].section()
+
+
+def test_the_condition_of_resampling_is_written_only_if_it_is_not_the_default(write):
+    plain, always, below = (
+        load_job(write("[filter]", f"[filter]\n{line}"))
+        for line in ("", 'resample = "always"', 'resample = "below 0.5"')
+    )
+    assert job_toml(plain.identity()) == job_toml(always.identity())
+    assert plain.filter.threshold == np.inf
+    assert 'resample = "below 0.5"' in job_toml(below.identity())
+    assert below.filter.threshold == 0.5
+    with pytest.raises(JobError, match=r"filter\.resample must be 'always', or 'below'.*'half'"):
+        load_job(write("[filter]", '[filter]\nresample = "half"'))

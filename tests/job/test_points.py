@@ -16,10 +16,10 @@ from pfdist.job.points import MOST_POINTS, points_of, values_in
 def test_every_combination_is_a_point_and_the_last_key_changes_fastest() -> None:
     points = points_of({"seed": [1, 2], "problem": {"measurement_budget": [10, 15]}})
     assert [point.name for point in points] == [
-        "seed=1,measurement_budget=10",
-        "seed=1,measurement_budget=15",
-        "seed=2,measurement_budget=10",
-        "seed=2,measurement_budget=15",
+        "seed=1_measurement_budget=10",
+        "seed=1_measurement_budget=15",
+        "seed=2_measurement_budget=10",
+        "seed=2_measurement_budget=15",
     ]
     assert points[1].changes == ["seed=1", "problem.measurement_budget=15"]
 
@@ -38,7 +38,7 @@ def test_keys_may_change_together_and_points_may_be_added() -> None:
         (9,),
     ]
     # The last words of both keys are alike, so the name has the whole keys.
-    assert points[0].name == "seed=1,model.parameters.sd=0.5,filter.parameters.sd=1"
+    assert points[0].name == "seed=1_model.parameters.sd=0.5_filter.parameters.sd=1"
 
 
 @pytest.mark.parametrize(

@@ -25,8 +25,11 @@ def figures_under(core: str) -> dict[str, list[float]]:
 
 
 def _figures() -> dict[str, list[float]]:
+    import numpy as np
+
     from pfdist import load_model
     from pfdist.analysis import Moments
+    from pfdist.analysis.particle_loss import less
     from pfdist.filters import kalman, plain
 
     found = {}
@@ -43,6 +46,12 @@ def _figures() -> dict[str, list[float]]:
     moments = Moments()
     moments.add(mse)
     found["analysis"] = [moments.mean, moments.standard_error]
+    first, other = np.random.default_rng(1).normal(3.0, 2.0, (2, 20_000))
+    for count in range(1000, 20_001, 1000):
+        many = Moments()
+        many.add(first[:count])
+        both = less(many, first[:count], (first + other)[:count])
+        found["analysis"] += [both.value, both.standard_error]
     return found
 
 

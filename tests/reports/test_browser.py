@@ -1,10 +1,5 @@
-"""Reports in a real Chromium, with axe-core: wide and narrow, light, dark and printed.
+"""Reports in a real Chromium, with axe-core: wide and narrow, light, dark and printed."""
 
-Chromium is that of the machine: Debian's package ``chromium``. Set PFDIST_CHROMIUM to use another.
-"""
-
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,20 +14,6 @@ pytestmark = pytest.mark.browser
 WIDTHS = (400, 1200)
 KINDS = ("plan", "budget", "online", "unfinished", "sweep")
 SMALL = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=60")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    program = os.environ.get("PFDIST_CHROMIUM") or shutil.which("chromium")
-    assert program, (
-        "there is no Chromium: install Debian's package chromium, or set PFDIST_CHROMIUM"
-    )
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +102,17 @@ def test_a_click_on_a_head_sorts_a_table_and_another_turns_it_round(
     head.press("Enter")
     assert first.all_inner_texts() == ["5", "4", "3"]
     assert table.locator("thead th").first.get_attribute("aria-sort") == "descending"
+
+
+@LOOKS
+def test_a_table_says_that_it_scrolls_if_it_does(page: Any, reports: dict[str, Path]) -> None:
+    page.goto(reports["sweep"].as_uri())
+    page.wait_for_timeout(200)  # until the observer has seen the tables
+    for table in page.locator(".table").all():
+        is_wide = table.evaluate("box => box.scrollWidth > box.clientWidth")
+        hint = table.evaluate("box => getComputedStyle(box, '::before').content")
+        assert ("Scroll sideways" in hint) == is_wide
+    assert page.viewport_size["width"] > 400 or page.locator(".scrolls").count()
 
 
 @LOOKS

@@ -365,7 +365,25 @@ def test_a_report_names_no_folder_of_the_machine(exact: Job, tmp_path: Path) -> 
     job = exact.with_changes([f"model.name={file}:model"])
     text = _text(pfdist.run(job, tmp_path / "run", figures=False))
     assert str(tmp_path) not in text
-    assert "When to measure: walk.py:model" in text
+    assert "walk.py:model" in text
+
+
+def test_the_title_of_a_report_has_the_name_that_the_model_gives_itself(
+    exact: Job, tmp_path: Path
+) -> None:
+    file = tmp_path / "walk.py"
+    file.write_text(
+        "from dataclasses import replace\nfrom pfdist import load_model\n"
+        "model = replace(load_model('random_walk'), name='a <walk> in the park')\n"
+    )
+    run = pfdist.run(
+        exact.with_changes([f"model.name={file}:model"]), tmp_path / "run", figures=False
+    )
+    assert "When to measure: a <walk> in the park" in _text(run)
+    about = json.loads((run.path / "run.json").read_text())
+    del about["provenance"]["model_name"]  # as in a run of an earlier version
+    (run.path / "run.json").write_text(json.dumps(about))
+    assert "When to measure: walk.py:model" in _text(pfdist.open_run(run.path))
 
 
 def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(make: Make) -> None:

@@ -62,7 +62,22 @@ def test_every_point_has_a_row_that_leads_to_its_report(made: Path, see: See) ->
         ["linear_gaussian", "3", "2"],
         ["linear_gaussian", "5", "1"],
     ]
-    assert len(rows) == 8
+    assert [row[0] for row in rows].index("model.name") == 8  # the head of the next table
+
+
+def test_it_says_what_changes_between_seeds(made: Path, see: See) -> None:
+    """Means, Student's intervals and ranges over two seeds, from the table of runs."""
+    table = pfdist.table(made)
+    page = see(made)
+    rows = page.rows[[row[0] for row in page.rows].index("model.name", 1) + 1 :][:4]
+    for model, budget, seeds, mean, spread, _ in rows:
+        chosen = table[(table["model.name"] == model) & (table[BUDGET] == int(budget))]
+        errors = chosen["expected_mse"]
+        half = stats.t.ppf(0.975, 1) * errors.std() / math.sqrt(2)
+        number, low, high = with_interval(errors.mean(), errors.mean() - half, errors.mean() + half)
+        assert seeds == "2"
+        assert mean == f"{number} ({low} to {high})"
+        assert spread == f"{rounded(errors.min(), 4)} to {rounded(errors.max(), 4)}"
 
 
 def test_it_says_which_point_is_best(made: Path, see: See) -> None:
@@ -179,7 +194,7 @@ def test_a_damaged_run_is_a_row_that_says_so_and_the_others_stay(sweep: Path, se
     assert "i" not in page.tags
     assert "Cannot be read: 3 of 8 points" in page.text
     assert sum("damaged" in cell for row in page.rows for cell in row) == 3
-    assert len(page.rows) == 1 + 5 + 1 + 3
+    assert len(page.rows) == (1 + 5) + (1 + 3) + (1 + 3)  # points, damaged points, means
 
 
 def test_a_folder_with_damaged_runs_alone_has_a_report(tmp_path: Path, see: See) -> None:

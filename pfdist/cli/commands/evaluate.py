@@ -77,7 +77,9 @@ def evaluate_command(options: Namespace) -> None:
         answer = answers[UNNAMED] if is_one else {"sets": answers}
         print_json(answer | {"seconds": round(seconds, 3)}, options)
         return
-    print_page(evaluate_page(evaluations, broken), options)
+    scenarios = job.scenarios.each if job.scenarios else ()
+    parameters = [scenario.parameters for scenario in scenarios]
+    print_page(evaluate_page(evaluations, broken, parameters), options)
 
 
 def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:

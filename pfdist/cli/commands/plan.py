@@ -46,10 +46,13 @@ def _add_bound_draws(parser: ArgumentParser) -> None:
         "pfdist plan jobs/plan.toml": (
             "Find times, and prove how good they are; the run is in results/plan"
         ),
+        "pfdist plan jobs/two_compartments.toml --set scenarios.criterion=worst": (
+            "Plan for the worst of the scenarios of a job"
+        ),
         "pfdist plan jobs/plan.toml --set seed=3 --results results/seed3": (
             "Change a key of the job, and keep the run in another folder"
         ),
-        "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/enough": (
+        "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/auto": (
             "Find first how many particles are enough"
         ),
         "pfdist plan jobs/plan.toml --search greedy_forward --results results/greedy": (

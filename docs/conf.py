@@ -1,0 +1,56 @@
+"""The manual as a site: ``sphinx-build -W docs build/site`` writes it to ``build/site``."""
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
+
+import pfdist
+
+project = "pfdist"
+author = "the authors of pfdist"
+release = version = pfdist.__version__
+html_title = f"pfdist {release}"
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4  # pages link to headings by the names that GitHub gives them
+exclude_patterns = ["*.ipynb", "*.py"]
+highlight_language = "none"
+
+autodoc_typehints = "none"  # the sections of the docstrings have the types
+autodoc_member_order = "bysource"
+napoleon_numpy_docstring, napoleon_google_docstring = True, False
+default_role = "literal"  # docstrings name functions and arguments between single backticks
+
+html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_logo = html_favicon = "static/logo.svg"
+html_copy_source = False
+html_show_copyright = False
+html_math_renderer = "mathml"  # what browsers read themselves, so a page loads nothing
+
+
+def _inline(translator: HTML5Translator, node: nodes.math) -> None:
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise nodes.SkipNode
+
+
+def _block(translator: HTML5Translator, node: nodes.math_block) -> None:
+    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def _name_pages(app: Sphinx, tree: nodes.document, name: str) -> None:
+    """Links whose text is a file of the manual, as in ``bound.md``, get the title of the page."""
+    for link in tree.findall(nodes.reference):
+        page = link.astext().removesuffix(".md")
+        if link.astext() != page and page in app.env.titles:
+            link.children = [nodes.emphasis("", app.env.titles[page].astext())]
+
+
+def setup(app: Sphinx) -> None:
+    """Register the renderer of formulas, and the titles of links."""
+    app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
+    app.connect("doctree-resolved", _name_pages)

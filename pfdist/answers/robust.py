@@ -1,0 +1,80 @@
+"""How the times do in each scenario: a table, and the worst scenario in a sentence."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pfdist.answers.subject import Subject, percent_cell
+from pfdist.common.percent import cost, percent
+from pfdist.common.rounding import with_error
+from pfdist.documents.parts import Cell, Section, Table, Text
+
+Row = Mapping[str, Any]
+
+_MEANING = (
+    "The true model of each draw has the parameters of one scenario, with the probability of its "
+    "share. The last column says how much lower the error of the last set is than that of the "
+    "first. Intervals in brackets hold with 95 % for one scenario alone. The worst scenario is "
+    "chosen by these same draws, so the largest error is a little too large."
+)
+
+
+def scenarios(subject: Subject) -> Section | None:
+    """The expected error of the best sets and of the reference in each scenario."""
+    rows = subject.summary.scenarios
+    if not rows:
+        return None
+    shown = [next(iter(subject.results)), *reversed(subject.shown)]
+    head = ("scenario", "share, %", *shown, "lower by, %")
+    numbers = sorted({row["scenario"] for row in rows})
+    cells = [
+        _cells([row for row in rows if row["scenario"] == number], shown) for number in numbers
+    ]
+    texts = [Text(sentence, prominent=True) for sentence in _sentences(subject, rows, shown[-1])]
+    table = Table("Expected error in each scenario", head, cells, optional=shown[1:-1])
+    return Section("In each scenario", [*texts, table, Text(_MEANING, detail=True)])
+
+
+def _cells(rows: Sequence[Row], shown: Sequence[str]) -> list[Cell]:
+    of_set = {row["name"]: row for row in rows}
+    best = of_set[shown[-1]]
+    text = parameters_text(best["parameters"])
+    cells = [Cell(text, best["scenario"]), Cell(percent(best["share"], 1), best["share"])]
+    for name in shown:
+        mse = cost(of_set[name]["expected_mse"])
+        cells.append(Cell(with_error(mse, of_set[name]["standard_error"]), mse))
+    interval = [best["gain_of_means_low"], best["gain_of_means_high"]]
+    is_known = best["gain_of_means"] is not None
+    cells.append(percent_cell(best["gain_of_means"], interval) if is_known else Cell(""))
+    return cells
+
+
+def _sentences(subject: Subject, rows: Sequence[Row], best: str) -> Iterator[str]:
+    """Compare the worst scenario of the best set with that of the reference."""
+    worst, reference = (worst_of(rows, name) for name in (best, next(iter(subject.results))))
+    if worst is None or reference is None or best == reference["name"]:
+        return
+    errors = [
+        with_error(each["expected_mse"], each["standard_error"]) for each in (worst, reference)
+    ]
+    names = [parameters_text(each["parameters"]) for each in (worst, reference)]
+    where = "there, too" if names[0] == names[1] else f"in its worst scenario, {names[1]}"
+    yield (
+        f"The worst scenario of {best} is {names[0]}, with an expected error of {errors[0]}; "
+        f"{reference['name']} has {errors[1]} {where}."
+    )
+
+
+def worst_of(rows: Sequence[Row], name: str) -> Row | None:
+    """The row of the scenario with the largest expected MSE of a set; None if one is unknown."""
+    own = [row for row in rows if row["name"] == name]
+    if any(row["expected_mse"] is None for row in own):
+        return None
+    return max(own, key=lambda row: row["expected_mse"])
+
+
+def parameters_text(parameters: Mapping[str, Any]) -> str:
+    """The parameters of a scenario: ``k = 1.5, dose = 2``."""
+    return ", ".join(
+        f"{name} = {value:.4g}" if isinstance(value, float) else f"{name} varies"
+        for name, value in parameters.items()
+    )

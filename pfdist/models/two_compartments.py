@@ -1,0 +1,106 @@
+"""A drug in the blood after an injection, of which the clearance is not known: two compartments.
+
+The dose enters the central compartment (the blood) at time 0. The drug is eliminated from there,
+and goes to and fro between it and the peripheral compartment (the tissue). All rates are
+proportional to amounts, so the amounts after any time follow in closed form from the exponential of
+a 2x2 matrix. The share of the dose that arrives differs between patients, and white noise of both
+amounts stands for what two compartments leave out. An assay measures the concentration in the blood
+with normal noise.
+
+The clearance is a parameter. It differs between patients by a factor of two and more, so a job
+gives it scenarios: see the page on robust plans. With a known clearance the system is linear and
+Gaussian, so the engine "kalman" knows all errors without draws. `pharmacokinetics` instead makes
+the clearance a component of x that the filter estimates.
+
+Units: mg, L, h. The parameters are about those of vancomycin in adults, as in `pharmacokinetics`.
+The model reads ``p.dt``, so a job needs a clock.
+
+References
+----------
+Gibaldi, Perrier, "Pharmacokinetics", 2nd edition, 1982, chapter 2. Aljutayli, Marsot, Nekka, "An
+update on population pharmacokinetic analyses of vancomycin, part I: in adults", Clinical
+Pharmacokinetics 59, 2020.
+"""
+
+import math
+
+import numpy as np
+
+from pfdist.models.base import StateSpaceModel
+
+
+def initial(w, p):
+    return (p.dose * (1.0 + p.dose_sd * w[0]), 0.0)
+
+
+def transition(x, t, w, p):
+    central, peripheral = x
+    eliminated = p.clearance / p.central_volume  # shares in an hour
+    leaving = p.exchange / p.central_volume
+    returning = p.exchange / p.peripheral_volume
+
+    # exp(M dt) = mean * I + slope * (M - trace(M) / 2 * I), with M's eigenvalues -slow and -fast
+    middle = (eliminated + leaving + returning) / 2
+    half = np.sqrt((eliminated + leaving - returning) ** 2 / 4 + leaving * returning)
+    slow = eliminated * returning / (middle + half)
+    left, left_fast = np.exp(-slow * p.dt[t]), np.exp(-(middle + half) * p.dt[t])
+    mean, slope = (left + left_fast) / 2, (left - left_fast) / (2 * half)
+
+    difference = (returning - eliminated - leaving) / 2
+    noise = p.process_sd * np.sqrt(p.dt[t])
+    return (
+        mean * central + slope * (difference * central + returning * peripheral) + noise * w[0],
+        mean * peripheral + slope * (leaving * central - difference * peripheral) + noise * w[1],
+    )
+
+
+def measurement(x, t, v, p):
+    return (x[0] / p.central_volume + p.measurement_sd * v[0],)
+
+
+def log_likelihood(y, x, t, p):
+    return -0.5 * ((y[0] - x[0] / p.central_volume) / p.measurement_sd) ** 2
+
+
+def quantity_of_interest(x, t, p):
+    return (x[0] / p.central_volume,)
+
+
+NOT_NEGATIVE = (0.0, math.inf)
+ABOVE_0 = (1e-9, math.inf)
+
+model = StateSpaceModel(
+    name="two_compartments",
+    initial=initial,
+    transition=transition,
+    measurement=measurement,
+    log_likelihood=log_likelihood,
+    quantity_of_interest=quantity_of_interest,
+    initial_noise=("normal",),
+    process_noise=("normal", "normal"),
+    measurement_noise=("normal",),
+    parameters={
+        "dose": 1000.0,
+        "dose_sd": 0.1,
+        "clearance": 4.5,
+        "central_volume": 20.0,
+        "exchange": 6.0,
+        "peripheral_volume": 40.0,
+        "process_sd": 20.0,
+        "measurement_sd": 1.0,
+    },
+    parameter_ranges={
+        "dose": ABOVE_0,
+        "dose_sd": NOT_NEGATIVE,
+        "clearance": ABOVE_0,
+        "central_volume": ABOVE_0,
+        "exchange": ABOVE_0,
+        "peripheral_volume": ABOVE_0,
+        "process_sd": NOT_NEGATIVE,
+        "measurement_sd": ABOVE_0,
+    },
+    linear_gaussian=True,
+    x_names=("central amount [mg]", "peripheral amount [mg]"),
+    y_names=("concentration [mg/L]",),
+    z_names=("concentration [mg/L]",),
+)

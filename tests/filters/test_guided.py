@@ -1,0 +1,285 @@
+"""Guided filters, and filters that carry weights, against exact filters and their plain twin."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from oracles.guided import bootstrap, echoes, growth, sharp_walk
+from oracles.kalman import SCALAR
+from pfdist import Filter, StateSpaceModel, linear_gaussian
+from pfdist.errors import ArgumentError, ModelError
+from pfdist.filters import kalman, plain
+from pfdist.filters.cloud import Cloud
+from pfdist.filters.interface import Filtered
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
+from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
+from pfdist.kernels.schemes import ALWAYS, threshold_of
+
+HORIZON, TIMES = 12, (0, 3, 4, 9, 12)
+Array = NDArray[np.float64]
+
+STEPS = StateSpaceModel(
+    name="steps",
+    initial=lambda w, p: (2.0 * w[0], w[1]),
+    transition=lambda x, t, w, p: (x[0] + w[0] - 0.5, x[1] + w[1]),
+    measurement=lambda x, t, v, p: (x[0] + x[1] + 0.5 * v[0],),
+    log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0] - x[1]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0], x[1]),
+    initial_noise=("uniform", "centred"),
+    process_noise=("uniform", "centred"),
+    measurement_noise=("normal",),
+    # the density of w[0] is 2 w, and that of w[1] is uniform on a wider interval than it may be
+    proposal=lambda x, y, t, u, p: (np.sqrt(u[0]), 1.2 * (u[1] - 0.5)),
+    proposal_log_density=lambda w, x, y, t, p: np.log(2.0 * w[0]) - np.log(1.2),
+    proposal_noise=("uniform", "uniform"),
+)
+"""Uniform noise, with a proposal that helps nobody: the filter must still be right."""
+
+
+def standard_errors(difference: Array) -> float:
+    """Mean over its standard error."""
+    return float(difference.mean() / (difference.std(ddof=1) / math.sqrt(difference.size)))
+
+
+# --- the plain twin -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("model", "resampling", "threshold"),
+    [
+        (growth, "multinomial", ALWAYS),
+        (growth, "sorted_systematic", 0.1),
+        (STEPS, "systematic", 0.1),
+        pytest.param(STEPS, "residual", 0.1, marks=pytest.mark.slow),
+        pytest.param(bootstrap(growth), "systematic", 0.1, marks=pytest.mark.slow),
+        pytest.param(sharp_walk(3), "stratified", ALWAYS, marks=pytest.mark.slow),
+        pytest.param(echoes, "multinomial", 0.3, marks=pytest.mark.slow),
+    ],
+    ids=lambda each: getattr(each, "name", str(each)),
+)
+def test_compiled_and_plain_filter_agree_draw_for_draw(
+    model: StateSpaceModel, resampling: str, threshold: float
+) -> None:
+    draws = simulate(model, HORIZON, range(5, 11), 17)
+    arguments = (model, draws, TIMES, 130, 23, resampling, True, None, threshold)
+    fast, slow = filter_draws(*arguments), plain.filter_draws(*arguments)
+    for name in ("mse", "estimate", "variance"):
+        np.testing.assert_allclose(
+            getattr(fast, name), getattr(slow, name), rtol=1e-7, atol=1e-9, err_msg=name
+        )
+    if threshold < ALWAYS:
+        assert fast.weight is not None
+        assert slow.weight is not None
+        np.testing.assert_allclose(fast.weight, slow.weight, rtol=1e-5)
+        assert (fast.weight != 1.0).any()
+
+
+@pytest.mark.parametrize("threshold", [ALWAYS, 0.5])
+def test_sets_that_share_prefixes_have_the_bits_of_each_alone(threshold: float) -> None:
+    draws = simulate(growth, HORIZON, range(4), 3)
+    sets = [(0, 3, 4, 9), (0, 3, 4, 10), (0, 3, 5), (0, 3, 4), (1, 3), ()]
+    settings = FilterSettings(100, "systematic", threshold=threshold)
+    together = filter_checked_sets(growth, draws, sets, [HORIZON] * 6, 5, settings)
+    alone = [filter_checked_sets(growth, draws, [s], [HORIZON], 5, settings)[:, 0] for s in sets]
+    np.testing.assert_array_equal(together, np.stack(alone, axis=1))
+
+
+# --- exact filters --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("dimensions", "threshold"),
+    [
+        (2, ALWAYS),
+        *(pytest.param(n, ALWAYS, marks=pytest.mark.slow) for n in (1, 3, 4, 5, 6)),
+        *(pytest.param(n, 0.5, marks=pytest.mark.slow) for n in (1, 6)),
+    ],
+)
+def test_sharp_sensors_give_the_kalman_filter(dimensions: int, threshold: float) -> None:
+    """The loss is below 1 % with 500 particles; bootstrap filters miss what sensors see."""
+    model, times = sharp_walk(dimensions), (1, 4, 5, 9, 12)
+    draws = simulate(model, HORIZON, range(1000), 1)
+
+    def errors(filtered: Filtered) -> Array:
+        """Squared errors, (D, T+1)."""
+        assert filtered.estimate is not None
+        return np.sum((filtered.estimate - draws.z) ** 2, axis=2)
+
+    # The exact filter has the same draws, so their differences count, and not their spread.
+    exact = errors(kalman.filter_draws(model, draws, times, 1, 2, trajectories=True))
+    guided, unguided = (
+        errors(filter_draws(each, draws, times, 500, 2, "systematic", True, None, threshold))
+        for each in (model, bootstrap(model))
+    )
+    loss = (guided - exact).mean(axis=1) / exact.mean()
+    assert loss.mean() + 4 * loss.std(ddof=1) / math.sqrt(loss.size) < 0.01
+    assert guided[:, times].mean() < 1.2 * exact[:, times].mean()
+    assert unguided[:, times].mean() > 100 * exact[:, times].mean()
+
+
+def test_four_sharp_sensors_with_clutter() -> None:
+    """At t = 0 there is no step, and so no proposal: errors count from t = 1."""
+    draws, times = simulate(echoes, 30, range(300), 1), tuple(range(31))
+    found = []
+    for model in (echoes, bootstrap(echoes)):
+        estimate = filter_draws(model, draws, times, 500, 2, "systematic", True).estimate
+        assert estimate is not None
+        found.append(np.sum((estimate - draws.z) ** 2, axis=2)[:, 1:].mean(axis=1))
+    guided, unguided = found
+    assert guided.mean() < 0.06 + 4 * guided.std() / math.sqrt(300)
+    assert unguided.mean() > 3.0
+
+
+@pytest.mark.parametrize("threshold", [ALWAYS, 0.5])
+@pytest.mark.parametrize("model", [growth, STEPS], ids=lambda each: each.name)
+def test_a_proposal_changes_no_expected_estimate(model: StateSpaceModel, threshold: float) -> None:
+    """With many particles, the filters with and without a proposal agree on every draw."""
+    draws, particles = simulate(model, HORIZON, range(60), 8), 20_000
+    first, second = (
+        filter_draws(each, draws, TIMES, particles, 4, "systematic", True, None, limit)
+        for each, limit in ((model, threshold), (bootstrap(model), ALWAYS))
+    )
+    assert first.estimate is not None
+    assert second.estimate is not None
+    assert first.variance is not None
+    deviation = np.sqrt(np.maximum(first.variance, 1e-12))
+    z = (first.estimate - second.estimate) / deviation * math.sqrt(particles)
+    # Steps after the measurements correlate the errors, which exceed those of independent draws.
+    assert np.sqrt(np.mean(z**2)) < 8
+
+
+def test_weights_that_are_never_resampled_are_those_of_importance_sampling() -> None:
+    """x stands still, so the weights are products of the likelihoods at x(0)."""
+    still = linear_gaussian(
+        "still", initial_noise=[[2.0]], transition=[[1.0]], process_noise=[[0.0]],
+        measurement=[[1.0]], measurement_noise=[[1.5]], quantity_of_interest=[[1.0]],
+    )  # fmt: skip
+    draws = simulate(still, HORIZON, range(5), 3)
+    filtered = filter_draws(still, draws, TIMES, 64, 7, "systematic", True, None, 1e-6)
+    assert filtered.estimate is not None
+    assert filtered.last is not None
+    for d, particles in enumerate(filtered.last):
+        x, y = np.asarray(particles)[0], draws.y[d, list(TIMES), 0]
+        log_weight = -0.5 * np.sum(((y[:, None] - x) / 1.5) ** 2, axis=0)
+        weight = np.exp(log_weight - log_weight.max())
+        mean = weight @ x / weight.sum()
+        assert filtered.estimate[d, -1, 0] == pytest.approx(mean, rel=1e-5)
+
+
+def test_equal_weights_are_never_resampled_below_the_whole() -> None:
+    """A measurement that says nothing leaves the weights equal, so no particle is lost."""
+    blind = replace(
+        SCALAR.as_model(), log_likelihood=lambda y, x, t, p: 0.0 * x[0], linear_gaussian=False
+    )
+    draws = simulate(blind, HORIZON, range(3), 1)
+    carried = filter_draws(blind, draws, TIMES, 50, 2, "multinomial", True, None, 1.0)
+    unmeasured = filter_draws(blind, draws, (), 50, 2, "multinomial", True)
+    np.testing.assert_array_equal(carried.mse, unmeasured.mse)
+
+
+# --- a filter that stops and goes on --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("resample", ["always", "below 0.5"])
+@pytest.mark.parametrize("engine", ["compiled", pytest.param("numpy", marks=pytest.mark.slow)])
+def test_a_filter_of_real_measurements_has_the_bits_of_a_run(resample: str, engine: str) -> None:
+    following = Filter(growth, 200, 5, resample=resample, engine=engine, horizon=HORIZON)
+    draws = simulate(growth, HORIZON, range(1), 3)
+    function = {"compiled": filter_draws, "numpy": plain.filter_draws}[engine]
+    whole = function(
+        growth, draws, TIMES, 200, following.stream, "systematic", True, None,
+        threshold_of(resample),
+    )  # fmt: skip
+    assert whole.estimate is not None
+    for t in range(HORIZON + 1):
+        now = following.update(t, draws.y[0, t]) if t in TIMES else following.predict(t)
+        np.testing.assert_array_equal(now.mean, whole.estimate[0, t])
+    cloud = following.cloud
+    assert isinstance(cloud, Cloud)
+    assert (cloud.weight is None) == (resample == "always")
+
+
+@pytest.mark.parametrize("resample", ["always", "below 0.5"])
+def test_the_log_evidence_is_that_of_the_kalman_filter(resample: str) -> None:
+    constant = math.log(0.05) + math.log(2 * math.pi) / 2
+    sharp = sharp_walk(1, sensor=0.05)
+    exact, following = (
+        Filter(sharp, 20_000, 5, resample=resample, engine=engine) for engine in ("kalman", "auto")
+    )
+    following.model = replace(sharp, normalised=True)
+    (draw,) = simulate(sharp, HORIZON, range(1), 3).y
+    for t in (1, 4, 5, 9):
+        now, known = following.update(t, draw[t]), exact.update(t, draw[t])
+        assert now.mean == pytest.approx(known.mean, abs=0.005)
+        assert now.quantiles(0.9) == pytest.approx(known.quantiles(0.9), abs=0.005)
+        assert now.effective_sample_size is not None
+    assert exact.log_evidence is not None
+    assert following.log_evidence is not None
+    # Each log of a mean of 20,000 weights has a standard error below 0.02.
+    assert following.log_evidence - 4 * constant == pytest.approx(exact.log_evidence, abs=0.15)
+
+
+# --- the bound ------------------------------------------------------------------------------------
+
+
+def test_the_filter_of_the_bound_ignores_the_proposal_and_bounds_the_guided_filter() -> None:
+    model, sets = sharp_walk(2, sensor=0.05), [(1, 4, 5, 9)]
+    draws = simulate(model, HORIZON, range(2000), 1)
+
+    def errors(believed: StateSpaceModel, resampling: str, estimator: str) -> Array:
+        settings = FilterSettings(300, resampling, estimator)
+        return filter_checked_sets(believed, draws, sets, [HORIZON], 7, settings)[:, 0]
+
+    variance = errors(model, "conditional", "filter_variance")
+    np.testing.assert_array_equal(
+        variance, errors(bootstrap(model), "conditional", "filter_variance")
+    )
+    (exact,) = kalman.expected_mse(model, HORIZON, sets)
+    assert standard_errors(variance - exact) < 4
+    assert standard_errors(errors(model, "systematic", "squared_error") - variance) > -4
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"proposal_log_density": None}, "both proposal and proposal_log_density"),
+        ({"proposal": None, "proposal_log_density": None}, "empty without a proposal"),
+        ({"proposal": lambda x, y, t, u, p: (u[0], u[0])}, "process_noise, 1, got 2"),
+        ({"proposal": lambda x, y, t, u: (u[0],)}, "function of"),
+        ({"proposal_noise": ("cauchy",)}, "proposal_noise must be"),
+        ({"proposal_log_density": lambda w, x, y, t, p: (w[0],)}, "one number a particle"),
+    ],
+)
+def test_a_wrong_proposal_is_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        replace(growth, **changes)
+
+
+@pytest.mark.parametrize("text", ["sometimes", "below 0", "below 1.5", "below -0.5", 0.5])
+def test_a_wrong_condition_is_refused(text: object) -> None:
+    with pytest.raises(ValueError, match="resample must be 'always'"):
+        threshold_of(text)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="resample must be 'always'"):
+        Filter("ungm", resample=text)  # type: ignore[arg-type]
+
+
+def test_a_linear_gaussian_proposal_needs_constant_matrices() -> None:
+    matrices = {
+        "initial_noise": [[1.0]], "transition": [[1.0]], "process_noise": [[1.0]],
+        "measurement": [[1.0]], "quantity_of_interest": [[1.0]],
+    }  # fmt: skip
+    refused: dict[str, Callable[[int], object] | list[list[float]]] = {
+        "constant": lambda t: ((1.0 + t,),),
+        "0": [[0.0]],
+    }
+    for message, noise in refused.items():
+        with pytest.raises(ModelError, match=f"guided=True.*{message}"):
+            linear_gaussian("mine", **matrices, measurement_noise=noise, guided=True)  # type: ignore[arg-type]
