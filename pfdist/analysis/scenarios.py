@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis.gains import ComparisonStatistics
-from pfdist.filters.scenarios import Scenario
+from pfdist.common.scenario import Scenario
 
 if TYPE_CHECKING:
     import pandas as pd

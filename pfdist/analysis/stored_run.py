@@ -263,6 +263,25 @@ class Run(Shown):
         return self._store.compared_sets()
 
     @property
+    def best(self) -> SetResult:
+        """The times to measure at, and their results: the found set of least expected MSE.
+
+        The errors are those of the comparison; of the worst scenario, if the job asks for it. If no
+        search has run, it is the best of the job's own sets.
+
+        Raises
+        ------
+        StoreError
+            The comparison has not begun, or the run has times of several numbers of measurements.
+        """
+        self.sets_of_one_number()
+        summary = self.summary()
+        result = summary.results[summary.by_error[0]]
+        if not result.is_compared:
+            raise StoreError(f"{self.path} has compared no draws yet: it is {summary.state}")
+        return result
+
+    @property
     def has_budget(self) -> bool:
         """Whether the run has times of several numbers of measurements."""
         return "budget" in self.job

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters import kalman
@@ -27,7 +28,7 @@ from pfdist.filters.particle_filter import (
     filter_makes_arrays,
     libm_of_filter,
 )
-from pfdist.filters.scenarios import Numbers, Scenario, scenarios_of_draws, stretches
+from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined

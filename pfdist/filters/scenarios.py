@@ -8,8 +8,7 @@ sample of the scenarios, and the scenario of a draw is a pure function of its ke
 Source: Cochran, "Sampling techniques", 3rd edition, 1977, chapter 8 (systematic sampling).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +16,8 @@ from numpy.typing import NDArray
 from pfdist.common.streams import stream_key
 from pfdist.filters.work import BLOCK
 from pfdist.kernels.noise import TRUTH_INITIAL, variates
-from pfdist.models.parameters import Parameter
 
 Numbers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """Parameters that the truth may have, and the probability of them."""
-
-    share: float
-    parameters: Mapping[str, Parameter]
 
 
 def scenarios_of_draws(shares: Sequence[float], stream: int, draws: range) -> Numbers:

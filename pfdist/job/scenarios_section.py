@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from pfdist.common.scenario import Scenario
 from pfdist.common.section import Section
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
-from pfdist.filters.scenarios import Scenario
 from pfdist.job.sections import Parameter, checked_parameters
 
 MOST_SCENARIOS = 100

@@ -121,7 +121,7 @@ def test_a_shipped_model_makes_the_run_of_the_job_file(tmp_path: Path) -> None:
 def test_every_key_of_the_sections_is_an_argument() -> None:
     arguments = set(inspect.signature(Problem).parameters)
     keys = {*ProblemSection.model_fields, *Filter.model_fields}
-    assert arguments == keys | {"model", "filter_model"}
+    assert arguments == keys | {"model", "filter_model", "scenarios"}
     doc = inspect.getdoc(Problem)
     assert doc is not None
     assert all(key in doc for key in keys)

@@ -22,9 +22,10 @@ from oracles.walks import (
 from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import Programme
 from pfdist.bounds.weighting import best_shares
+from pfdist.common.scenario import Scenario
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.estimate import Evaluation, difference
-from pfdist.filters.scenarios import Scenario, scenarios_of_draws
+from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
 from pfdist.job.scenarios_section import Scenarios
 from pfdist.runner.build import build

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.clocked import with_clock
 from oracles.figures_under import CORES, figures_under
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.moments import assert_mean
@@ -81,7 +82,7 @@ def test_it_is_the_conditional_distribution(name: str, times: tuple[int, ...]) -
 
 @pytest.mark.parametrize("name", DECLARED)
 def test_draws_have_the_expected_mse(name: str) -> None:
-    model, times = load_model(name), (0, 5, 6, 20, 30)
+    model, times = with_clock(load_model(name), 30), (0, 5, 6, 20, 30)
     mse = kalman.filter_draws(model, simulate(model, 30, range(20_000), 1), times, 1, 1).mse
     (expected,) = kalman.expected_mse(model, 30, [times])
     assert_mean(mse, expected)
