@@ -66,7 +66,7 @@ class SensorSection(Section):
 
     Parameters
     ----------
-    cost : number, or list or section of ranges
+    cost : number or list or section of ranges
         Price of a measurement by this sensor, or at each instant, or in each range.
     forbidden : list of times and ranges, clock
         Times at which this sensor does not measure.
