@@ -187,7 +187,7 @@ def test_a_model_with_sensors_has_no_proposal() -> None:
 
 def test_scenarios_and_sensors_together(tmp_path: Path) -> None:
     """The exact error is the mean over scenarios, each filtered by the oracle-tested engine."""
-    one = load_model("two_compartments")
+    system = load_model("two_compartments")
     assays = {
         name: pfdist.Sensor(
             lambda x, t, v, p, sd=sd: (x[0] / p.central_volume + sd * v[0],),
@@ -198,7 +198,7 @@ def test_scenarios_and_sensors_together(tmp_path: Path) -> None:
         for name, sd, cost in (("cheap", 2.0, 1), ("dear", 0.5, 3))
     }
     alone = {"measurement": formula_of_each_sensor, "log_likelihood": formula_of_each_sensor}
-    model = replace(one, sensors=assays, measurement_noise=(), y_names=(), **alone)
+    model = replace(system, sensors=assays, measurement_noise=(), y_names=(), **alone)
     clearances = (3.0, 6.0)
     keys = {"horizon": 6, "time_step": 1.0, "total_cost": 5, "engine": "kalman"}
     told = {"parameters": [{"clearance": each} for each in clearances], "filter": "told"}
