@@ -157,8 +157,9 @@ model = linear_gaussian("known", initial_noise=[[0.0]], transition=[[1.0]],
 
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
-SLOW = {"epidemic", "pharmacokinetics", "tumour"}
-INSTANTS = {"pharmacokinetics": "problem.times=[0, 0.5, 1, 2, 3, 4, 6, 9, 12, 13, 30, 46, 47]"}
+SLOW = {"epidemic", "epidemic_counts", "pharmacokinetics", "robot", "tumour", "two_compartments"}
+TIMES = "problem.times=[0, 0.5, 1, 2, 3, 4, 6, 9, 12, 13, 30, 46, 47]"
+INSTANTS = {"pharmacokinetics": TIMES, "two_compartments": TIMES}
 
 
 @pytest.mark.zoo
