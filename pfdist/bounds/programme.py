@@ -66,7 +66,7 @@ class Programme:
 
     def of_set(self, times: Times) -> float:
         """The relaxed expected MSE of a set."""
-        until = np.array([*times, self.relaxation.horizon + 1])
+        until = np.array([*map(self._instant, times), self.relaxation.horizon + 1])
         windows = np.array(self.relaxation.windows_of(times))
         return float(self._between(windows, until).sum()) / (self.relaxation.horizon + 1)
 

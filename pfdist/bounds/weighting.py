@@ -17,6 +17,7 @@ from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import Relaxation
 
 _ROUNDS = 100  # at most
+_DIGITS = 6  # of a share; those of the solver may end otherwise elsewhere, and every share is valid
 _SETTLED = 1e-4  # relative distance of the bound from the largest that the planes allow
 
 Array = NDArray[np.float64]
@@ -37,15 +38,16 @@ def best_shares(relaxation: Relaxation, errors: Array, spent: int) -> tuple[floa
     objective = np.array([0.0] * scenarios + [-1.0])
     total, bounds = [[1.0] * scenarios + [0.0]], [(0.0, 1.0)] * scenarios + [(None, None)]
     for _ in range(_ROUNDS):
-        path = Programme(relaxation, shares @ errors, spent).path(spent)
+        mean = np.sum(shares[:, None] * errors, axis=0)  # BLAS would round by the processor
+        path = Programme(relaxation, mean, spent).path(spent)
         costs = [programme.of_set(path) for programme in alone]
-        value = float(shares @ costs)
+        value = float(np.sum(shares * costs))
         if value > largest:
             best, largest = shares, value
         planes.append([*(-cost for cost in costs), 1.0])
         found = linprog(objective, planes, np.zeros(len(planes)), total, [1.0], bounds)
         if found.x is None or found.x[-1] <= largest * (1 + _SETTLED):
             break
-        shares = np.clip(found.x[:-1], 0.0, None)
+        shares = np.round(np.clip(found.x[:-1], 0.0, None), _DIGITS)
         shares = shares / shares.sum()
     return tuple(best.tolist())

@@ -212,8 +212,8 @@ class Evaluator:
         return errors if self.instant_weights is None else weighed(errors, self.instant_weights)
 
     def _mean(self, of_scenarios: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        shares = [scenario.share for scenario in self.scenarios]
-        mean: NDArray[np.float64] = np.tensordot(shares, of_scenarios, axes=1)
+        parts = zip(self.scenarios, of_scenarios, strict=True)
+        mean: NDArray[np.float64] = np.sum([each.share * mse for each, mse in parts], axis=0)
         return mean
 
     def sum_errors(self, work: Work) -> NDArray[np.float64]:

@@ -26,8 +26,6 @@ _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
 _Numbers = tuple[Time, ...]
-
-
 _Cost = _Numbers | dict[str, Time]
 _Budget = Annotated[int, Field(ge=1, lt=2**63)]
 
@@ -59,6 +57,20 @@ def _checked_costs(value: Any, key: str) -> Any:
     return None if value is None else tuple(map(plain_time, value))
 
 
+def _sensor(name: str, section: Any) -> Any:
+    """The section of a sensor, with checked times and costs."""
+    if not isinstance(section, dict):
+        return section
+    times: Any = section.get("forbidden")
+    cost: Any = section.get("cost")
+    if type(cost) in (int, float) and abs(cost) < np.inf:
+        cost = plain_time(cost)
+    else:
+        cost = _checked_costs(cost, f"problem.sensors.{name}.cost")
+    times = _checked_times(times, f"problem.sensors.{name}.forbidden")
+    return {**section, "forbidden": times, "cost": cost}
+
+
 class SensorSection(Section):
     """The price of a sensor's measurements, and constraints on them.
 
@@ -80,19 +92,6 @@ class SensorSection(Section):
     forbidden: tuple[Time | str, ...] | None = None
     most: _Budget | None = None
     minimum_spacing: Time | None = None
-
-    @field_validator("forbidden", mode="before")
-    @classmethod
-    def _are_times(cls, value: Any) -> Any:
-        return _checked_times(value, "problem.sensors.NAME.forbidden")
-
-    @field_validator("cost", mode="before")
-    @classmethod
-    def _are_costs(cls, value: Any) -> Any:
-        is_number = type(value) in (int, float) and abs(value) < np.inf
-        if is_number:
-            return plain_time(value)
-        return _checked_costs(value, "problem.sensors.NAME.cost")
 
 
 class ProblemSection(Section):
@@ -183,7 +182,7 @@ class ProblemSection(Section):
                 "problem.sensors must be the names of two sensors or more, or a section for each "
                 f"of them, got {shown(value)}"
             )
-        return value
+        return None if value is None else {name: _sensor(name, value[name]) for name in value}
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -299,8 +298,7 @@ class ProblemSection(Section):
             costs.append(self._costs(key, given))
             if given and len(costs[-1]) != instants:
                 raise MeasurementTimesError(
-                    f"{key} must have a number for each of {instants} instants, got "
-                    f"{len(costs[-1])}"
+                    f"{key} needs {instants} values, one for each instant, got {len(costs[-1])}"
                 )
         return costs
 

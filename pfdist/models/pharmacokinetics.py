@@ -44,20 +44,25 @@ def transition(x, t, w, p):
     leaving = p.exchange / volume
     returning = p.exchange / p.peripheral_volume
 
+    noise = np.exp(p.process_sd * np.sqrt(p.dt[t]) * w[0])
+    central, peripheral = after(central, peripheral, (eliminated, leaving, returning), p.dt[t])
+    return (noise * central, noise * peripheral, clearance, volume)
+
+
+def after(central, peripheral, shares, dt):
+    """Both amounts after dt hours; the shares leave the body, the centre and the periphery."""
+    eliminated, leaving, returning = shares
     # exp(M dt) = mean * I + slope * (M - trace(M) / 2 * I), with M's eigenvalues -slow and -fast
     middle = (eliminated + leaving + returning) / 2
     half = np.sqrt((eliminated + leaving - returning) ** 2 / 4 + leaving * returning)
     slow = eliminated * returning / (middle + half)
-    left, left_fast = np.exp(-slow * p.dt[t]), np.exp(-(middle + half) * p.dt[t])
+    left, left_fast = np.exp(-slow * dt), np.exp(-(middle + half) * dt)
     mean, slope = (left + left_fast) / 2, (left - left_fast) / (2 * half)
 
     difference = (returning - eliminated - leaving) / 2
-    noise = np.exp(p.process_sd * np.sqrt(p.dt[t]) * w[0])
     return (
-        noise * (mean * central + slope * (difference * central + returning * peripheral)),
-        noise * (mean * peripheral + slope * (leaving * central - difference * peripheral)),
-        clearance,
-        volume,
+        mean * central + slope * (difference * central + returning * peripheral),
+        mean * peripheral + slope * (leaving * central - difference * peripheral),
     )
 
 

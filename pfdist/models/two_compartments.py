@@ -27,6 +27,7 @@ import math
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.pharmacokinetics import after
 
 
 def initial(w, p):
@@ -38,20 +39,9 @@ def transition(x, t, w, p):
     eliminated = p.clearance / p.central_volume  # shares in an hour
     leaving = p.exchange / p.central_volume
     returning = p.exchange / p.peripheral_volume
-
-    # exp(M dt) = mean * I + slope * (M - trace(M) / 2 * I), with M's eigenvalues -slow and -fast
-    middle = (eliminated + leaving + returning) / 2
-    half = np.sqrt((eliminated + leaving - returning) ** 2 / 4 + leaving * returning)
-    slow = eliminated * returning / (middle + half)
-    left, left_fast = np.exp(-slow * p.dt[t]), np.exp(-(middle + half) * p.dt[t])
-    mean, slope = (left + left_fast) / 2, (left - left_fast) / (2 * half)
-
-    difference = (returning - eliminated - leaving) / 2
     noise = p.process_sd * np.sqrt(p.dt[t])
-    return (
-        mean * central + slope * (difference * central + returning * peripheral) + noise * w[0],
-        mean * peripheral + slope * (leaving * central - difference * peripheral) + noise * w[1],
-    )
+    central, peripheral = after(central, peripheral, (eliminated, leaving, returning), p.dt[t])
+    return (central + noise * w[0], peripheral + noise * w[1])
 
 
 def measurement(x, t, v, p):

@@ -80,22 +80,31 @@ def _columns_of(
     header = list(map(str, table.columns))
     _check_size(header, len(table))
     check_header(header)
-    columns = {}
-    for column, name in _wanted(header, only):
-        if name in names:
-            columns[name] = _places(name, table.iloc[:, column], names[name])
-            continue
-        try:
-            columns[name] = pd.to_numeric(table.iloc[:, column]).to_numpy(np.float64, copy=True)
-        except (TypeError, ValueError) as error:
-            reason = str(error).partition("\n")[0]
-            raise ValueError(f"column {shown(name)} must hold numbers: {reason}") from error
-    return columns
+    return _columns(header, only, names, lambda k: table.iloc[:, k], _from_memory)
 
 
-def _wanted(header: list[str], only: Collection[str]) -> list[tuple[int, str]]:
-    """Numbers and names of the columns that are read."""
-    return [(column, name) for column, name in enumerate(header) if not only or name in only]
+def _from_memory(name: str, column: "pd.Series[Any]") -> Array:
+    """A column of a DataFrame as numbers."""
+    try:
+        return pd.to_numeric(column).to_numpy(np.float64, copy=True)
+    except (TypeError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"column {shown(name)} must hold numbers: {reason}") from error
+
+
+def _columns(
+    header: list[str],
+    only: Collection[str],
+    names: Mapping[str, Sequence[str]],
+    column: Callable[[int], Iterable[Any]],
+    numbers: Callable[[str, Any], Array],
+) -> dict[str, Array]:
+    """The wanted columns by name: the places of texts, or numbers."""
+    return {
+        name: _places(name, column(k), names[name]) if name in names else numbers(name, column(k))
+        for k, name in enumerate(header)
+        if not only or name in only
+    }
 
 
 def _read_csv(
@@ -122,12 +131,7 @@ def _read_csv(
     _check_size(header, len(text) - 1)
     check_header(header)
     values = text.iloc[1:]
-    return {
-        name: _places(name, values.iloc[:, column], names[name])
-        if name in names
-        else _numbers(name, values.iloc[:, column].str.strip())
-        for column, name in _wanted(header, only)
-    }
+    return _columns(header, only, names, lambda k: values.iloc[:, k].str.strip(), _numbers)
 
 
 def _numbers(name: str, text: "pd.Series[str]") -> Array:
@@ -159,12 +163,7 @@ def _read_parquet(
     except (pa.ArrowException, pa.ArrowInvalid) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"a Parquet table was expected, got {shown(reason)}") from error
-    return {
-        name: _places(name, columns.column(k).to_pylist(), names[name])
-        if name in names
-        else _values(name, columns.column(k))
-        for k, name in _wanted(header, only)
-    }
+    return _columns(header, only, names, columns.column, _values)
 
 
 def _values(name: str, column: pa.ChunkedArray) -> Array:

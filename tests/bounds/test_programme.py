@@ -21,6 +21,7 @@ from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import Programme, least
 from pfdist.bounds.relaxation import NOTHING, START
 from pfdist.filters.kalman import expected_mse
+from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -42,6 +43,19 @@ def test_the_programme_finds_the_least_error_of_every_sum_and_a_set_that_has_it(
             continue
         assert programme.mse[spent] == pytest.approx(min(costs.values()), rel=ROUNDING)
         assert costs[programme.path(spent)] == pytest.approx(programme.mse[spent], rel=ROUNDING)
+        for times, cost in list(costs.items())[:50]:
+            assert programme.of_set(times) == pytest.approx(cost, rel=ROUNDING)
+
+
+def test_with_sensors_the_error_of_the_best_set_is_the_least_error() -> None:
+    clock = Clock(tuple(range(6)), counts=True, sensors=("near", "far"))
+    constraints = Feasible(5, 3, clock=clock, minimum_spacing=0.0)
+    relaxation = relaxation_with(constraints, 2, 2)
+    errors = np.random.default_rng(1).exponential(size=int(relaxation.offsets[-1]))
+    programme = Programme(relaxation, errors, 3)
+    best = programme.path(3)
+    assert any(measurement % 2 for measurement in best)
+    assert programme.of_set(best) == pytest.approx(programme.mse[3], rel=ROUNDING)
 
 
 @cases
