@@ -160,6 +160,8 @@ def test_measurements_have_a_row_for_each_sensor(
         ({"measurement_budget": None, "total_cost": 4}, "sensors.near.cost must be given"),
         ({"cost": [1] * 13}, "cost must be left out with sensors"),
         ({"sensors": {"near": {"most": 0}, "far": {}, "both": {}}}, "sensors.near.most must be"),
+        ({"sensors": {"near": {"cost": "dear"}, "far": {}, "both": {}}}, "sensors.near.cost must"),
+        ({"sensors": {"near": {"forbidden": 3}, "far": {}, "both": {}}}, "near.forbidden must be"),
         ({"required": [3]}, "must name times and then their sensor"),
         ({"measurement_budget": 40}, "at most the number of possible measurements, 39"),
     ],
