@@ -32,7 +32,7 @@ def whole(small_job: Job, tmp_path: Path) -> dict[str, dict[str, str]]:
             run = tmp_path / "alone" / f"{seed}-{draws}"
             changes = [f"seed={seed}", f"comparison.draws={draws}"]
             pfdist.run(small_job.path, run, changes=changes, figures=False)
-            found[f"seed={seed},comparison.draws={draws}"] = hashes(run)
+            found[f"seed={seed}_comparison.draws={draws}"] = hashes(run)
     return found
 
 
