@@ -298,7 +298,7 @@ def test_the_page_about_sensors_prints_what_it_shows(
     consoles = 0
     for language, text in _blocks(DOCS / "sensors.md"):
         first, _, rest = text.partition("\n")
-        if language == "csv":
+        if language == "text":
             Path("case.csv").write_text(text)
         elif language == "console":
             assert main(shlex.split(first.removeprefix("$ pfdist "))) == 0
