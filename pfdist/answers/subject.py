@@ -53,7 +53,7 @@ class Subject:
     @property
     def model_name(self) -> str:
         """The name that the model gives itself; in an older run, the name that the job gives."""
-        own_name = read_recorded(self.run.path)[0]["provenance"].get("model_name")
+        own_name = read_recorded(self.run.path)[0]["provenance"].get("name_of_model")
         return one_line(own_name or without_folder(self.run.job["model"]["name"]))
 
     @property

@@ -32,7 +32,7 @@ def provenance(built: Built) -> dict[str, Any]:
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
-        "model_name": built.evaluator.model.name,
+        "name_of_model": built.evaluator.model.name,
         "folder": str(folder_of_models(job).absolute()),  # paths of models are relative to it
         "python": platform.python_version(),
         "libraries": _libraries(),

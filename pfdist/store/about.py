@@ -62,7 +62,7 @@ class _Provenance(_Part):
     folder: _PathText
     python: str
     libraries: dict[str, str]
-    model_name: str = ""  # as the model calls itself; older runs have none
+    name_of_model: str = ""  # as the model calls itself; older runs have none
     processor: _Processor
     continued_on: list[_Processor] = []
 

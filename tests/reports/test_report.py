@@ -381,7 +381,7 @@ def test_the_title_of_a_report_has_the_name_that_the_model_gives_itself(
     )
     assert "When to measure: a <walk> in the park" in _text(run)
     about = json.loads((run.path / "run.json").read_text())
-    del about["provenance"]["model_name"]  # as in a run of an earlier version
+    del about["provenance"]["name_of_model"]  # as in a run of an earlier version
     (run.path / "run.json").write_text(json.dumps(about))
     assert "When to measure: walk.py:model" in _text(pfdist.open_run(run.path))
 
