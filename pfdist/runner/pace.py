@@ -8,6 +8,7 @@ costs; more where several runs share the workers. With hundreds of workers, task
 that the driver can serve all workers meanwhile. The speed is learnt as tasks end.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
@@ -34,9 +35,7 @@ class Pace:
         self, seconds: float, workers: int, *, learnt: bool = False, is_shared: bool = False
     ) -> None:
         self.seconds = seconds
-        serving = min(LONGEST_SECONDS, SERVING_SECONDS * workers)
-        self._least_learnt = max(LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS, serving)
-        self._most = min(LONGEST_SECONDS, max(MOST_SECONDS, 3 * serving))
+        self._least_learnt = LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS
         self._workers, self._learnt = workers, learnt
 
     def learn(self, steps: int, seconds: float) -> None:
@@ -49,11 +48,16 @@ class Pace:
 
         The first tasks are short, because a model may be a hundred times slower than the guess.
         """
-        share, least = 0.0, LEAST_SECONDS
-        if self._learnt:
-            share = remaining * self.seconds / (_SHARE * self._workers)
-            least = self._least_learnt
-        return max(1, round(min(self._most, max(least, share)) / self.seconds))
+        if not self._learnt:
+            return max(1, round(LEAST_SECONDS / self.seconds))
+        seconds = remaining * self.seconds
+        # n tasks keep the driver busy for n * SERVING_SECONDS, and each takes seconds / n of its
+        # worker: more workers than make both equal would wait for the driver.
+        workers = min(self._workers, math.sqrt(seconds / SERVING_SECONDS))
+        least = max(self._least_learnt, SERVING_SECONDS * workers)
+        most = min(LONGEST_SECONDS, max(MOST_SECONDS, 3 * SERVING_SECONDS * workers))
+        share = seconds / (_SHARE * max(1, workers))
+        return max(1, round(min(most, max(least, share)) / self.seconds))
 
 
 class Bundle(NamedTuple):

@@ -84,9 +84,25 @@ def test_workers_end_together(workers: int) -> None:
 def test_a_task_is_long_enough_that_the_driver_can_serve_all_workers_meanwhile() -> None:
     workers = 1000
     pace = Pace(1e-4, workers, learnt=True)
-    assert pace.size(1) * 1e-4 == pytest.approx(SERVING_SECONDS * workers)
     assert MOST_SECONDS < pace.size(10**12) * 1e-4 <= LONGEST_SECONDS
-    assert Pace(1e-4, 100 * workers, learnt=True).size(1) * 1e-4 == pytest.approx(LONGEST_SECONDS)
+    much = Pace(1e-4, 100 * workers, learnt=True)
+    assert much.size(10**12) * 1e-4 == pytest.approx(LONGEST_SECONDS)
+
+
+def test_more_workers_than_the_driver_can_serve_cost_no_time() -> None:
+    """A driver that needs SERVING_SECONDS for a task, and workers that wait for it."""
+    taken = {}
+    for workers in (10, 100, 1_000, 10_000):
+        pace = Pace(1e-4, workers, learnt=True)
+        free_at, served = np.zeros(workers), 0.0
+        for bundle in bundles([work(1, 0, 25_000)], pace.size):  # 2.5 s of one core
+            served += SERVING_SECONDS
+            begins = max(served, free_at.min())
+            free_at[free_at.argmin()] = begins + 1e-4 * bundle.steps
+        taken[workers] = free_at.max()
+    assert taken[10] == pytest.approx(0.25, rel=0.2)
+    assert taken[100] <= 0.5 * taken[10]
+    assert max(taken[1_000], taken[10_000]) <= 1.1 * taken[100]
 
 
 def test_the_pace_is_learnt() -> None:
