@@ -25,11 +25,11 @@ from pfdist.errors import CompileError, ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.matrices import matrices_of
+from pfdist.filters.kalman import matrices_of
 from pfdist.filters.work import Estimation, Work
 from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
-from pfdist.sequential.formatted_instant import formatted_instant
+from pfdist.sequential.one_filter import formatted_instant
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000

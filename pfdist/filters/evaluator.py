@@ -21,7 +21,7 @@ from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
-from pfdist.filters.matrices import cached_matrices
+from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import (
     KERNEL_VERSION,
     filter_checked_draws,

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.filters.interface import Filtered, checking, weighed
-from pfdist.filters.one_by_one import one_by_one, summed_one_by_one
+from pfdist.filters.interface import Filtered, checking, one_by_one, summed_one_by_one, weighed
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.guiding import plain_log_density
@@ -25,7 +24,7 @@ from pfdist.kernels.noise import (
     TRUTH_PROCESS,
     variates,
 )
-from pfdist.kernels.plain_resampling import plain_ancestors
+from pfdist.kernels.resampling import plain_ancestors
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights

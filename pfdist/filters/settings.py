@@ -23,7 +23,7 @@ class FilterSettings:
 
     particles: int
     resampling: str = MULTINOMIAL.name
-    estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.one_by_one`
+    estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     prior: Prior | None = None
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run
 from pfdist.analysis.particle_loss import less
-from pfdist.bounds.gap import UNKNOWN, ZERO, GapParts
+from pfdist.bounds.proof import UNKNOWN, ZERO, GapParts
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.filters.work import Estimation, Result, Work

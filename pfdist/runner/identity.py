@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import open_run, read_recorded
-from pfdist.common.leaves import leaves
+from pfdist.common.dotted_keys import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Job, job_toml

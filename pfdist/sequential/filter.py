@@ -23,23 +23,23 @@ from pfdist.errors import (
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
-from pfdist.filters.matrices import matrices_of
+from pfdist.filters.kalman import matrices_of
 from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
-from pfdist.sequential.beliefs import (
+from pfdist.sequential.estimate import (
     Belief,
+    Estimate,
     Normal,
     Particles,
+    estimate_of,
     explained,
     explained_by_normal,
     quantity,
     surprise_of_particles,
 )
-from pfdist.sequential.estimate import Estimate, estimate_of
-from pfdist.sequential.formatted_instant import formatted_instant
 from pfdist.sequential.measurements import checked_instant, checked_measurement
-from pfdist.sequential.one_filter import OneFilter, begin
+from pfdist.sequential.one_filter import OneFilter, begin, formatted_instant
 from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]

@@ -16,7 +16,6 @@ from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.one_filter import made
-from pfdist.sequential.user_columns import user_columns
 from pfdist.store.user_tables import read_user_table
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
@@ -233,3 +232,14 @@ def _is_number(text: str) -> bool:
 def _plain(value: Any) -> Any:
     """A number of NumPy as Python writes it."""
     return value.item() if isinstance(value, np.generic) else value
+
+
+def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
+    """Lists of columns that a table of x or y may have: x0, x1, ..., or those with names.
+
+    There is a second list if the model names these components.
+    """
+    components = model.named(kind)
+    numbered = [f"{kind}{number}" for number in range(len(components))]
+    named = [f"{kind}_{each.suffix}" for each in components if each.name]
+    return [numbered, named] if named else [numbered]

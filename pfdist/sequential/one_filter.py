@@ -8,15 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.parameters import check_lengths
-from pfdist.sequential.formatted_instant import formatted_instant
+from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.times.measurement_times import Times
+
+
+def formatted_instant(model: StateSpaceModel, t: int) -> str:
+    """The time of an instant as text: p.time[t] of a model on a clock, else the number t."""
+    on_clock = all(name in model.parameters for name in CLOCK)
+    times = model.parameters["time"] if on_clock else ()
+    return formatted_time(times[t]) if isinstance(times, tuple) and t < len(times) else str(t)
+
 
 Array = NDArray[np.float64]
 

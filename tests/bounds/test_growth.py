@@ -17,10 +17,8 @@ from oracles.windows import (
     relaxed_errors,
 )
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.growth import Longer, longer, near_optimal
-from pfdist.bounds.programme import Programme
-from pfdist.bounds.relaxation import NOTHING
+from pfdist.bounds.programme import Longer, Programme, longer, near_optimal
+from pfdist.bounds.relaxation import NOTHING, relaxation_with
 from pfdist.filters.kalman import expected_mse
 
 ROUNDING = 1e-12

@@ -24,7 +24,7 @@ from pfdist.filters.engines import ENGINES
 from pfdist.filters.interface import Filtered
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
-from pfdist.sequential.beliefs import PREDICTIVE
+from pfdist.sequential.estimate import PREDICTIVE
 from pfdist.sequential.filter import SUSPICIOUS
 from pfdist.sequential.one_filter import begin
 
