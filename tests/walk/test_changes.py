@@ -75,7 +75,7 @@ model = StateSpaceModel(
 )
 """,
 }
-# Each is appended to a file, declares an addition, and breaks the contract of such additions in one way.
+# Each is appended to a file, declares an addition, and breaks the contract of additions in one way.
 BROKEN = {
     "search/broken.py": WORKING["searches"]
     .replace("shifted", "broken")
