@@ -185,7 +185,7 @@ def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[s
     for name in dict.fromkeys([engine, "numpy"]):
         ENGINES[name].simulate(model, instants[-1], few.index, 0)
         for times in ((), tuple(instants)):
-            ENGINES[name].filter_draws(model, few, times, _FEW_PARTICLES, 0)
+            ENGINES[name].filters.filter_draws(model, few, times, _FEW_PARTICLES, 0)
     return "ok", "no formula fails at any instant, measured or not"
 
 

@@ -37,7 +37,8 @@ from numpy.typing import NDArray
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.settings import FilterSettings, check_filter, check_start, filter_streams
+from pfdist.filters.settings import check_filter, check_start, filter_streams
+from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
@@ -98,7 +99,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         check_start(model, draws, prior)
         last, sensors = draws.instants[-1], len(model.parts)
         times = validated_from(draws.start, measurement_times, last, sensors)
-        settings = FilterSettings(particles, resampling, prior=prior, threshold=threshold)
+        settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws
@@ -143,7 +144,7 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
         sets: Sequence[Times],
         ends: Sequence[int],
         stream: int,
-        settings: FilterSettings,
+        settings: Estimation,
     ) -> Array:
         keys, columns = filter_streams(stream, settings.estimator), []
         for times, end in zip(sets, ends, strict=True):
@@ -168,7 +169,7 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         sets: Sequence[Times],
         ends: Sequence[int],
         stream: int,
-        settings: FilterSettings,
+        settings: Estimation,
     ) -> Array:
         estimator = ALL_ESTIMATORS[settings.estimator]
         keys = filter_streams(stream, settings.estimator)
@@ -192,7 +193,7 @@ def _filters(
     draws: Draws,
     times: Times,
     keys: Sequence[int],
-    settings: FilterSettings,
+    settings: Estimation,
 ) -> list[Filtered]:
     """Filter the same draws with one set of times, once with each key of noise."""
     return [

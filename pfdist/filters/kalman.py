@@ -22,7 +22,7 @@ from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, one_by_one, validated_from, weighed
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import Times
@@ -217,7 +217,7 @@ def filter_checked_draws(
     draws: Draws,
     measurement_times: Times,
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
     trajectories: bool = False,
 ) -> Filtered:
     """Filter draws exactly, with the arguments of the function in `particle_filter`.

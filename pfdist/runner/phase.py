@@ -148,14 +148,12 @@ class Phase:
         built: Built,
         *,
         keep_leaders: bool = False,
-        knows_truth: bool = False,
         additive: bool = False,
     ) -> None:
         if purpose not in CHOOSING:
             raise ValueError(f"no search may choose by draws with the purpose {purpose!r}")
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
-        self.knows_truth = knows_truth
         # Searches that add errors of instants, and are told means whatever the criterion is.
         self.additive = additive
         # MSE of each draw by the evaluation's id, of this session, for sets that are requested
@@ -182,8 +180,7 @@ class Phase:
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
         estimation = self.built.comparing if squared else self.settings.estimation
-        evaluator = self.built.evaluator.truth if self.knows_truth else self.built.evaluator
-        id_ = evaluator.evaluation_id(times, last, stream, estimation)
+        id_ = self.built.evaluator.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
         return Request(id_, candidate, last, stream, estimation, mse)
 
@@ -203,9 +200,9 @@ class Phase:
     def sums(self, counted: Counted) -> BlockSums:
         """Sums of errors over blocks of draws, for candidates whose errors are wanted."""
         stream, estimation = self.stream(), self.settings.estimation
-        streams, truth = (stream, stream), self.knows_truth
+        streams = stream, stream
         return BlockSums(
-            self.built, counted, streams, estimation, knows_truth=truth, phase=self.name
+            self.built, counted, streams, estimation, knows_truth=False, phase=self.name
         )
 
     def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
@@ -395,7 +392,6 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
             draws=draws,
             estimation=estimation,
             ids=tuple(request.id for request in group),
-            knows_truth=phase.knows_truth,
             sensors=phase.built.evaluator.sensors,
         )
 

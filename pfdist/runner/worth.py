@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
 from pfdist.common.streams import stream_of
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
@@ -97,9 +96,7 @@ def _effective_sizes(
     """Mean effective sample size after each measurement; NaN for exact engines."""
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
-    job = built.job.filter
-    settings = FilterSettings(job.particles, job.resampling, threshold=job.threshold)
-    first = begin(built.evaluator.believed, settings, stream, 0, built.evaluator.engine)
+    first = begin(built.evaluator.believed, built.comparing, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [
             effective_sample_sizes(replace(first, draw=draw), times, y)

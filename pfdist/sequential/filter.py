@@ -24,7 +24,8 @@ from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.kalman import matrices_of
-from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.filters.settings import check_filter
+from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.sequential.estimate import (
@@ -132,7 +133,7 @@ class Filter:
         except ValueError as error:
             raise ArgumentError(str(error)) from error
         check_filter(self.model, self.model, particles, resampling, threshold=threshold)
-        settings = FilterSettings(particles, resampling, prior=start, threshold=threshold)
+        settings = Estimation(particles, resampling, prior=start, threshold=threshold)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
@@ -267,7 +268,7 @@ class Filter:
             )
 
     def _begun(
-        self, settings: FilterSettings, engine: str, draw: int
+        self, settings: Estimation, engine: str, draw: int
     ) -> tuple[OneFilter, Array, Array]:
         """The filter at its first instant, compiled, with mean and variance of z."""
         name = COMPILED.name if engine == AUTO else engine

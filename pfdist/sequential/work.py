@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.one_filter import begin
@@ -72,14 +71,9 @@ class OnlineWork(Work):
         """The chosen times of one draw; if it is degenerate, the last plan stays."""
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
-        estimation, (plan,) = self.estimation, self.measurement_times
-        settings = FilterSettings(
-            estimation.particles, estimation.resampling, threshold=estimation.threshold
-        )
-        filtering = begin(
-            evaluator.believed, settings, self.filter_streams[0], draw, evaluator.computed_by.name
-        )
-        taken = Times()
+        engine, noise = evaluator.computed_by.name, self.filter_streams[0]
+        filtering = begin(evaluator.believed, self.estimation, noise, draw, engine)
+        taken, (plan,) = Times(), self.measurement_times
         while plan:
             t = plan[0] // self.sensors
             here = tuple(time for time in plan if time // self.sensors == t)

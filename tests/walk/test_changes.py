@@ -137,14 +137,14 @@ import numpy as np
 from pfdist import load_model
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.simulation import simulate
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.work import Estimation
 
 model = load_model("random_walk")
 draws = simulate(model, 6, range(10), 1)
 for engine in ("compiled", "numpy"):
     found = {
-        name: ENGINES[engine].filter_checked_sets(
-            model, draws, [(0, 3)], [6], 2, FilterSettings(20, estimator=name)
+        name: ENGINES[engine].filters.filter_checked_sets(
+            model, draws, [(0, 3)], [6], 2, Estimation(20, estimator=name)
         )
         for name in ("half_of_each", "squared_error", "filter_variance")
     }
