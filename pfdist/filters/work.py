@@ -52,7 +52,7 @@ class Estimation:
 
     @property
     def recorded(self) -> dict[str, int | float | str]:
-        """The fields by their names, without the prior, and without a threshold that is not used."""
+        """The fields by their names, without the prior and a threshold that is not used."""
         recorded = {**vars(self)}
         del recorded["prior"]
         if not self.carries:

@@ -45,13 +45,13 @@ def test_a_filter_that_stops_and_goes_on_is_the_filter_that_never_stopped(
 ) -> None:
     draws = simulate(ungm, HORIZON, range(3), 7)
     settings = {"particles": 100, "stream": 9, "resampling": resampling, "trajectories": True}
-    whole = engine.filters.filter_draws(ungm, draws, TIMES, **settings)
+    whole = engine.filter_draws(ungm, draws, TIMES, **settings)
     before = tuple(t for t in TIMES if t <= start)
     for d in range(3):
         draw = draws[d : d + 1]
-        stopped = engine.filters.filter_draws(ungm, draw.upto(start), before, **settings)
+        stopped = engine.filter_draws(ungm, draw.upto(start), before, **settings)
         later, prior = TIMES[len(before) :], Cloud(start, stopped.last[0])
-        on = engine.filters.filter_draws(
+        on = engine.filter_draws(
             ungm, from_instant(draw, start), later, **settings, prior=prior
         )
         np.testing.assert_array_equal(on.estimate[0, 1:], whole.estimate[d, start + 1 :])
@@ -67,7 +67,7 @@ def test_compiled_and_plain_start_alike(ungm: StateSpaceModel, weighted: bool) -
     found = []
     for simulated_by, engine in ((simulation, particle_filter), (plain, plain)):
         draws = simulated_by.simulate(ungm, HORIZON, range(40), 3, prior)
-        filtered = engine.filters.filter_draws(ungm, draws, (8, 11, 17), 64, 4, prior=prior)
+        filtered = engine.filter_draws(ungm, draws, (8, 11, 17), 64, 4, prior=prior)
         found.append((draws.x, draws.y, draws.z, draws.origin, filtered.mse))
     for by_compiled, by_plain in zip(*found, strict=True):
         np.testing.assert_allclose(by_compiled, by_plain, rtol=1e-9)
