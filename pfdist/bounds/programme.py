@@ -132,7 +132,8 @@ class Programme:
         """The sum of errors from the last measurement of each window to T, (W,)."""
         every = np.arange(len(self.relaxation.windows))
         rest = self._between(every, self.relaxation.horizon + 1)
-        return np.where(self.relaxation.may_end, rest, np.inf)
+        last_required = max(self.relaxation.constraints.required, default=NOTHING)
+        return np.where(self.relaxation.last >= last_required, rest, np.inf)
 
     def _between(self, windows: Indices, until: Indices | int) -> Array:
         """Sums of errors from the last measurement of each window to just before `until`.
@@ -200,13 +201,6 @@ class Programme:
         return tuple(times)
 
 
-class Longer(NamedTuple):
-    """Windows by which a relaxation can grow."""
-
-    windows: frozenset[Window]  # windows that the relaxation does not know yet
-    far: frozenset[Window]  # known windows whose errors are to count up to T
-
-
 def near_optimal(programme: Programme, spent: int, most: int, below: float) -> list[Times]:
     """At most `most` different sets that are nearly the best of a relaxation, the best first.
 
@@ -227,7 +221,9 @@ def near_optimal(programme: Programme, spent: int, most: int, below: float) -> l
     return list(sets)
 
 
-def longer(relaxation: Relaxation, sets: Iterable[Times]) -> Longer:
+def longer(
+    relaxation: Relaxation, sets: Iterable[Times]
+) -> tuple[frozenset[Window], frozenset[Window]]:
     """The windows of some sets with one more measurement each, unless the relaxation knows them."""
     # Only windows that are not whole beginnings grow, each backwards by one measurement. In each
     # round the windows of a best set therefore become longer, until the set has its own error.
@@ -239,4 +235,4 @@ def longer(relaxation: Relaxation, sets: Iterable[Times]) -> Longer:
             if len(window) <= number:
                 windows.add(whole[number - len(window) : number + 1])
         far.update(relaxation.overreached(times))
-    return Longer(frozenset(windows), frozenset(far))
+    return frozenset(windows), frozenset(far)

@@ -183,11 +183,6 @@ class Relaxation:
                 moves.append(Moves(time, before, after.astype(np.int64), starts))
         return moves
 
-    @cached_property
-    def may_end(self) -> NDArray[np.bool_]:
-        """Whether each window, (W,), may be the last of a path: every required time is measured."""
-        return self.last >= max(self.constraints.required, default=NOTHING)
-
     def spent(self, times: Times) -> int:
         """The sum, in units, whose bound holds for a set: its size, or all of the money."""
         return len(times) if self.constraints.counted else self.total

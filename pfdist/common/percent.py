@@ -40,16 +40,10 @@ def particle_loss_text(loss: float, limit: float) -> str:
     return f"{low} of the expected MSE, at most {high} (95 %)"
 
 
-def percent_with_interval(
-    fraction: float | None, interval: list[float | None], unit: str = ""
-) -> str:
-    """A fraction in per cent with its 95 % interval, as text.
-
-    `interval` has the lower and the upper end. `unit` follows the per cent sign, for instance
-    `` of draws``.
-    """
+def percent_with_interval(fraction: float | None, interval: list[float | None]) -> str:
+    """A fraction in per cent with its 95 % interval, lower and upper end, as text."""
     value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
-    return f"{value} %{unit}  (95 %: {range_of(low, high)})"
+    return f"{value} %  (95 %: {range_of(low, high)})"
 
 
 def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:

@@ -235,6 +235,29 @@ class Evaluator:
         )
         return sums
 
+    def work(
+        self,
+        sets: Sequence[Times],
+        stream: int,
+        draws_stream: int,
+        draws: tuple[int, int],
+        estimation: Estimation,
+        **others: Any,
+    ) -> Work:
+        """The work of filtering S sets up to T under the same noise, and other fields of `Work`."""
+        same: dict[str, Any] = {
+            "ends": (self.horizon,) * len(sets),
+            "filter_streams": (stream,) * len(sets),
+            "sensors": self.sensors,
+        }
+        return Work(
+            measurement_times=tuple(sets),
+            draws_stream=draws_stream,
+            draws=draws,
+            estimation=estimation,
+            **(same | others),
+        )
+
     @property
     def cheapest_estimator(self) -> str:
         """The estimator with the least variance that the models allow."""

@@ -48,16 +48,7 @@ from pfdist.pools.ray_rehearsal import (
     shortened,
 )
 
-__all__ = [
-    "NodeAffinitySchedulingStrategy",
-    "about",
-    "all_cores",
-    "connected",
-    "describe_nodes",
-    "free_cores",
-    "idle_cores",
-    "ray",
-]
+__all__ = ["NodeAffinitySchedulingStrategy", "ray"]  # also for the pool, with the environment above
 
 START_SECONDS = 120.0
 STOP_SECONDS = 5.0

@@ -68,7 +68,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
-            found=study.shown(interim.so_far),
+            found=interim.so_far if len(study.references) == 1 else (),
         )
         return interim.enough > 0
 
@@ -136,11 +136,7 @@ class InterimGains:
         self._draws, self._half_width = draws, half_width
         self._waiting: dict[int, _Block] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
-        self._gains = tuple[SetGain, ...]()
-
-    def so_far(self) -> tuple[SetGain, ...]:
-        """The gain of each set over its reference, from the whole blocks so far."""
-        return self._gains
+        self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
     def _gains_now(self) -> tuple[SetGain, ...]:
         return tuple(
@@ -165,16 +161,17 @@ class InterimGains:
                 self._waiting[number] = _Block(size, values.shape[1])
             first, last = max(index.start, start), min(index.stop, start + BLOCK)
             part = values[first - index.start : last - index.start]
-            self._waiting[number].take(slice(first - start, last - start), part)
+            block, places = self._waiting[number], slice(first - start, last - start)
+            block.values[places], block.missing[places] = part, False
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
-            self._gains = self._gains_now()  # after each block, because outcomes come more often
+            self.so_far = self._gains_now()  # after each block, because outcomes come more often
             if self._half_width and self._statistics.half_width() <= self._half_width:
                 self.enough = self._statistics.draws
 
     def _next(self) -> NDArray[np.float64] | None:
         number = self._statistics.draws // BLOCK
-        if number in self._waiting and not self._waiting[number].lacks_draws:
+        if number in self._waiting and not self._waiting[number].missing.any():
             return self._waiting.pop(number).values
         return None
 
@@ -184,13 +181,6 @@ class _Block:
 
     def __init__(self, draws: int, sets: int) -> None:
         self.values, self.missing = np.empty((draws, sets)), np.ones(draws, np.bool_)
-
-    @property
-    def lacks_draws(self) -> bool:
-        return bool(self.missing.any())
-
-    def take(self, places: slice, values: NDArray[np.float64]) -> None:
-        self.values[places], self.missing[places] = values, False
 
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored

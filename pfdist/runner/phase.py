@@ -262,7 +262,8 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
             session.keep(name, EVALUATIONS, f"{generation:06d}", rows)
         in_order = [evaluations[candidate] for candidate in candidates]
         if phase.keep_leaders:
-            phase.leaders.extend(new_leaders(_whole_or_prefixes(in_order), phase.leaders))
+            no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]
+            phase.leaders.extend(new_leaders(no_windows, phase.leaders))
         state, generation = optimiser.tell(state, in_order), generation + 1
         costs, best = _whole_costs(in_order), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
@@ -271,11 +272,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
-
-
-def _whole_or_prefixes(evaluations: Iterable[Evaluation]) -> list[Evaluation]:
-    """Evaluations of sets and prefixes, but not of windows."""
-    return [evaluation for evaluation in evaluations if evaluation.errors is None]
 
 
 def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:

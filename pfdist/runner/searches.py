@@ -4,7 +4,7 @@ The axis of a `Study` has one number, unless the job has a section [budget].
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,6 @@ from pfdist.filters.work import Estimation, in_blocks
 from pfdist.job.job import Job
 from pfdist.job.online_section import Online
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
-from pfdist.runner.progress import SetGain
 from pfdist.search import Optimiser, StateSpaceRelaxation
 from pfdist.search.methods import METHODS
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
@@ -129,10 +128,6 @@ class Study:
         for times in ranked:
             best.setdefault(self._name(search, len(times)), times)
         return {name: best[name] for name in self.names(search) if name in best}
-
-    def shown(self, gains: Callable[[], tuple[SetGain, ...]]) -> tuple[SetGain, ...]:
-        """Gains that the progress of the comparison shows; none with several references."""
-        return gains() if len(self.references) == 1 else ()
 
     def _name(self, name: str, number: int) -> str:
         """Name of a set of so many measurements; a budget curve adds the number."""

@@ -58,15 +58,9 @@ def worth_of(
     sets = [tuple(t for t in times if t // sensors <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
     stream = stream_of("why", seed, "filter", name)
-    work = Work(
-        sensors=evaluator.sensors,
-        measurement_times=tuple(sets),
-        ends=(*range(instants), *(evaluator.horizon,) * len(changed)),
-        filter_streams=(stream,) * len(sets),
-        draws_stream=stream_of("why", seed, "draws"),
-        draws=(0, draws),
-        estimation=built.comparing,
-    )
+    ends = (*range(instants), *(evaluator.horizon,) * len(changed))
+    of_draws = stream_of("why", seed, "draws")
+    work = evaluator.work(sets, stream, of_draws, (0, draws), built.comparing, ends=ends)
     (cost, *estimates), degenerate = yield from _means(session, work)
     at = sorted({t // sensors for t in times})
     sizes = dict(zip(at, _effective_sizes(built, stream, at, measured), strict=True))

@@ -172,13 +172,8 @@ def surprise_of_particles(
         (tie,) = variates("uniform", 1, *key)
         below, equal = np.sum(values < y[component]), np.sum(values == y[component])
         rank = float((below + tie * (equal + 1)) / (values.size + 1))
-        smallest = min(smallest, two_sided(rank))
+        smallest = min(smallest, 2 * rank, 2 * (1 - rank))
     return min(1.0, measured.size * smallest)
-
-
-def two_sided(rank: float) -> float:
-    """The two-sided p-value of a rank in 0..1."""
-    return 2 * min(rank, 1 - rank)
 
 
 # --- normal distributions -----------------------------------------------------------------------

@@ -22,8 +22,6 @@ from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
-_TIME_WORDS = {"time", "instant", "step", "times", "k"}  # headers that probably mean t
-
 
 @dataclass(frozen=True)
 class Measurements:
@@ -189,44 +187,13 @@ def checked_measurement(
 def _check_header(allowed: list[list[str]], header: list[str]) -> None:
     if sorted(header) in map(sorted, allowed):
         return
-    wanted = list(dict.fromkeys(name for names in allowed for name in names))
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
-    hints = [
-        f"{meant} in the place of {name}"
-        for name in header
-        if (meant := _meant(name, wanted)) and meant not in header
-    ]
     if len(header) == 1 and any(separator in header[0] for separator in ";\t|"):
         text += "; the separator of columns is the comma"
-    elif hints:
-        text += f"; write {', '.join(hints)}"
-    elif _is_number(header[0]):
+    elif header[0][:1].isdigit():
         text += "; the first line must name the columns"
     raise MeasurementsError(text)
-
-
-def _meant(name: str, wanted: list[str]) -> str:
-    """The column that a wrong name probably means; empty if there is none."""
-    if name in wanted:
-        return ""
-    plain = name.lower().replace("_", "").replace("[", "").replace("]", "").replace(" ", "")
-    if plain in _TIME_WORDS:
-        return "t"
-    if plain == "y" and "y1" not in wanted:
-        return "y0"
-    if plain in wanted:
-        return plain
-    named = {each.removeprefix("y_").replace("_", ""): each for each in wanted}
-    return named.get(plain.removeprefix("y"), "") or named.get(plain, "")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _plain(value: Any) -> Any:

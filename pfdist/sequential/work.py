@@ -55,16 +55,9 @@ class OnlineWork(Work):
 
     def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
         times = self.chosen(evaluator, draw)
-        filtered = Work(
-            measurement_times=(times,),
-            ends=self.ends,
-            filter_streams=self.filter_streams,
-            draws_stream=self.draws_stream,
-            draws=(draw, draw + 1),
-            estimation=self.estimation,
-            trajectories=draw < self.shown,
-            sensors=self.sensors,
-        )
+        streams = self.filter_streams[0], self.draws_stream
+        one = (draw, draw + 1), self.estimation
+        filtered = evaluator.work([times], *streams, *one, trajectories=draw < self.shown)
         return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:

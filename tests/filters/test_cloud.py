@@ -51,9 +51,7 @@ def test_a_filter_that_stops_and_goes_on_is_the_filter_that_never_stopped(
         draw = draws[d : d + 1]
         stopped = engine.filter_draws(ungm, draw.upto(start), before, **settings)
         later, prior = TIMES[len(before) :], Cloud(start, stopped.last[0])
-        on = engine.filter_draws(
-            ungm, from_instant(draw, start), later, **settings, prior=prior
-        )
+        on = engine.filter_draws(ungm, from_instant(draw, start), later, **settings, prior=prior)
         np.testing.assert_array_equal(on.estimate[0, 1:], whole.estimate[d, start + 1 :])
         np.testing.assert_array_equal(on.variance[0, 1:], whole.variance[d, start + 1 :])
         np.testing.assert_array_equal(on.last[0], whole.last[d])
