@@ -9,7 +9,7 @@ import pandas as pd
 
 from pfdist.analysis.stored_run import Run
 from pfdist.analysis.summary import SetResult, Summary
-from pfdist.common.leaves import leaves
+from pfdist.common.dotted_keys import leaves
 from pfdist.common.percent import cost
 
 _NO_SEARCH = "search"  # the leaf of an empty list; the key search.order says the same

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from pfdist.analysis.table_cells import formatted_value, is_missing, keys_of
+from pfdist.common.dotted_keys import short_names
 from pfdist.common.estimate import Estimate
-from pfdist.common.natural_order import natural_key
-from pfdist.common.short_names import short_names
+from pfdist.store.folder import natural_key
 
 SEED = "seed"
 """The key whose values are replicates."""

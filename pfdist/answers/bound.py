@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pfdist.answers.subject import Subject
-from pfdist.common.gap_sentence import NO_LIMITS, gap_sentence, rounded_up
-from pfdist.common.percent import particle_loss_text, percent
+from pfdist.common.percent import NO_LIMITS, gap_sentence, particle_loss_text, percent, rounded_up
 from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
 

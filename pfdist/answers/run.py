@@ -20,9 +20,10 @@ from pfdist.answers.subject import (
     sets_table,
 )
 from pfdist.answers.why import worth
-from pfdist.common.gap_sentence import NO_LIMITS, gap_sentence
 from pfdist.common.percent import (
+    NO_LIMITS,
     cost,
+    gap_sentence,
     heavy_tail_warning,
     particle_loss_text,
     percent,

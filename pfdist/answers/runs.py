@@ -9,10 +9,10 @@ import pandas as pd
 
 from pfdist.analysis.listed_run import FINISHED
 from pfdist.analysis.table_cells import formatted_gain, formatted_mse, formatted_value, keys_of
-from pfdist.common.formatted_counts import formatted_age, formatted_seconds, formatted_size
+from pfdist.common.dotted_keys import short_names
+from pfdist.common.formatted_times import formatted_age, formatted_seconds, formatted_size
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
-from pfdist.common.short_names import short_names
 from pfdist.documents.parts import Cell, Page, Section, Table, Text
 from pfdist.job.sweep import parts_that_pay
 

@@ -22,8 +22,12 @@ from pfdist.analysis.table_cells import formatted_gain, formatted_mse, formatted
 from pfdist.answers.pictures import picture
 from pfdist.answers.subject import number_of
 from pfdist.answers.sweep_subject import Point, SweepSubject
-from pfdist.common.formatted_counts import formatted_seconds
-from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
+from pfdist.common.formatted_times import (
+    formatted_seconds,
+    formatted_time,
+    formatted_times,
+    time_and_sensor,
+)
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.documents.parts import (
     Block,

@@ -29,7 +29,7 @@ from pfdist.analysis.studies import (
 )
 from pfdist.analysis.table_cells import keys_of
 from pfdist.answers.subject import without_folder
-from pfdist.common.short_names import short_names
+from pfdist.common.dotted_keys import short_names
 from pfdist.errors import PfdistError, one_line, shown_text
 from pfdist.store import holds_run
 from pfdist.store.folder import REPORT, has_report, runs_below

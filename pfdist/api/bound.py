@@ -14,7 +14,7 @@ from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import finished_run, run_and_job
-from pfdist.bounds.gap import Gap
+from pfdist.bounds.proof import Gap
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, JobError, shown

@@ -20,7 +20,7 @@ from pfdist.analysis.table_cells import (
     keys_of,
 )
 from pfdist.common.arguments import path_argument
-from pfdist.common.short_names import short_names
+from pfdist.common.dotted_keys import short_names
 from pfdist.errors import ArgumentError, shown
 from pfdist.store import holds_run, write_file
 from pfdist.store.files import check_replaceable

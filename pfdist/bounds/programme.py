@@ -3,10 +3,18 @@
 A set spends its number of measurements, or their costs in units. All sums up to the largest come
 out of one programme.
 
+A set that is best in a relaxation, but not in truth, has windows that are too short: they add
+measurements that the set does not contain. So each of its windows grows by a measurement, and the
+next programme sees more of the set's own error. A set whose windows are all whole beginnings has
+its own error. If it is still the best, it is proved to be optimal.
+
 Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
 procedures for the computation of bounds to routing problems", Networks 11, 1981.
+Righini, Salani, "New dynamic programming algorithms for the resource constrained elementary
+shortest path problem", Networks 51, 2008 (decremental state-space relaxation).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -14,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.relaxation import NOTHING, START, Indices, Moves, Relaxation
+from pfdist.bounds.relaxation import NOTHING, START, Indices, Moves, Relaxation, Window
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -124,7 +132,8 @@ class Programme:
         """The sum of errors from the last measurement of each window to T, (W,)."""
         every = np.arange(len(self.relaxation.windows))
         rest = self._between(every, self.relaxation.horizon + 1)
-        return np.where(self.relaxation.may_end, rest, np.inf)
+        last_required = max(self.relaxation.constraints.required, default=NOTHING)
+        return np.where(self.relaxation.last >= last_required, rest, np.inf)
 
     def _between(self, windows: Indices, until: Indices | int) -> Array:
         """Sums of errors from the last measurement of each window to just before `until`.
@@ -190,3 +199,40 @@ class Programme:
             window, spent = int(self.relaxation.after[window, time]), spent - self._prices[time]
             times.append(time)
         return tuple(times)
+
+
+def near_optimal(programme: Programme, spent: int, most: int, below: float) -> list[Times]:
+    """At most `most` different sets that are nearly the best of a relaxation, the best first.
+
+    Each set spends the sum `spent`. Each but the first is the best of all sets that pass a window
+    which no set before it passes, and its relaxed expected MSE is less than `below`.
+    """
+    relaxation, through = programme.relaxation, programme.through(spent)
+    sets, passed = dict[Times, None](), set[int]()
+    for window in np.argsort(through, kind="stable").tolist():
+        if len(sets) == most or not np.isfinite(through[window]):
+            break
+        if sets and through[window] >= below:
+            break
+        if window not in passed:
+            times = programme.path_through(window, spent)
+            sets[times] = None
+            passed.update(relaxation.windows_of(times))
+    return list(sets)
+
+
+def longer(
+    relaxation: Relaxation, sets: Iterable[Times]
+) -> tuple[frozenset[Window], frozenset[Window]]:
+    """The windows of some sets with one more measurement each, unless the relaxation knows them."""
+    # Only windows that are not whole beginnings grow, each backwards by one measurement. In each
+    # round the windows of a best set therefore become longer, until the set has its own error.
+    windows, far = set[Window](), set[Window]()
+    for times in sets:
+        whole = (NOTHING, *times)
+        passed = [relaxation.windows[number] for number in relaxation.windows_of(times)]
+        for number, window in enumerate(passed):
+            if len(window) <= number:
+                windows.add(whole[number - len(window) : number + 1])
+        far.update(relaxation.overreached(times))
+    return frozenset(windows), frozenset(far)

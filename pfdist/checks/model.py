@@ -25,11 +25,11 @@ from pfdist.errors import CompileError, ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.matrices import matrices_of
+from pfdist.filters.kalman import matrices_of
 from pfdist.filters.work import Estimation, Work
 from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
-from pfdist.sequential.formatted_instant import formatted_instant
+from pfdist.sequential.one_filter import formatted_instant
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
@@ -185,7 +185,7 @@ def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[s
     for name in dict.fromkeys([engine, "numpy"]):
         ENGINES[name].simulate(model, instants[-1], few.index, 0)
         for times in ((), tuple(instants)):
-            ENGINES[name].filter_draws(model, few, times, _FEW_PARTICLES, 0)
+            ENGINES[name].filters.filter_draws(model, few, times, _FEW_PARTICLES, 0)
     return "ok", "no formula fails at any instant, measured or not"
 
 

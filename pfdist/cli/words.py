@@ -5,8 +5,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 
-from pfdist.common.number_list import ranges, whole_numbers
-from pfdist.common.parsing import finite_number
+from pfdist.common.parsing import finite_number, ranges, whole_numbers
 from pfdist.errors import JobError, shown
 
 _GOES_ON = re.compile(r",|[0-9.:,]*[0-9][0-9.:,]*([eE][+-]?[0-9]+)?,?")

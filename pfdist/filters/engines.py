@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pkgutil import resolve_name
+from importlib import import_module
+from types import ModuleType
 from typing import Any, Final
 
 AUTO: Final = "auto"  # the compiled engine, or NumPy where Numba cannot compile the model
@@ -17,7 +18,8 @@ class Engine:
     # The module whose `simulate` has the contract of `pfdist.filters.simulation.simulate`.
     simulated_by: str
     # The module whose `filter_draws`, `filter_checked_draws`, `filter_checked_sets` and
-    # `sum_errors` have the contracts of those in `pfdist.filters.particle_filter`.
+    # `sum_errors` have the contracts of those in `pfdist.filters.particle_filter`. Exact engines
+    # have no `sum_errors`.
     filtered_by: str
     seconds_a_step: float = 2e-9  # about how long a particle takes for one instant
     # Whether Numba compiles the formulas. The figures then have the same bits on every processor.
@@ -27,32 +29,13 @@ class Engine:
     @property
     def simulate(self) -> Callable[..., Any]:
         """The function that simulates draws."""
-        return self._function(self.simulated_by, "simulate")
-
-    @property
-    def filter_draws(self) -> Callable[..., Any]:
-        """The function that filters draws with one set of times."""
-        return self._function(self.filtered_by, "filter_draws")
-
-    @property
-    def filter_checked_draws(self) -> Callable[..., Any]:
-        """`filter_draws` for arguments that the caller has checked."""
-        return self._function(self.filtered_by, "filter_checked_draws")
-
-    @property
-    def filter_checked_sets(self) -> Callable[..., Any]:
-        """The function that filters draws with several sets, all checked by the caller."""
-        return self._function(self.filtered_by, "filter_checked_sets")
-
-    @property
-    def sum_errors(self) -> Callable[..., Any]:
-        """The function that sums the errors of each instant; exact engines have none."""
-        return self._function(self.filtered_by, "sum_errors")
-
-    @staticmethod
-    def _function(module: str, name: str) -> Callable[..., Any]:
-        function: Callable[..., Any] = resolve_name(f"{module}:{name}")
+        function: Callable[..., Any] = import_module(self.simulated_by).simulate
         return function
+
+    @property
+    def filters(self) -> ModuleType:
+        """The module whose functions filter draws."""
+        return import_module(self.filtered_by)
 
 
 COMPILED = Engine(

@@ -5,7 +5,7 @@ draw stays the same, and so does every figure that is computed from the draws in
 """
 
 import contextlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -21,18 +21,18 @@ from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
-from pfdist.filters.matrices import cached_matrices
+from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import (
     KERNEL_VERSION,
+    compiled_filter,
     filter_checked_draws,
-    filter_makes_arrays,
-    libm_of_filter,
 )
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
-from pfdist.filters.settings import FilterSettings, check_filter, check_fits
-from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
+from pfdist.filters.settings import check_filter, check_fits
+from pfdist.filters.simulation import compiled_simulation, simulate
 from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.models import CarriedModel, StateSpaceModel
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
@@ -225,7 +225,7 @@ class Evaluator:
         """
         draws = self.draws(range(*work.draws), work.draws_stream)
         stream, *_ = work.filter_streams
-        sums: NDArray[np.float64] = self.computed_by.sum_errors(
+        sums: NDArray[np.float64] = self.computed_by.filters.sum_errors(
             self.believed,
             draws,
             work.measurement_times,
@@ -234,6 +234,29 @@ class Evaluator:
             self.settings(work.estimation),
         )
         return sums
+
+    def work(
+        self,
+        sets: Sequence[Times],
+        stream: int,
+        draws_stream: int,
+        draws: tuple[int, int],
+        estimation: Estimation,
+        **others: Any,
+    ) -> Work:
+        """The work of filtering S sets up to T under the same noise, and other fields of `Work`."""
+        same: dict[str, Any] = {
+            "ends": (self.horizon,) * len(sets),
+            "filter_streams": (stream,) * len(sets),
+            "sensors": self.sensors,
+        }
+        return Work(
+            measurement_times=tuple(sets),
+            draws_stream=draws_stream,
+            draws=draws,
+            estimation=estimation,
+            **(same | others),
+        )
 
     @property
     def cheapest_estimator(self) -> str:
@@ -313,21 +336,20 @@ class Evaluator:
         """
         if not self.computed_by.compiled:
             return ()
-        self.compile(*self.estimations)
-        names = set(libm_of_simulation(self.model))
-        for estimation in () if self.exact else self.estimations:
-            settings = self.settings(estimation)
-            names |= {*libm_of_filter(self.believed, self.model, settings)}
-        return tuple(sorted(names))
+        return tuple(sorted({name for each in self._compiled for name in libm_functions(each)}))
 
     @property
     def makes_arrays(self) -> bool:
         """Whether compiled formulas make arrays for each particle."""
+        return any(map(makes_arrays, self._compiled))
+
+    @property
+    def _compiled(self) -> Iterator[Any]:
+        """The compiled simulation, and the compiled filters of the estimations."""
         self.compile(*self.estimations)
-        return simulation_makes_arrays(self.model) or any(
-            filter_makes_arrays(self.believed, self.model, self.settings(each))
-            for each in self.estimations
-        )
+        yield compiled_simulation(self.model).compiled
+        for each in () if self.exact else self.estimations:
+            yield compiled_filter(self.believed, self.model, self.settings(each)).compiled
 
     def check(self, estimation: Estimation) -> None:
         """Raise a `ModelError` if the estimator or the resampling scheme does not fit the models.
@@ -383,7 +405,7 @@ class Evaluator:
         `ModelError` says that a formula failed.
         """
         settings = self.settings(estimation)
-        mse: NDArray[np.float64] = self.computed_by.filter_checked_sets(
+        mse: NDArray[np.float64] = self.computed_by.filters.filter_checked_sets(
             self.believed, draws, sets, ends, stream, settings
         )
         return mse
@@ -419,7 +441,7 @@ class Evaluator:
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
-                engine.filter_checked_draws(
+                engine.filters.filter_checked_draws(
                     self.believed, draws, times, stream, settings, trajectories=True
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
@@ -435,15 +457,9 @@ class Evaluator:
             values[:, same_noise] = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
         return Result(values)
 
-    def settings(self, estimation: Estimation) -> FilterSettings:
-        """Settings of the filter of an estimation."""
-        return FilterSettings(
-            estimation.particles,
-            estimation.resampling,
-            estimation.estimator,
-            self.prior,
-            estimation.threshold,
-        )
+    def settings(self, estimation: Estimation) -> Estimation:
+        """The estimation, with filters that start from the prior."""
+        return replace(estimation, prior=self.prior)
 
 
 def carried_evaluator(

@@ -1,4 +1,31 @@
-"""The result that all filters give, and the function that checks the arguments of a filter."""
+"""The contract of the engines: results, checked arguments, and several sets one after another.
+
+Three estimators of a draw's MSE are available. Given y, the expected squared error of the filter's
+mean is the variance of z given y plus the variance that the particles cause. If the filter knows
+the truth, the three estimators therefore have nearly the same expectation:
+
+=============== ==================================================================================
+squared_error   The error of the filter's mean against the simulated z, as in the paper. It is the
+                only estimator for any error and any filter.
+filter_variance The variance of the particles. It does not depend on the simulated z, so it varies
+                less between draws. Its expectation is too small by a term of order 1/P, about twice
+                the variance that the particles cause.
+two_filters     The mean variance of two filters on the same y, plus the squared distance of their
+                means. The expected distance is twice the variance that the particles of one filter
+                cause. So the term of order 1/P is that of squared_error.
+=============== ==================================================================================
+
+The same holds for angles z with the error 1 - cos(z - m), where m is the direction of the mean of
+the particles' unit vectors, and R the length of this mean. Given y, the expectation of
+cos(z - m) is R if the particles are draws from the distribution of z. So 1 - R takes the place of
+the variance. The mean vectors of two filters are independent. So R' cos(m - m'), with the second
+filter's R' and m', has the expectation of cos(z - m), and the distance is R' (1 - cos(m - m')).
+
+The compiled filter sums these estimates at each instant (`pfdist.kernels.fused_filter`). This
+module computes them from the recorded means and variances.
+
+Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -10,9 +37,12 @@ from numpy.typing import NDArray
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.settings import FilterSettings, check_filter, check_start
+from pfdist.filters.settings import check_filter, check_start, filter_streams
+from pfdist.filters.work import Estimation
+from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
+from pfdist.models.base import angular_error
 from pfdist.times.measurement_times import Times, validated
 
 
@@ -69,7 +99,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         check_start(model, draws, prior)
         last, sensors = draws.instants[-1], len(model.parts)
         times = validated_from(draws.start, measurement_times, last, sensors)
-        settings = FilterSettings(particles, resampling, prior=prior, threshold=threshold)
+        settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws
@@ -97,3 +127,137 @@ def weighed(errors: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
     weighted: NDArray[np.float64] = np.zeros_like(errors)
     np.multiply(errors, weights, out=weighted, where=np.not_equal(weights, 0.0))
     return weighted
+
+
+Array = NDArray[np.float64]
+
+
+def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
+    """A function `filter_checked_sets` that calls a filter of one set for each set.
+
+    Arguments are those of the functions of these names in `pfdist.filters.particle_filter`.
+    """
+
+    def filter_checked_sets(
+        model: StateSpaceModel,
+        draws: Draws,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        stream: int,
+        settings: Estimation,
+    ) -> Array:
+        keys, columns = filter_streams(stream, settings.estimator), []
+        for times, end in zip(sets, ends, strict=True):
+            some, estimator = draws.upto(end), ALL_ESTIMATORS[settings.estimator]
+            filters = _filters(filter_checked_draws, model, some, times, keys, settings)
+            share = (end + 1 - draws.start) / draws.z.shape[1]
+            columns.append(_mse(filters, some, estimator) * share)
+        return np.stack(columns, axis=1)
+
+    return filter_checked_sets
+
+
+def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
+    """A function `sum_errors` that filters one set after another by a filter of one set.
+
+    Arguments are those of the functions of these names in `pfdist.filters.particle_filter`.
+    """
+
+    def sum_errors(
+        model: StateSpaceModel,
+        draws: Draws,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        stream: int,
+        settings: Estimation,
+    ) -> Array:
+        estimator = ALL_ESTIMATORS[settings.estimator]
+        keys = filter_streams(stream, settings.estimator)
+        sums = np.zeros((len(sets), draws.z.shape[1]))
+        for row, times, end in zip(sums, sets, ends, strict=True):
+            some = draws.upto(end)
+            filters = _filters(filter_checked_draws, model, some, times, keys, settings)
+            with np.errstate(all="ignore"):
+                errors = _errors(filters, some, estimator).sum(axis=0)
+            row[: errors.size] = errors
+            if not np.isfinite(errors).all():
+                row[:] = np.nan
+        return sums
+
+    return sum_errors
+
+
+def _filters(
+    filter_checked_draws: Callable[..., Filtered],
+    model: StateSpaceModel,
+    draws: Draws,
+    times: Times,
+    keys: Sequence[int],
+    settings: Estimation,
+) -> list[Filtered]:
+    """Filter the same draws with one set of times, once with each key of noise."""
+    return [
+        filter_checked_draws(model, draws, times, key, settings, trajectories=True) for key in keys
+    ]
+
+
+def errors_by_variance(
+    estimates: Array, variances: Array, weights: ErrorWeights, is_angle: Sequence[bool]
+) -> Array:
+    """The estimated error of each instant, (D, T+1), from estimates and variances of F filters.
+
+    Estimates and variances are (F, D, T+1, q), of independent filters on the same measurements. The
+    weight of the squared error is ignored. The distance of two directions counts as much as the
+    second filter's particles point in one direction, R: then the identity at the head of this
+    module holds for angles, too.
+    """
+    errors: Array = weights.variance * np.sum(variances, axis=(0, 3))
+    if weights.distance:
+        first, second = estimates
+        angular = (1.0 - variances[1]) * angular_error(first, second)
+        distances = np.where(is_angle, angular, (first - second) ** 2)
+        errors += weights.distance * np.sum(distances, axis=2)
+    return errors
+
+
+def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
+    """The estimated error of each draw at each instant, (D, T+1)."""
+    if not estimator.for_any_filter:
+        moments, is_angle = _moments(filters), draws.model.is_angle
+        by_variance = errors_by_variance(*moments, estimator.weights, is_angle)
+        return weighed(by_variance, draws.instant_weights)
+    (estimate,), _ = _moments(filters)
+    model = draws.model
+    errors = [
+        model.formulas["error"](tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
+        for k, t in enumerate(draws.instants)
+    ]
+    shape = len(draws.index), 1
+    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in errors]
+    weights = estimator.weights.squared_error * draws.instant_weights
+    return weighed(np.concatenate(columns, axis=1), weights)
+
+
+def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
+    """The estimated MSE of each draw, (D,); NaN and inf of any filter remain."""
+    mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
+    weights = estimator.weights
+    if estimator.for_any_filter:
+        return weights.squared_error * mse
+    estimates, variances = _moments(filters)
+    with np.errstate(all="ignore"):
+        errors = errors_by_variance(estimates, variances, weights, draws.model.is_angle)
+        errors = weighed(errors, draws.instant_weights)
+        mean = np.mean(errors, axis=1)
+        if weights.squared_error:
+            mean += weights.squared_error * mse
+    return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))
+
+
+def _moments(filters: Sequence[Filtered]) -> tuple[Array, Array]:
+    """Estimates and variances of filters, (F, D, T+1, q) each."""
+    estimates, variances = (
+        np.array([getattr(filtered, name) for filtered in filters])
+        for name in ("estimate", "variance")
+    )
+    return estimates, variances

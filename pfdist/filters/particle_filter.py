@@ -18,12 +18,12 @@ from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
-from pfdist.filters.settings import FilterSettings, check_filter, check_start, filter_streams
+from pfdist.filters.settings import check_filter, check_start, filter_streams
+from pfdist.filters.work import Estimation
 from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import compiled_formulas
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
-from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
@@ -51,7 +51,7 @@ def filter_checked_draws(
     draws: Draws,
     measurement_times: Times,
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
     trajectories: bool = False,
 ) -> Filtered:
     """Filter draws as `filter_draws` does, with arguments that the caller has checked.
@@ -104,7 +104,7 @@ def filter_sets(
         validated_from(draws.start, times, end, sensors)
         for times, end in zip(sets, last, strict=True)
     ]
-    settings = FilterSettings(particles, resampling, estimator)
+    settings = Estimation(particles, resampling, estimator)
     return filter_checked_sets(model, draws, valid, last, stream, settings)
 
 
@@ -114,7 +114,7 @@ def filter_checked_sets(
     sets: Sequence[Times],
     ends: Sequence[int],
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
 ) -> NDArray[np.float64]:
     """Filter draws as `filter_sets` does, (D, S), with arguments that the caller has checked.
 
@@ -131,7 +131,7 @@ def sum_errors(
     sets: Sequence[Times],
     ends: Sequence[int],
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
 ) -> NDArray[np.float64]:
     """Sums of the errors of each instant over draws, (S, T+1), with checked arguments.
 
@@ -154,7 +154,7 @@ def _filter(
     draws: Draws,
     planned: Plan,
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
     wanted: _Wanted = _NOTHING_ELSE,
 ) -> NDArray[np.float64]:
     """The mse of the sets of a plan, (D, U); the other arrays that are wanted are filled."""
@@ -190,7 +190,7 @@ def _filter(
         return f"the filter of draw {draw.index.start}"
 
     with compiled_formulas(model.name, again):
-        _compiled(model, truth, settings)(request, planned, results)
+        compiled_filter(model, truth, settings)(request, planned, results)
     return mse
 
 
@@ -203,7 +203,7 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
     return plan(tuple(sets), instants, stops, sensors)
 
 
-def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
+def _prior(draws: Draws, stream: int, settings: Estimation) -> Prior:
     """The particles from which each draw's filter starts."""
     if settings.prior is None:
         return FROM_INITIAL
@@ -221,26 +221,10 @@ def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
     return Prior(np.ascontiguousarray(prior.x), np.stack(chosen), np.empty(0))
 
 
-def libm_of_filter(
-    model: StateSpaceModel, truth: StateSpaceModel, settings: FilterSettings
-) -> tuple[str, ...]:
-    """Functions of the C library that the compiled filter calls; see `libm_functions`.
-
-    The filter must have been called before.
-    """
-    return libm_functions(_compiled(model, truth, settings).compiled)
-
-
-def filter_makes_arrays(
-    model: StateSpaceModel, truth: StateSpaceModel, settings: FilterSettings
-) -> bool:
-    """Whether the compiled filter, which was called before, makes arrays for each particle."""
-    return makes_arrays(_compiled(model, truth, settings).compiled)
-
-
-def _compiled(
-    model: StateSpaceModel, truth: StateSpaceModel, settings: FilterSettings
+def compiled_filter(
+    model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation
 ) -> WithScratch:
+    """The compiled filter of a model, whose errors the truth defines."""
     proposal: tuple[Any, ...] = ()
     noise_kinds: tuple[tuple[str, ...], ...] = (model.initial_noise, model.process_noise)
     if settings.guides(model):

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.filters.interface import Filtered, checking, weighed
-from pfdist.filters.one_by_one import one_by_one, summed_one_by_one
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.interface import Filtered, checking, one_by_one, summed_one_by_one, weighed
+from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.guiding import plain_log_density
 from pfdist.kernels.noise import (
@@ -25,7 +24,7 @@ from pfdist.kernels.noise import (
     TRUTH_PROCESS,
     variates,
 )
-from pfdist.kernels.plain_resampling import plain_ancestors
+from pfdist.kernels.resampling import plain_ancestors
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
@@ -71,7 +70,7 @@ def filter_checked_draws(
     draws: Draws,
     measurement_times: Times,
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
     trajectories: bool = False,
 ) -> Filtered:
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
@@ -96,7 +95,7 @@ def _filter(
     draws: Draws,
     times: Times,
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P).
 
@@ -146,7 +145,7 @@ def _filter(
 
 
 def _first(
-    model: StateSpaceModel, draws: Draws, stream: int, settings: FilterSettings
+    model: StateSpaceModel, draws: Draws, stream: int, settings: Estimation
 ) -> tuple[tuple[Array, ...], Array]:
     """States and weights, each (D, particles), with which the filters begin."""
     prior, particles = settings.prior, settings.particles
@@ -200,7 +199,7 @@ def _weighed(
     log_guide: Array,
     times: Times,
     stream: int,
-    settings: FilterSettings,
+    settings: Estimation,
 ) -> tuple[tuple[Array, ...], Array, NDArray[np.bool_]]:
     """Particles and weights after the measurements at an instant, and which draws degenerate.
 
@@ -229,7 +228,7 @@ def _weighed(
 def _resampled(
     x: tuple[Array, ...],
     weight: Array,
-    settings: FilterSettings,
+    settings: Estimation,
     stream: int,
     index: range,
     key: int,

@@ -1,6 +1,4 @@
-"""The settings of a particle filter, and whether they fit a model."""
-
-from dataclasses import dataclass
+"""Whether the settings of a particle filter fit a model."""
 
 from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
@@ -9,32 +7,12 @@ from pfdist.errors import ArgumentError, ModelError, PriorError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS, ESTIMATORS, SQUARED_ERROR
-from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, MULTINOMIAL, SCHEMES
+from pfdist.kernels.schemes import ALWAYS, SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 
 RESAMPLING = tuple(SCHEMES)
 
 MOST_PARTICLES = 2**31 - 1  # an index of a particle has 32 bits
-
-
-@dataclass(frozen=True)
-class FilterSettings:
-    """The settings of a particle filter; `prior` takes the place of `initial`."""
-
-    particles: int
-    resampling: str = MULTINOMIAL.name
-    estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.one_by_one`
-    prior: Prior | None = None
-    threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
-
-    @property
-    def carries(self) -> bool:
-        """Whether the filter may carry weights from one measurement to the next."""
-        return self.threshold < ALWAYS
-
-    def guides(self, model: StateSpaceModel) -> bool:
-        """Whether the filter draws from the model's proposal; the filter of the bound does not."""
-        return model.guided and not ALL_SCHEMES[self.resampling].holds_truth
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:

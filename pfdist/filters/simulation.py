@@ -13,7 +13,6 @@ from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.kernels.components import in_turn, naming, reader, writer
 from pfdist.kernels.disk_cache import cached_on_disk
 from pfdist.kernels.formulas import compiled_formulas, formula
-from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.kernels.scratch import WithScratch
@@ -83,19 +82,6 @@ def compiled_simulation(model: StateSpaceModel) -> WithScratch:
         (states, tuple(sensor.components[1] for sensor in sensors), quantities),
         parameter_names(model.parameters),
     )
-
-
-def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
-    """Functions of the C library that the compiled simulation calls; see `libm_functions`.
-
-    The simulation must have been called before.
-    """
-    return libm_functions(compiled_simulation(model).compiled)
-
-
-def simulation_makes_arrays(model: StateSpaceModel) -> bool:
-    """Whether the compiled simulation, which was called before, makes arrays for each particle."""
-    return makes_arrays(compiled_simulation(model).compiled)
 
 
 def _measured(

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.filters.cloud import Prior
 from pfdist.filters.settings import filter_streams
 from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.schemes import ALWAYS, CONDITIONAL
+from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
+from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
@@ -31,18 +33,31 @@ def in_blocks(draws: int) -> int:
 
 @dataclass(frozen=True)
 class Estimation:
-    """How the MSE of one draw is estimated."""
+    """How the MSE of one draw is estimated: the settings of the filter, and the estimator."""
 
     particles: int
-    resampling: str = "multinomial"
-    estimator: str = SQUARED_ERROR.name  # name in `pfdist.kernels.estimators`
+    resampling: str = MULTINOMIAL.name
+    estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
+    prior: Prior | None = None  # in the place of `initial`
+
+    @property
+    def carries(self) -> bool:
+        """Whether the filter may carry weights from one measurement to the next."""
+        return self.threshold < ALWAYS
+
+    def guides(self, model: StateSpaceModel) -> bool:
+        """Whether the filter draws from the model's proposal; the filter of the bound does not."""
+        return model.guided and not ALL_SCHEMES[self.resampling].holds_truth
 
     @property
     def recorded(self) -> dict[str, int | float | str]:
-        """The fields by their names; a filter that always resamples has no threshold."""
-        fields = vars(self)
-        return {key: fields[key] for key in fields if key != "threshold" or self.threshold < ALWAYS}
+        """The fields by their names, without the prior and a threshold that is not used."""
+        recorded = {**vars(self)}
+        del recorded["prior"]
+        if not self.carries:
+            del recorded["threshold"]
+        return recorded
 
     @property
     def steps_an_instant(self) -> int:

@@ -12,10 +12,9 @@ import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.explained import explained
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
-from pfdist.common.section import Section
+from pfdist.common.section import Section, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.job.covariates import with_columns
 from pfdist.job.online_section import Online, Search

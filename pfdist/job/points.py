@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pfdist.common.number_list import whole_numbers
-from pfdist.common.parsing import parse_toml
-from pfdist.common.short_names import short_names
+from pfdist.common.dotted_keys import short_names
+from pfdist.common.parsing import parse_toml, whole_numbers
 from pfdist.errors import JobError, shown, shown_text
 
 MOST_POINTS = 10_000

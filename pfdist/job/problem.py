@@ -9,9 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import ValidationError
 
-from pfdist.common.explained import explained
 from pfdist.common.nearest import did_you_mean
-from pfdist.common.section import Section
+from pfdist.common.section import Section, explained
 from pfdist.documents import parts
 from pfdist.documents.notebook import Shown
 from pfdist.errors import JobError, ModelError, shown

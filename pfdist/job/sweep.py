@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from pfdist.common.arguments import path_argument, texts_argument
-from pfdist.common.explained import explained
-from pfdist.common.section import Section
+from pfdist.common.section import Section, explained
 from pfdist.errors import ArgumentError, JobError, shown_text
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of

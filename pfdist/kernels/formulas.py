@@ -16,9 +16,8 @@ from numba.extending import is_jitted, overload
 import pfdist.elementwise  # noqa: F401  registers the compiled versions of where and clip
 from pfdist.densities import draws, log_densities, quantiles, special
 from pfdist.errors import CompileError, ModelError, PfdistError
-from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.melting import MELTING, melted
-from pfdist.kernels.overloads import ELEMENTARY, log_to_base
+from pfdist.kernels.overloads import CHOICES, ELEMENTARY, log_to_base
 from pfdist.models.mistakes import (
     advice_on_density,
     advice_on_special,

@@ -171,7 +171,7 @@ def recorders(is_angle: tuple[bool, ...]) -> tuple[Callable[..., Any], ...]:
     """Compile what records mean and variance, and the part of an instant's error they estimate.
 
     Each filter contributes its variance, by the estimator's weights. The first of two filters
-    stores its mean, and the second adds the distance to it, as `pfdist.filters.one_by_one` does.
+    stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
     """
     quantities = len(is_angle)
     weighted = f"(1.0 - variances[c]) * {_ANGULAR}"  # by the second filter's R

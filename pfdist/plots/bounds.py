@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from pfdist.analysis import Run, reaching
-from pfdist.common.gap_sentence import rounded_up
+from pfdist.common.percent import rounded_up
 from pfdist.common.rounding import rounded
 from pfdist.plots.figure import Plot, Tables, figure, one_number, save_plots
 from pfdist.plots.panel import (

@@ -24,9 +24,9 @@ from pfdist.analysis.studies import (
     values_of,
 )
 from pfdist.analysis.table_cells import formatted_value, is_missing, keys_of
+from pfdist.common.dotted_keys import short_names
 from pfdist.common.formatted_times import times_of
 from pfdist.common.rounding import with_interval
-from pfdist.common.short_names import short_names
 from pfdist.errors import ArgumentError, shown
 from pfdist.plots.panel import (
     Points,

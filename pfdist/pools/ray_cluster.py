@@ -10,14 +10,21 @@ import logging
 import os
 import platform
 import secrets
+import signal
+import stat
 import sys
+import tempfile
 import threading
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
 from typing import Any
+
+from pfdist.errors import PoolError
 
 # Before Ray is imported: by default it writes to standard error, reports its usage, and replaces
 # `print`, which Numba then cannot compile.
@@ -31,10 +38,8 @@ import ray
 from ray.exceptions import RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from pfdist.errors import PoolError
 from pfdist.pools.cores import usable_cores
 from pfdist.pools.guard import Guard, environment
-from pfdist.pools.precautions import private_folder, signals_wait, within
 from pfdist.pools.ray_rehearsal import (
     host_and_port,
     reach,
@@ -43,23 +48,87 @@ from pfdist.pools.ray_rehearsal import (
     shortened,
 )
 
-__all__ = [
-    "NodeAffinitySchedulingStrategy",
-    "about",
-    "all_cores",
-    "connected",
-    "describe_nodes",
-    "free_cores",
-    "idle_cores",
-    "ray",
-]
+__all__ = ["NodeAffinitySchedulingStrategy", "ray"]  # also for the pool, with the environment above
 
 START_SECONDS = 120.0
 STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
+LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 _GROUP_SECONDS = 10.0  # within which Ray must find the nodes of free cores
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+
+
+@contextlib.contextmanager
+def signals_wait() -> Iterator[None]:
+    """Let signals wait inside a with statement, because a half-started Ray cannot be left.
+
+    The program's handlers are called at the end; a second signal does not wait.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    handlers: dict[int, Any] = {}
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 1:
+            handlers[number](number, frame)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+        if callable(handler := signal.getsignal(number)):
+            handlers[number] = handler
+            signal.signal(number, note)
+    try:
+        yield
+    finally:
+        for caught, handler in handlers.items():
+            if signal.getsignal(caught) is note:  # a handler may have changed it
+                signal.signal(caught, handler)
+        if received:  # Ray's own handler of SIGTERM sets an alarm that ends the process after 3 s
+            signal.alarm(0)
+        if len(received) == 1:
+            handlers[received[0]](received[0], None)
+
+
+def private_folder() -> str:
+    """A folder for Ray's sockets and logs, with a short path, that no other user can enter.
+
+    Ray lets everyone write to its folder. So the folder lies in another folder, which is private.
+    Raises `PoolError` if the folder's name belongs to something else, or if other users may enter
+    it.
+    """
+    name = f"pfdist-ray-{os.getuid()}"
+    parent = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()
+    if len(f"{parent}/{name}/r") > LONGEST_FOLDER:
+        parent = "/tmp"  # noqa: S108  the folder in it is looked at
+    folder = Path(parent, name)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(0o700)
+    status = folder.lstat()
+    if stat.S_ISLNK(status.st_mode):
+        wrong = "a link"
+    elif not stat.S_ISDIR(status.st_mode):
+        wrong = "no folder"
+    elif status.st_uid != os.getuid():
+        wrong = f"a folder of user {status.st_uid}"
+    elif status.st_mode & 0o077:
+        wrong = f"a folder of mode {stat.S_IMODE(status.st_mode):03o}"
+    else:
+        return str(folder / "r")
+    raise PoolError(
+        f"Ray's sockets need a folder that only user {os.getuid()} can enter (mode 700), and "
+        f"{folder} is {wrong}: remove it, or let RAY_TMPDIR name another folder with a short path"
+    )
+
+
+def within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
+    """The thread of a function that may never return, after at most so many seconds."""
+    thread = threading.Thread(target=function, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    return thread
 
 
 @contextlib.contextmanager

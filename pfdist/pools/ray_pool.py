@@ -38,7 +38,6 @@ from threadpoolctl import threadpool_limits
 from pfdist.errors import EngineWarning, PfdistError, PoolError, SilenceError
 from pfdist.pools import base
 from pfdist.pools.base import Function, Outcome, Task, do, patience
-from pfdist.pools.precautions import within
 from pfdist.pools.ray_cluster import (
     START_SECONDS,
     STOP_SECONDS,
@@ -49,6 +48,7 @@ from pfdist.pools.ray_cluster import (
     free_cores,
     idle_cores,
     ray,
+    within,
 )
 from pfdist.pools.ray_rehearsal import reason, shortened
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from numbers import Integral, Real
 
-from pfdist.bounds.first_windows import WINDOW
+from pfdist.bounds.relaxation import WINDOW
 from pfdist.errors import JobError, shown
 from pfdist.filters.work import BLOCK
 from pfdist.runner.block_sums import GROUPS

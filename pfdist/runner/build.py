@@ -23,10 +23,8 @@ from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
-from pfdist.pools.kinds import POOLS
-from pfdist.pools.kinds.ray import cluster_at_hand
-from pfdist.runner.searches import NamedSearch, Settings, named_search, planning_of
-from pfdist.runner.study import Study
+from pfdist.pools.kinds import POOLS, cluster_at_hand
+from pfdist.runner.searches import NamedSearch, Settings, Study, named_search, planning_of
 from pfdist.sequential.planning import check_plannable
 from pfdist.times.clock import Time
 from pfdist.times.feasible import Feasible

@@ -4,7 +4,10 @@ Tasks end in any order. Interim gains are those of the whole blocks of draws bef
 so they do not depend on the order, and the comparison stops after the same draws in every run.
 """
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,15 +15,26 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import BLOCK, ComparisonStatistics
 from pfdist.analysis.reference import references_of
+from pfdist.common.component_names import Component
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
-from pfdist.filters.work import Result, Work, cut
+from pfdist.filters.work import Estimation, Result, Work, cut, with_truth
+from pfdist.kernels.estimators import FILTER_NOISE
+from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.base import within_half_turn
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.first_draws import TABLES
 from pfdist.runner.progress import SetGain
 from pfdist.runner.row_formats import RowsByDraw
-from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema
+from pfdist.store import (
+    ROWS_IN_A_FILE,
+    Store,
+    comparison_schema,
+    distance_schema,
+    schema,
+    trajectories_schema,
+    variance_schema,
+)
 from pfdist.times.measurement_times import Times, validated
 
 COMPARISON = "comparison"
@@ -54,7 +68,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
-            found=study.shown(interim.so_far),
+            found=interim.so_far if len(study.references) == 1 else (),
         )
         return interim.enough > 0
 
@@ -122,11 +136,7 @@ class InterimGains:
         self._draws, self._half_width = draws, half_width
         self._waiting: dict[int, _Block] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
-        self._gains = tuple[SetGain, ...]()
-
-    def so_far(self) -> tuple[SetGain, ...]:
-        """The gain of each set over its reference, from the whole blocks so far."""
-        return self._gains
+        self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
     def _gains_now(self) -> tuple[SetGain, ...]:
         return tuple(
@@ -151,16 +161,17 @@ class InterimGains:
                 self._waiting[number] = _Block(size, values.shape[1])
             first, last = max(index.start, start), min(index.stop, start + BLOCK)
             part = values[first - index.start : last - index.start]
-            self._waiting[number].take(slice(first - start, last - start), part)
+            block, places = self._waiting[number], slice(first - start, last - start)
+            block.values[places], block.missing[places] = part, False
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
-            self._gains = self._gains_now()  # after each block, because outcomes come more often
+            self.so_far = self._gains_now()  # after each block, because outcomes come more often
             if self._half_width and self._statistics.half_width() <= self._half_width:
                 self.enough = self._statistics.draws
 
     def _next(self) -> NDArray[np.float64] | None:
         number = self._statistics.draws // BLOCK
-        if number in self._waiting and not self._waiting[number].lacks_draws:
+        if number in self._waiting and not self._waiting[number].missing.any():
             return self._waiting.pop(number).values
         return None
 
@@ -171,9 +182,159 @@ class _Block:
     def __init__(self, draws: int, sets: int) -> None:
         self.values, self.missing = np.empty((draws, sets)), np.ones(draws, np.bool_)
 
-    @property
-    def lacks_draws(self) -> bool:
-        return bool(self.missing.any())
 
-    def take(self, places: slice, values: NDArray[np.float64]) -> None:
-        self.values[places], self.missing[places] = values, False
+TRAJECTORIES = 100  # draws whose z, y and estimates are stored
+REPEATED = 2000  # draws that the reference filters twice
+LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
+
+
+@dataclass(frozen=True)
+class FirstDraws:
+    """A table of the comparison's first draws."""
+
+    table: str
+    schema: pa.Schema
+    work: Work  # on draws 0, 1, ...
+    columns: Callable[[Work, Result], dict[str, Any]]  # of the table, from a work and its result
+
+    def rows(self, piece: Work, result: Result) -> pa.Table:
+        """Rows of the table for the draws of a piece."""
+        return pa.table(self.columns(piece, result), schema=self.schema)
+
+    def fill(self, phase: str, session: Session) -> Generator[Batch, None, None]:
+        """Compute the table, and publish it."""
+        rows = RowsByDraw(self.table, self.rows)
+        yield Batch(session, phase, [self.work], rows, more_follows=True)
+        session.later(partial(self._publish, phase, session.store))
+
+    def _publish(self, phase: str, store: Store) -> None:
+        if store.has_parts(self.table, phase):
+            committed = store.read(self.table)
+            own = store.own_schema(self.schema)
+            rows = pa.Table.from_pandas(committed, schema=own, preserve_index=False)
+            store.publish(self.table, phase, [rows])
+
+
+def trajectories(built: Built, work: Work) -> FirstDraws:
+    """Truth, measurements and estimates of the first draws, which the figures show."""
+    model = built.evaluator.model
+    draws = min(TRAJECTORIES, built.job.comparison.draws)
+    return FirstDraws(
+        "trajectories",
+        trajectories_schema(list(work.ids), model.named("z"), model.named("y")),
+        replace(work, draws=(0, draws), trajectories=True),
+        partial(_trajectory_columns, model),
+    )
+
+
+def repeated(built: Built, work: Work) -> FirstDraws:
+    """MSE of the reference on the first draws under other filter noise.
+
+    It shows how much the noise of the filters alone changes a relative gain.
+    """
+    job = built.job
+    stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
+    again = replace(
+        work,
+        measurement_times=work.measurement_times[:1],
+        ends=work.ends[:1],
+        filter_streams=(stream,),
+        ids=work.ids[:1],
+        draws=(0, min(REPEATED, job.comparison.draws)),
+    )
+    return FirstDraws("repeated", schema("repeated"), again, _repeated_columns)
+
+
+def distances(built: Built, work: Work) -> FirstDraws | None:
+    """Half the squared distance of two filters with each set; see `pfdist.analysis.particle_loss`.
+
+    None unless the error is the squared norm and the engine has particles.
+    """
+    estimation = replace(work.estimation, estimator=FILTER_NOISE.name)
+    schema = distance_schema(work.ids)
+    return _by_set("filter_distance", schema, built, work, estimation, knows_truth=False)
+
+
+def variances(built: Built, work: Work) -> FirstDraws | None:
+    """Variance of particles beside the truth, with each set and without any measurement.
+
+    None in the same cases as `distances`, and if the filter is not told the scenario of a draw: the
+    difference of both filters would be no loss by particles.
+    """
+    if built.evaluator.scenarios and not built.evaluator.told:
+        return None
+    estimation, schema = with_truth(work.estimation.particles), variance_schema(work.ids)
+    work = replace(work, measurement_times=(*work.measurement_times, ()))
+    return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
+
+
+def _by_set(
+    table: str,
+    schema: pa.Schema,
+    built: Built,
+    work: Work,
+    estimation: Estimation,
+    *,
+    knows_truth: bool,
+) -> FirstDraws | None:
+    if built.evaluator.exact or built.evaluator.model.error is not squared_error:
+        return None
+    evaluator = built.evaluator.truth if knows_truth else built.evaluator
+    evaluator.compile(estimation)  # before the first task, whose time is limited
+    stream, sets = (
+        stream_of("comparison", built.job.seed, "filter", table),
+        len(work.measurement_times),
+    )
+    of_sets = replace(
+        work,
+        ends=work.ends[:1] * sets,
+        filter_streams=(stream,) * sets,  # sets share the noise, and so their common prefixes
+        draws=(0, min(LOSS_DRAWS, built.job.comparison.draws)),
+        estimation=estimation,
+        knows_truth=knows_truth,
+    )
+    return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
+
+
+TABLES = {
+    "trajectories": trajectories,
+    "repeated": repeated,
+    "filter_distance": distances,
+    "filter_variance": variances,
+}
+"""Functions that make each table, or None, from the built job and the comparison's work."""
+
+
+def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:
+    columns = (pa.array(mse, from_pandas=True) for mse in result.mse.T)
+    return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
+
+
+def _repeated_columns(piece: Work, result: Result) -> dict[str, Any]:
+    mse = pa.array(result.mse[:, 0], from_pandas=True)
+    return {"draw": np.arange(*piece.draws), "mse": mse}
+
+
+def _trajectory_columns(model: StateSpaceModel, piece: Work, result: Result) -> dict[str, Any]:
+    first, last = piece.draws
+    instants = result.z.shape[1]
+    columns: dict[str, Any] = {
+        "draw": np.repeat(np.arange(first, last), instants),
+        "t": np.tile(np.arange(instants, dtype=np.int32), last - first),
+    }
+    z, y = model.named("z"), model.named("y")
+    columns |= _by_component("z", z, result.z) | _by_component("y", y, result.y)
+    for name, estimate in zip(piece.ids, result.estimates, strict=True):
+        estimate = within_half_turn(estimate, result.z, model.is_angle)  # noqa: PLW2901
+        columns |= _by_component(f"estimate_{name}", z, estimate)
+    return columns
+
+
+def _by_component(
+    name: str, components: Sequence[Component], values: NDArray[np.float64]
+) -> dict[str, pa.Array]:
+    """A column for each component of (D, T+1, components), draw after draw; NaN becomes null."""
+    return {
+        f"{name}_{component.suffix}": pa.array(values[:, :, k].ravel(), from_pandas=True)
+        for k, component in enumerate(components)
+    }

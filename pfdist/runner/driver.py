@@ -12,12 +12,16 @@ from pfdist.errors import SearchError
 from pfdist.filters.work import Result, Work, cut
 from pfdist.job.online_section import Online
 from pfdist.runner.build import Built
-from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
+from pfdist.runner.comparison_phase import (
+    COMPARISON,
+    TRAJECTORIES,
+    comparison_steps,
+    run_comparison,
+)
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.first_draws import TRAJECTORIES
+from pfdist.runner.phase import unpublished
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import run_search, search_steps
-from pfdist.runner.search_tables import unpublished
 from pfdist.runner.searches import planning_of
 from pfdist.sequential.work import OnlineWork
 from pfdist.store import Store, compared_schema, schema

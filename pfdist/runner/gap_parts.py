@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run
 from pfdist.analysis.particle_loss import less
-from pfdist.bounds.gap import UNKNOWN, ZERO, GapParts
+from pfdist.bounds.proof import UNKNOWN, ZERO, GapParts
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.filters.work import Estimation, Result, Work
@@ -137,17 +137,8 @@ def _per_draw(
         name: evaluator.evaluation_id(times, horizon, key, kind.estimation)
         for name, times in sets.items()
     }
-    work = Work(
-        sensors=evaluator.sensors,
-        measurement_times=tuple(sets.values()),
-        ends=(horizon,) * len(sets),
-        filter_streams=(noise,) * len(sets),
-        draws_stream=draws_stream,
-        draws=(0, draws),
-        estimation=kind.estimation,
-        ids=tuple(ids.values()),
-        knows_truth=kind.knows_truth,
-    )
+    given = [*sets.values()], noise, draws_stream, (0, draws), kind.estimation
+    work = evaluator.work(*given, ids=tuple(ids.values()), knows_truth=kind.knows_truth)
     errors = {id_: np.full(draws, math.nan) for id_ in work.ids}
     start, done = reporter.progress.done, 0
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import open_run, read_recorded
-from pfdist.common.leaves import leaves
+from pfdist.common.dotted_keys import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Job, job_toml
@@ -70,7 +70,10 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         elif is_same_run and built.job.comparison.draws < committed:
             raise _too_few(path, built.job, committed)
         store.remove_unfinished()
-        _quarantine(store, damages, say)
+        for damage in damages:
+            place = store.manifest.quarantine(damage)
+            moved = f"it is now {place}, and " if place else ""
+            say(f"{path / damage.path} {damage.what}: {moved}what is lacking is made again")
         _write_about(path, built, identity, key)
         yield store_of(built, path, key)
 
@@ -97,13 +100,6 @@ def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
         return Store(path, run_key)
     columns = ClockColumns(clock.times, clock.unit, clock.sensors, clock.counts)
     return Store(path, run_key, columns)
-
-
-def _quarantine(store: Store, damages: list[Damage], say: Callable[[str], Any]) -> None:
-    for damage in damages:
-        place = store.manifest.quarantine(damage)
-        moved = f"it is now {place}, and " if place else ""
-        say(f"{store.path / damage.path} {damage.what}: {moved}what is lacking is made again")
 
 
 def _committed(store: Store, damages: list[Damage]) -> int:

@@ -10,12 +10,15 @@ from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.streams import CHOOSING, stream_of
+from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.noise import generator
@@ -23,11 +26,96 @@ from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import EVALUATIONS, Batch, Session
 from pfdist.runner.row_formats import PER_DRAW
-from pfdist.runner.search_tables import committed_generations, evaluation_rows, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
+from pfdist.store import Store, schema
 from pfdist.times.measurement_times import validated
+
+_TABLES = ("evaluations", "draws", "error_sums")
+_EVALUATIONS_AT_ONCE = 200  # evaluations that are read together when a phase is published
+
+
+def evaluation_rows(
+    phase: str,
+    generation: int,
+    candidates: list[Candidate],
+    requests: Sequence[Any],
+    evaluations: dict[Candidate, Any],
+) -> pa.Table:
+    """Rows of the table ``evaluations``: a row for each request of a generation.
+
+    A column has the value of that name from the first record of the row that has the name.
+    """
+    table, copies = schema("evaluations"), Counter(candidates)
+    individuals = {candidate: place for place, candidate in reversed([*enumerate(candidates)])}
+    records = [
+        (
+            SimpleNamespace(
+                evaluation=request.id,
+                phase=phase,
+                generation=generation,
+                individual=individuals[request.candidate],
+                copies=copies[request.candidate],
+                end=request.end,
+            ),
+            evaluations[request.candidate],
+            request.estimation,
+        )
+        for request in requests
+    ]
+    columns = {name: _column(name, records) for name in table.names}
+    return pa.Table.from_pydict(columns, schema=table)
+
+
+def committed_generations(store: Store, phase: str) -> set[int]:
+    """Generations of a phase that are committed."""
+    if not store.has("evaluations", phase):
+        return set()
+    return set(store.read("evaluations", phase=phase)["generation"])
+
+
+def unpublished(store: Store, phases: Iterable[str]) -> bool:
+    """Whether a search has parts that are not published as tables yet."""
+    return any(store.has_parts(table, phase) for phase in phases for table in _TABLES)
+
+
+def publish_search(store: Store, phase: str) -> None:
+    """Publish the parts of a search as tables; a repeated call gives the same tables.
+
+    Draws are published before evaluations, because the rows of evaluations say which draws belong
+    to the search. A kill in between leaves parts of evaluations, and the next call begins again.
+    """
+    if not unpublished(store, [phase]):
+        return
+    store.settle("error_sums", phase)
+    rows = store.read("evaluations", phase=phase)
+    most = rows.groupby("evaluation", sort=False)["draws"].max()
+    wanted = {str(id_): int(draws) for id_, draws in most.items()}
+    store.publish("draws", phase, _draws_of(store, wanted))
+    own = store.own_schema(schema("evaluations"))
+    table = pa.Table.from_pandas(rows, schema=own, preserve_index=False)
+    store.publish("evaluations", phase, [table])
+
+
+def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:
+    """Yield the rows of the wanted number of draws of each evaluation."""
+    ids = list(wanted)
+    for first in range(0, len(ids), _EVALUATIONS_AT_ONCE):
+        some = ids[first : first + _EVALUATIONS_AT_ONCE]
+        rows = store.per_draw(some)
+        if rows.num_rows != sum(wanted[id_] for id_ in some):
+            raise StoreError(
+                f"{store.path} lacks draws that were committed: is another driver at work there? "
+                "Run the same command again"
+            )
+        yield rows
+
+
+def _column(name: str, records: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """The values of a name, from the first record of each row that has the name."""
+    owner = next(place for place, record in enumerate(records[0]) if hasattr(record, name))
+    return [getattr(row[owner], name) for row in records]  # all rows have the same records
 
 
 @dataclass(eq=False)
@@ -60,14 +148,12 @@ class Phase:
         built: Built,
         *,
         keep_leaders: bool = False,
-        knows_truth: bool = False,
         additive: bool = False,
     ) -> None:
         if purpose not in CHOOSING:
             raise ValueError(f"no search may choose by draws with the purpose {purpose!r}")
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
-        self.knows_truth = knows_truth
         # Searches that add errors of instants, and are told means whatever the criterion is.
         self.additive = additive
         # MSE of each draw by the evaluation's id, of this session, for sets that are requested
@@ -94,8 +180,7 @@ class Phase:
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
         estimation = self.built.comparing if squared else self.settings.estimation
-        evaluator = self.built.evaluator.truth if self.knows_truth else self.built.evaluator
-        id_ = evaluator.evaluation_id(times, last, stream, estimation)
+        id_ = self.built.evaluator.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
         return Request(id_, candidate, last, stream, estimation, mse)
 
@@ -115,9 +200,9 @@ class Phase:
     def sums(self, counted: Counted) -> BlockSums:
         """Sums of errors over blocks of draws, for candidates whose errors are wanted."""
         stream, estimation = self.stream(), self.settings.estimation
-        streams, truth = (stream, stream), self.knows_truth
+        streams = stream, stream
         return BlockSums(
-            self.built, counted, streams, estimation, knows_truth=truth, phase=self.name
+            self.built, counted, streams, estimation, knows_truth=False, phase=self.name
         )
 
     def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
@@ -177,7 +262,8 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
             session.keep(name, EVALUATIONS, f"{generation:06d}", rows)
         in_order = [evaluations[candidate] for candidate in candidates]
         if phase.keep_leaders:
-            phase.leaders.extend(new_leaders(_whole_or_prefixes(in_order), phase.leaders))
+            no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]
+            phase.leaders.extend(new_leaders(no_windows, phase.leaders))
         state, generation = optimiser.tell(state, in_order), generation + 1
         costs, best = _whole_costs(in_order), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
@@ -186,11 +272,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
-
-
-def _whole_or_prefixes(evaluations: Iterable[Evaluation]) -> list[Evaluation]:
-    """Evaluations of sets and prefixes, but not of windows."""
-    return [evaluation for evaluation in evaluations if evaluation.errors is None]
 
 
 def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
@@ -307,7 +388,6 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
             draws=draws,
             estimation=estimation,
             ids=tuple(request.id for request in group),
-            knows_truth=phase.knows_truth,
             sensors=phase.built.evaluator.sensors,
         )
 

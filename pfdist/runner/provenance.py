@@ -35,7 +35,7 @@ def provenance(built: Built) -> dict[str, Any]:
         "name_of_model": built.evaluator.model.name,
         "folder": str(folder_of_models(job).absolute()),  # paths of models are relative to it
         "python": platform.python_version(),
-        "libraries": _libraries(),
+        "libraries": {name: version(name) for name in _LIBRARIES},
         "machine": {
             "node": platform.node(),
             "system": platform.platform(),
@@ -46,11 +46,6 @@ def provenance(built: Built) -> dict[str, Any]:
         "libm_functions": list(built.evaluator.libm_functions),
         "execution": job.execution.model_dump(mode="json"),
     }
-
-
-@cache
-def _libraries() -> dict[str, str]:
-    return {name: version(name) for name in _LIBRARIES}
 
 
 @cache

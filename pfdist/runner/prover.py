@@ -10,11 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis import Run
-from pfdist.bounds.first_windows import relaxation_for
-from pfdist.bounds.gap import Gap, GapParts, consistent, gap_of
-from pfdist.bounds.proof import Sums, prove
-from pfdist.bounds.relaxation import Relaxation
-from pfdist.bounds.weighting import best_shares
+from pfdist.bounds.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
+from pfdist.bounds.relaxation import Relaxation, relaxation_for
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError

@@ -126,15 +126,8 @@ def _rows(
 ) -> Generator[Batch, None, list[Row]]:
     """Columns of the loss of each set against the first set, which loses nothing."""
     evaluator, seed, reporter = session.built.evaluator, session.built.job.seed, session.reporter
-    work = Work(
-        sensors=evaluator.sensors,
-        measurement_times=sets,
-        ends=(evaluator.horizon,) * len(sets),
-        filter_streams=(stream_of("why", seed, "filter", name),) * len(sets),
-        draws_stream=stream_of("why", seed, "draws"),
-        draws=(0, draws),
-        estimation=session.built.comparing,
-    )
+    streams = stream_of("why", seed, "filter", name), stream_of("why", seed, "draws")
+    work = evaluator.work(sets, *streams, (0, draws), session.built.comparing)
     if evaluator.exact:
         (costs,) = (yield from mse_of_sets(session, [work])).tolist()
         cost_unmoved, *_ = costs
@@ -289,15 +282,9 @@ class _Jittering:
 
     def _work(self, draws: tuple[int, int], sets: tuple[Times, ...]) -> Work:
         seed = self._built.job.seed
-        return Work(
-            sensors=self._built.evaluator.sensors,
-            measurement_times=sets,
-            ends=(self._built.evaluator.horizon,) * len(sets),
-            filter_streams=(stream_of("why", seed, "jitter filter", self._name),) * len(sets),
-            draws_stream=stream_of("why", seed, "jitter draws"),
-            draws=draws,
-            estimation=self._built.comparing,
-        )
+        noise = stream_of("why", seed, "jitter filter", self._name)
+        of_draws = stream_of("why", seed, "jitter draws")
+        return self._built.evaluator.work(sets, noise, of_draws, draws, self._built.comparing)
 
 
 def _jitter_row(percent: int, loss: RelativeLoss, draws: int) -> Row:

@@ -18,8 +18,8 @@ from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
-from pfdist.search.probe import PROBE_DRAWS
-from pfdist.search.trust import (
+from pfdist.search.probe import (
+    PROBE_DRAWS,
     failed_probe,
     judged,
     misordered,

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
 from pfdist.common.streams import stream_of
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
@@ -59,15 +58,9 @@ def worth_of(
     sets = [tuple(t for t in times if t // sensors <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
     stream = stream_of("why", seed, "filter", name)
-    work = Work(
-        sensors=evaluator.sensors,
-        measurement_times=tuple(sets),
-        ends=(*range(instants), *(evaluator.horizon,) * len(changed)),
-        filter_streams=(stream,) * len(sets),
-        draws_stream=stream_of("why", seed, "draws"),
-        draws=(0, draws),
-        estimation=built.comparing,
-    )
+    ends = (*range(instants), *(evaluator.horizon,) * len(changed))
+    of_draws = stream_of("why", seed, "draws")
+    work = evaluator.work(sets, stream, of_draws, (0, draws), built.comparing, ends=ends)
     (cost, *estimates), degenerate = yield from _means(session, work)
     at = sorted({t // sensors for t in times})
     sizes = dict(zip(at, _effective_sizes(built, stream, at, measured), strict=True))
@@ -97,9 +90,7 @@ def _effective_sizes(
     """Mean effective sample size after each measurement; NaN for exact engines."""
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
-    job = built.job.filter
-    settings = FilterSettings(job.particles, job.resampling, threshold=job.threshold)
-    first = begin(built.evaluator.believed, settings, stream, 0, built.evaluator.engine)
+    first = begin(built.evaluator.believed, built.comparing, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [
             effective_sample_sizes(replace(first, draw=draw), times, y)

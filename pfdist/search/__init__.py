@@ -17,21 +17,3 @@ from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.search.survivors import Survivors
-
-__all__ = [
-    "Annealing",
-    "Candidate",
-    "Corridor",
-    "CrossEntropy",
-    "Exchange",
-    "Exhaustive",
-    "GeneticAlgorithm",
-    "GreedyBackward",
-    "GreedyForward",
-    "Optimiser",
-    "Probe",
-    "Race",
-    "RandomTrials",
-    "StateSpaceRelaxation",
-    "Survivors",
-]

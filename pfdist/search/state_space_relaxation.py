@@ -5,7 +5,7 @@ would be best if the error depended on these alone, as if everything before had 
 the search looks closer at these sets: their windows grow by a measurement each, and the programme
 is solved again. The search ends when no set of the relaxation is better than the best set that was
 evaluated, when no window can grow, or after the last round. See `pfdist.bounds.relaxation` and
-`pfdist.bounds.growth`.
+`pfdist.bounds.programme`.
 
 If the costs are exact and the filter knows the truth, a search that ends before the last round has
 proved that its best set is optimal.
@@ -24,10 +24,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.first_windows import relaxation_within
-from pfdist.bounds.growth import longer, near_optimal
-from pfdist.bounds.programme import Programme
-from pfdist.bounds.relaxation import Relaxation, Window
+from pfdist.bounds.programme import Programme, longer, near_optimal
+from pfdist.bounds.relaxation import Relaxation, Window, relaxation_within
 from pfdist.filters.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method

@@ -1,15 +1,210 @@
-"""The estimate of an instant: moments, quantiles and the surprise of a measurement."""
+"""A filter's belief about z(t), how well it has predicted a measurement, and what a user gets."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtr, ndtri
 
 from pfdist.errors import ArgumentError, shown
-from pfdist.sequential.beliefs import Belief
+from pfdist.filters import kalman
+from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.plain import step
+from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
+from pfdist.models import StateSpaceModel
+from pfdist.models.base import within_half_turn
+from pfdist.sequential.one_filter import OneFilter
 
 Array = NDArray[np.float64]
+
+PREDICTIVE = 20_000
+"""Least number of simulated measurements behind a p-value. The p-value of a component that lies
+beyond all of them is below 2 over their number."""
+_ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
+
+
+class Belief(Protocol):
+    """A filter's belief about z(t): a distribution of each component."""
+
+    def effective_sample_size(self) -> float | None:
+        """Number of particles of equal weight that are worth as much; None without particles."""
+
+    def quantiles(self, levels: Array) -> Array:
+        """Quantiles of each component of z, (L, q), at levels in 0..1, (L,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """Weighted values of z(t)."""
+
+    z: Array  # (q, P)
+    weight: Array  # (P,), in any unit
+
+    def effective_sample_size(self) -> float:
+        """The squared sum of the weights over the sum of their squares."""
+        return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
+
+    def quantiles(self, levels: Array) -> Array:
+        """The smallest values of z at which the cumulative weight reaches the levels, (L, q)."""
+        z, weight = self.z[:, self.weight > 0], self.weight[self.weight > 0]
+        quantiles = np.empty((levels.size, len(z)))
+        for component, values in enumerate(z):
+            order = np.argsort(values, kind="stable")
+            reached = np.cumsum(weight[order])
+            places = np.searchsorted(reached, levels * reached[-1])
+            quantiles[:, component] = values[order][np.minimum(places, order.size - 1)]
+        return quantiles
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal distributions of the components of z(t)."""
+
+    mean: Array  # (q,)
+    standard_deviation: Array  # (q,)
+
+    def effective_sample_size(self) -> None:
+        """None: there are no particles."""
+
+    def quantiles(self, levels: Array) -> Array:
+        """Quantiles of the normal distributions, (L, q)."""
+        quantiles: Array = self.mean + self.standard_deviation * ndtri(levels)[:, None]
+        return quantiles
+
+
+# --- particles ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Particles that a measurement has weighted, and that are not resampled."""
+
+    cloud: Cloud  # at the instant of the measurement
+    share: Array  # (P,): weights after the measurement, with a sum of 1
+    # The logarithm of the mean weight before it is normalised: log p(y(t) | earlier measurements),
+    # if the model's log-likelihood is normalised.
+    log_density: float
+
+
+def explained(at: OneFilter, t: int, y: Array) -> Explained:
+    """The particles of a filter at t, weighted by the measurement y, (m,), there.
+
+    Some particle must have a finite log-likelihood. If the filter stands before t and has a
+    proposal, the proposal makes the step to t.
+    """
+    model, guide = at.model, np.zeros(1)
+    guides = at.t < t and at.settings.guides(model)
+    cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
+    own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
+    measured = tuple(np.full(cloud.particles, value) for value in y)
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        if guides:
+            draws = range(at.draw, at.draw + 1)
+            x, guide = step(
+                model, tuple(cloud.x), measured, t - 1, cloud.particles, at.stream, draws
+            )
+            cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
+        log_weight = np.zeros(cloud.particles) + guide
+        for _, sensor, of_sensor, _ in model.parts:
+            if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
+                seen, x = measured[of_sensor], tuple(cloud.x)
+                log_weight += sensor.log_likelihood(seen, x, t, model.p)
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
+    log_sum = float(logsumexp(log_weight))
+    share: Array = np.exp(log_weight - log_sum)
+    return Explained(cloud, share, log_sum - math.log(own.sum()))
+
+
+def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
+    """Quantity of interest z of each particle, (q, P); angles at most half a turn from the mean."""
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        z = model.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
+    parts = [np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z]
+    around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
+    return around.T
+
+
+def surprise_of_particles(
+    model: StateSpaceModel, cloud: Cloud, y: Array, stream: int, draw: int
+) -> float:
+    """The p-value of a measurement among simulated measurements of predicted particles.
+
+    If the model is right, the rank of each component among its simulated values is uniform. The
+    p-value of a component is two-sided, and ties are broken by chance. The result is the smallest
+    p-value of the components, times the number of components measured (Bonferroni).
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    cloud : Cloud
+        Particles, predicted for the instant of the measurement.
+    y : array of float64, (m,)
+        The measurement; NaN marks a missing component.
+    stream, draw : int
+        Key of the filter's noise. The simulated measurements have the role of the truth's
+        measurement noise, which the filter itself does not use.
+    """
+    copies = -(-PREDICTIVE // cloud.particles)
+    number, kinds = copies * cloud.particles, model.noise_of_measurements
+    v = tuple(
+        variates(kind, number, stream, draw, cloud.t, TRUTH_MEASUREMENT, component)
+        for component, kind in enumerate(kinds)
+    )
+    states = cloud.x
+    if cloud.weight is not None:  # of a filter that carries weights
+        (chosen,) = cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)
+        states = states[:, chosen]
+    x = tuple(np.tile(states, copies))
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in model.parts)
+        simulated = tuple(chain.from_iterable(by_sensor))
+    measured = np.flatnonzero(~np.isnan(y))
+    smallest = 1.0
+    for component in measured:
+        values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
+        values = values[np.isfinite(values)]
+        key = stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
+        (tie,) = variates("uniform", 1, *key)
+        below, equal = np.sum(values < y[component]), np.sum(values == y[component])
+        rank = float((below + tie * (equal + 1)) / (values.size + 1))
+        smallest = min(smallest, 2 * rank, 2 * (1 - rank))
+    return min(1.0, measured.size * smallest)
+
+
+# --- normal distributions -----------------------------------------------------------------------
+
+
+def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tuple[float, float]:
+    """Log-density and p-value of a measurement, (m,), if x(t) has a normal distribution.
+
+    The model is linear-Gaussian, and `state` is the distribution of x(t) before the measurement.
+    NaN marks a missing component; at least one component is measured. The p-value is that of
+    `surprise_of_particles`, with exact probabilities in the place of ranks.
+    """
+    measured = ~np.isnan(y)
+    expected = kalman.predicted_measurement(model, state)
+    innovation = y[measured] - expected.mean[measured]
+    covariance = expected.covariance[np.ix_(measured, measured)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.abs(innovation) / np.sqrt(np.diag(covariance))
+    # A component without variance is as expected (0 / 0) or impossible (its distance is infinite).
+    distance = np.where(np.isnan(distance), 0.0, distance)
+    smallest = float(np.min(2 * ndtr(-distance)))
+    return _log_density(innovation, covariance), min(1.0, innovation.size * smallest)
+
+
+def _log_density(innovation: Array, covariance: Array) -> float:
+    """Log-density of a normal vector, in the space that its covariance spans."""
+    values, vectors = np.linalg.eigh(covariance)
+    spanned = values > _ROUNDING * max(float(values.max()), 0.0)
+    values, along = values[spanned], (innovation @ vectors)[spanned]
+    total = np.sum(np.log(2 * np.pi * values) + along**2 / values)
+    return float(-total / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +225,7 @@ class Estimate:
         for the engine "kalman", which has no particles.
     surprise : float or None
         The probability of a measurement at least as far out as that at t, if the model is right;
-        None if t was not measured. See `pfdist.sequential.beliefs.surprise_of_particles`.
+        None if t was not measured. See `pfdist.sequential.estimate.surprise_of_particles`.
     """
 
     t: int

@@ -23,23 +23,24 @@ from pfdist.errors import (
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
-from pfdist.filters.matrices import matrices_of
-from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.filters.kalman import matrices_of
+from pfdist.filters.settings import check_filter
+from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
-from pfdist.sequential.beliefs import (
+from pfdist.sequential.estimate import (
     Belief,
+    Estimate,
     Normal,
     Particles,
+    estimate_of,
     explained,
     explained_by_normal,
     quantity,
     surprise_of_particles,
 )
-from pfdist.sequential.estimate import Estimate, estimate_of
-from pfdist.sequential.formatted_instant import formatted_instant
 from pfdist.sequential.measurements import checked_instant, checked_measurement
-from pfdist.sequential.one_filter import OneFilter, begin
+from pfdist.sequential.one_filter import OneFilter, begin, formatted_instant
 from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
@@ -132,7 +133,7 @@ class Filter:
         except ValueError as error:
             raise ArgumentError(str(error)) from error
         check_filter(self.model, self.model, particles, resampling, threshold=threshold)
-        settings = FilterSettings(particles, resampling, prior=start, threshold=threshold)
+        settings = Estimation(particles, resampling, prior=start, threshold=threshold)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
@@ -267,7 +268,7 @@ class Filter:
             )
 
     def _begun(
-        self, settings: FilterSettings, engine: str, draw: int
+        self, settings: Estimation, engine: str, draw: int
     ) -> tuple[OneFilter, Array, Array]:
         """The filter at its first instant, compiled, with mean and variance of z."""
         name = COMPILED.name if engine == AUTO else engine

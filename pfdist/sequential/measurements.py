@@ -16,14 +16,11 @@ from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.one_filter import made
-from pfdist.sequential.user_columns import user_columns
 from pfdist.store.user_tables import read_user_table
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
-
-_TIME_WORDS = {"time", "instant", "step", "times", "k"}  # headers that probably mean t
 
 
 @dataclass(frozen=True)
@@ -190,46 +187,26 @@ def checked_measurement(
 def _check_header(allowed: list[list[str]], header: list[str]) -> None:
     if sorted(header) in map(sorted, allowed):
         return
-    wanted = list(dict.fromkeys(name for names in allowed for name in names))
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
-    hints = [
-        f"{meant} in the place of {name}"
-        for name in header
-        if (meant := _meant(name, wanted)) and meant not in header
-    ]
     if len(header) == 1 and any(separator in header[0] for separator in ";\t|"):
         text += "; the separator of columns is the comma"
-    elif hints:
-        text += f"; write {', '.join(hints)}"
-    elif _is_number(header[0]):
+    elif header[0][:1].isdigit():
         text += "; the first line must name the columns"
     raise MeasurementsError(text)
-
-
-def _meant(name: str, wanted: list[str]) -> str:
-    """The column that a wrong name probably means; empty if there is none."""
-    if name in wanted:
-        return ""
-    plain = name.lower().replace("_", "").replace("[", "").replace("]", "").replace(" ", "")
-    if plain in _TIME_WORDS:
-        return "t"
-    if plain == "y" and "y1" not in wanted:
-        return "y0"
-    if plain in wanted:
-        return plain
-    named = {each.removeprefix("y_").replace("_", ""): each for each in wanted}
-    return named.get(plain.removeprefix("y"), "") or named.get(plain, "")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _plain(value: Any) -> Any:
     """A number of NumPy as Python writes it."""
     return value.item() if isinstance(value, np.generic) else value
+
+
+def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
+    """Lists of columns that a table of x or y may have: x0, x1, ..., or those with names.
+
+    There is a second list if the model names these components.
+    """
+    components = model.named(kind)
+    numbered = [f"{kind}{number}" for number in range(len(components))]
+    named = [f"{kind}_{each.suffix}" for each in components if each.name]
+    return [numbered, named] if named else [numbered]

@@ -8,15 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.parameters import check_lengths
-from pfdist.sequential.formatted_instant import formatted_instant
+from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.times.measurement_times import Times
+
+
+def formatted_instant(model: StateSpaceModel, t: int) -> str:
+    """The time of an instant as text: p.time[t] of a model on a clock, else the number t."""
+    on_clock = all(name in model.parameters for name in CLOCK)
+    times = model.parameters["time"] if on_clock else ()
+    return formatted_time(times[t]) if isinstance(times, tuple) and t < len(times) else str(t)
+
 
 Array = NDArray[np.float64]
 
@@ -28,7 +36,7 @@ class OneFilter:
     model: StateSpaceModel  # the filter's model, with the squared error
     # The prior in them is the distribution of x(t). Without a prior, the filter starts from
     # `initial`.
-    settings: FilterSettings
+    settings: Estimation
     stream: int  # key of the filter's noise, 64 bits
     draw: int = 0  # index of the draw in the stream
     engine: str = COMPILED.name  # "compiled", "numpy" or "kalman"
@@ -63,7 +71,7 @@ class OneFilter:
             self.t,
         )
         times = () if y is None else made(self.model, t, y)
-        filtered = ENGINES[self.engine].filter_checked_draws(
+        filtered = ENGINES[self.engine].filters.filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )
         if np.isnan(filtered.mse[0]):
@@ -98,7 +106,7 @@ def made(model: StateSpaceModel, t: int, y: Array) -> Times:
 
 def begin(
     model: StateSpaceModel,
-    settings: FilterSettings,
+    settings: Estimation,
     stream: int,
     draw: int = 0,
     engine: str = COMPILED.name,

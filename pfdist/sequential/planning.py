@@ -6,11 +6,12 @@ a feasible plan is replaced only by a better plan, except by chance.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
@@ -148,21 +149,31 @@ class Replanner:
         """
         evaluator = replace(self.evaluator, prior=now.prior, estimations=())
         ends = [evaluator.horizon] * len(plans)
-        if evaluator.exact:
-            costs = evaluator.expected_mse(plans).tolist()
-            return [
-                Evaluation(plan, np.empty(0), _POLICY, cost, purpose="evaluate")
-                for plan, cost in zip(plans, costs, strict=True)
-            ]
         stream = stream_key(self.stream, draw, now.first, "expected")
-        simulated = evaluator.draws(range(draws), stream)
-        mse = evaluator.mse_of_sets(
-            simulated, plans, ends, stream_key(stream, "filter"), estimation
-        )
+        simulated = None if evaluator.exact else evaluator.draws(range(draws), stream)
+        errors = _errors_of_sets(evaluator, simulated, plans, ends, stream, estimation)
         return [
-            Evaluation(plan, column, _POLICY, purpose="evaluate")
-            for plan, column in zip(plans, np.ascontiguousarray(mse.T), strict=True)
+            Evaluation(plan, mse, _POLICY, exact, purpose="evaluate")
+            for plan, (mse, exact) in zip(plans, errors, strict=True)
         ]
+
+
+def _errors_of_sets(
+    evaluator: Evaluator,
+    draws: Draws | None,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    estimation: Estimation,
+) -> Iterator[tuple[NDArray[np.float64], float | None]]:
+    """Yield the MSE of each draw with each set, (D,), or without draws the exact expected MSE."""
+    if draws is None:
+        for exact in evaluator.expected_mse(sets, ends).tolist():
+            yield np.empty(0), exact
+        return
+    noise = stream_key(stream, "filter")
+    mse = evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
+    yield from ((column, None) for column in np.ascontiguousarray(mse.T))
 
 
 def check_plannable(evaluator: Evaluator) -> None:
@@ -236,33 +247,19 @@ class _Outlook:
         skipped = first * evaluator.sensors
         sets = [tuple(skipped + time for time in each.measurement_times) for each in candidates]
         ends = [last if each.end is None else first + each.end for each in candidates]
-        if draws is None:
-            costs = evaluator.expected_mse(sets, ends)
-            return [
-                Evaluation(
-                    each.measurement_times,
-                    np.empty(0),
-                    _POLICY,
-                    float(cost),
-                    each.end,
-                    purpose="online",
-                )
-                for each, cost in zip(candidates, costs, strict=True)
-            ]
-        noise = stream_key(self.stream, "filter")
-        draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
-        mse = evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
-        columns = np.ascontiguousarray(mse.T)
+        if draws is not None:
+            draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
+        errors = _errors_of_sets(evaluator, draws, sets, ends, self.stream, estimation)
         return [
             Evaluation(
                 each.measurement_times,
-                column[: each.draws],
+                mse[: each.draws],
                 _POLICY,
-                None,
+                exact,
                 each.end,
                 purpose="online",
             )
-            for each, column in zip(candidates, columns, strict=True)
+            for each, (mse, exact) in zip(candidates, errors, strict=True)
         ]
 
     @property

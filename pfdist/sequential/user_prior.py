@@ -12,7 +12,7 @@ from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementTimesError, PriorError, shown
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.models import StateSpaceModel
-from pfdist.sequential.user_columns import user_columns
+from pfdist.sequential.measurements import user_columns
 from pfdist.store.user_tables import read_user_table
 from pfdist.times.clock import Clock
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.work import Result, Work
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.one_filter import begin
@@ -56,30 +55,18 @@ class OnlineWork(Work):
 
     def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
         times = self.chosen(evaluator, draw)
-        filtered = Work(
-            measurement_times=(times,),
-            ends=self.ends,
-            filter_streams=self.filter_streams,
-            draws_stream=self.draws_stream,
-            draws=(draw, draw + 1),
-            estimation=self.estimation,
-            trajectories=draw < self.shown,
-            sensors=self.sensors,
-        )
+        streams = self.filter_streams[0], self.draws_stream
+        one = (draw, draw + 1), self.estimation
+        filtered = evaluator.work([times], *streams, *one, trajectories=draw < self.shown)
         return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:
         """The chosen times of one draw; if it is degenerate, the last plan stays."""
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
-        estimation, (plan,) = self.estimation, self.measurement_times
-        settings = FilterSettings(
-            estimation.particles, estimation.resampling, threshold=estimation.threshold
-        )
-        filtering = begin(
-            evaluator.believed, settings, self.filter_streams[0], draw, evaluator.computed_by.name
-        )
-        taken = Times()
+        engine, noise = evaluator.computed_by.name, self.filter_streams[0]
+        filtering = begin(evaluator.believed, self.estimation, noise, draw, engine)
+        taken, (plan,) = Times(), self.measurement_times
         while plan:
             t = plan[0] // self.sensors
             here = tuple(time for time in plan if time // self.sensors == t)

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from pfdist.common.explained import explained
 from pfdist.common.parsing import parse_json, parse_toml, read_text
+from pfdist.common.section import explained
 from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError, shown
 from pfdist.store import files

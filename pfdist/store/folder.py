@@ -6,12 +6,12 @@ checks the entries (`check_entries`, `strange_entries`) before it opens the firs
 """
 
 import os
+import re
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pfdist.common.natural_order import natural_key
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
 from pfdist.store.files import check_replaceable, reading
@@ -244,3 +244,18 @@ def extent(folder: Path) -> Extent:
             else:
                 total += about.st_size
     return Extent(total, changed)
+
+
+_NUMBER = re.compile("([0-9]+)")
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """A key by which names are sorted, with numbers in them ordered as numbers, and then as text.
+
+    >>> sorted(["n10", "n9", "n9b", "m", "n09"], key=natural_key)
+    ['m', 'n09', 'n9', 'n9b', 'n10']
+    """
+    parts = _NUMBER.split(name)
+    return [(int(part), "") if index % 2 else (0, part) for index, part in enumerate(parts)] + [
+        (0, name)
+    ]

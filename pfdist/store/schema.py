@@ -95,10 +95,7 @@ def _estimate(name: str, description: str) -> list[pa.Field]:
     ]
 
 
-def _within(percent: int) -> str:
-    return f"inside: upper_limit is at most {percent} %; outside: lower_limit is above; else open"
-
-
+_WITHIN = "inside: upper_limit is at most {} %; outside: lower_limit is above; else open"
 _OF_A_SET = (
     _column("position", pa.int32(), "", "order of the set, as in compared"),
     _column("name", pa.string(), "", "the set's name, as in compared"),
@@ -224,7 +221,7 @@ _SCHEMAS = {
         _column("lower_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
         _column("upper_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
         *(
-            _column(f"within_{percent}", pa.string(), "", _within(percent))
+            _column(f"within_{percent}", pa.string(), "", _WITHIN.format(percent))
             for percent in WINDOW_PERCENTS
         ),
     ],

@@ -18,6 +18,9 @@ from pfdist.store.tables import read_schema, write_table
 
 Array = NDArray[np.float64]
 CheckHeader = Callable[[list[str]], None]
+_Check = Callable[[list[str], int], None]  # of the names of the columns, and the number of rows
+# The names of the columns, each column by its place, and the numbers of a column by its name.
+_Columns = tuple[list[str], Callable[[int], Iterable[Any]], Callable[[str, Any], Array]]
 
 MOST_BYTES = 200_000_000  # of a file: a million particles of ten components take 90 million
 MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold many times over
@@ -44,14 +47,27 @@ def read_user_table(
     Raises `ValueError` if the file is too large, is no such table, or holds other things than
     numbers. Raises `OSError` if it cannot be read.
     """
+
+    def check(header: list[str], rows: int) -> None:
+        _check_size(header, rows)
+        check_header(header)
+
     if isinstance(path, pd.DataFrame):
-        return _columns_of(path, check_header, only, names)
-    about = path.stat()
-    if not stat.S_ISREG(about.st_mode):  # a pipe might never end
-        raise ValueError("a table must be a file, got something else")
-    if about.st_size > MOST_BYTES:
-        raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
-    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header, only, names)
+        header, column, numbers = _in_memory(path, check)
+    else:
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):  # a pipe might never end
+            raise ValueError("a table must be a file, got something else")
+        if about.st_size > MOST_BYTES:
+            raise ValueError(
+                f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}"
+            )
+        header, column, numbers = (_in_parquet if is_parquet(path) else _in_csv)(path, check)
+    return {
+        name: _places(name, column(k), names[name]) if name in names else numbers(name, column(k))
+        for k, name in enumerate(header)
+        if not only or name in only
+    }
 
 
 def is_parquet(path: Path) -> bool:
@@ -69,18 +85,12 @@ def _places(name: str, texts: Iterable[Any], names: Sequence[str]) -> Array:
     return np.array([names.index(text) for text in entries], np.float64)
 
 
-def _columns_of(
-    table: pd.DataFrame,
-    check_header: CheckHeader,
-    only: Collection[str],
-    names: Mapping[str, Sequence[str]],
-) -> dict[str, Array]:
+def _in_memory(table: pd.DataFrame, check: _Check) -> _Columns:
     if table.index.name is not None:
         table = table.reset_index()
     header = list(map(str, table.columns))
-    _check_size(header, len(table))
-    check_header(header)
-    return _columns(header, only, names, lambda k: table.iloc[:, k], _from_memory)
+    check(header, len(table))
+    return header, lambda k: table.iloc[:, k], _from_memory
 
 
 def _from_memory(name: str, column: "pd.Series[Any]") -> Array:
@@ -92,27 +102,7 @@ def _from_memory(name: str, column: "pd.Series[Any]") -> Array:
         raise ValueError(f"column {shown(name)} must hold numbers: {reason}") from error
 
 
-def _columns(
-    header: list[str],
-    only: Collection[str],
-    names: Mapping[str, Sequence[str]],
-    column: Callable[[int], Iterable[Any]],
-    numbers: Callable[[str, Any], Array],
-) -> dict[str, Array]:
-    """The wanted columns by name: the places of texts, or numbers."""
-    return {
-        name: _places(name, column(k), names[name]) if name in names else numbers(name, column(k))
-        for k, name in enumerate(header)
-        if not only or name in only
-    }
-
-
-def _read_csv(
-    path: Path,
-    check_header: CheckHeader,
-    only: Collection[str],
-    names: Mapping[str, Sequence[str]],
-) -> dict[str, Array]:
+def _in_csv(path: Path, check: _Check) -> _Columns:
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
             text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False, low_memory=True)
@@ -128,10 +118,9 @@ def _read_csv(
             ) from error
     text = text.fillna("")
     header = [str(name).strip() for name in text.iloc[0]]
-    _check_size(header, len(text) - 1)
-    check_header(header)
+    check(header, len(text) - 1)
     values = text.iloc[1:]
-    return _columns(header, only, names, lambda k: values.iloc[:, k].str.strip(), _numbers)
+    return header, lambda k: values.iloc[:, k].str.strip(), _numbers
 
 
 def _numbers(name: str, text: "pd.Series[str]") -> Array:
@@ -148,22 +137,16 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
     return numbers
 
 
-def _read_parquet(
-    path: Path,
-    check_header: CheckHeader,
-    only: Collection[str],
-    names: Mapping[str, Sequence[str]],
-) -> dict[str, Array]:
+def _in_parquet(path: Path, check: _Check) -> _Columns:
     try:
         with path.open("rb") as file, pq.ParquetFile(file) as table:
             header = list(map(str, table.schema_arrow.names))
-            _check_size(header, int(table.metadata.num_rows))
-            check_header(header)
+            check(header, int(table.metadata.num_rows))
             columns = table.read()
     except (pa.ArrowException, pa.ArrowInvalid) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"a Parquet table was expected, got {shown(reason)}") from error
-    return _columns(header, only, names, columns.column, _values)
+    return header, columns.column, _values
 
 
 def _values(name: str, column: pa.ChunkedArray) -> Array:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.common.number_list import ranges, whole_numbers
-from pfdist.common.parsing import finite_number
+from pfdist.common.parsing import finite_number, ranges, whole_numbers
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.clock import Clock, Time
 from pfdist.times.measurement_times import Times, validated

@@ -10,8 +10,7 @@ from scipy import stats
 
 from pfdist.analysis import ComparisonStatistics, reaching
 from pfdist.analysis.budget_curve import BOUND_DEGREES, budget_table, with_bounds
-from pfdist.bounds.gap import Gap, GapParts, gap_of
-from pfdist.bounds.proof import Proof
+from pfdist.bounds.proof import Gap, GapParts, Proof, gap_of
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.runner.block_sums import GROUPS
 

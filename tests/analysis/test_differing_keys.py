@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pfdist.analysis.runs_table import differing_keys
-from pfdist.common.short_names import short_names
+from pfdist.common.dotted_keys import short_names
 
 JOB: dict[str, Any] = {
     "seed": 1,

@@ -18,7 +18,7 @@ from pfdist import Job, Run, load_job
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.cli.main import main
-from pfdist.common.gap_sentence import gap_sentence
+from pfdist.common.percent import gap_sentence
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
@@ -126,7 +126,7 @@ def test_where_measurements_cost_money_it_lies_below_the_optimum(
         assert 0.95 * optimum < gap.bound.value <= optimum * (1 + 1e-12)
     finely = bound(run, window=5).gaps[0].bound.value
     assert finely == pytest.approx(optimum)
-    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 7)  # costs are rounded down
+    monkeypatch.setattr("pfdist.bounds.relaxation.MOST_UNITS", 7)  # costs are rounded down
     assert bound(run, window=5).gaps[0].bound.value <= finely
 
 
@@ -134,7 +134,7 @@ def test_many_measurements_are_counted_one_by_one(
     exact: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = [gap.bound.value for gap in bound(exact).gaps]
-    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 3)  # less than N
+    monkeypatch.setattr("pfdist.bounds.relaxation.MOST_UNITS", 3)  # less than N
     assert [gap.bound.value for gap in bound(exact).gaps] == expected
     assert all(value > 0 for value in expected)
 

@@ -162,7 +162,7 @@ def test_filter_reads_both_kinds_of_columns_and_writes_names(
 def test_wrong_columns_are_told_with_all_that_is_allowed(run: pfdist.Run) -> None:
     believed = build(pfdist.load_job(run.path / "job.toml")).evaluator.believed
     mixed = pd.DataFrame({"t": [1], "y0": [1.0], "Weight": [2.0]})
-    words = "must be t, y0, y1 or t, y_marker, y_weight, got .*; write y_weight in the place of Wei"
+    words = "must be t, y0, y1 or t, y_marker, y_weight, got 't, y0, Weight'"
     with pytest.raises(MeasurementsError, match=words):
         read_measurements(mixed, believed, Clock.counting(9))
     with pytest.raises(PriorError, match=r"must be x0, x1 or x_tumour_mass, x_plasma, and may be"):

@@ -19,9 +19,9 @@ from oracles.walks import (
     costs,
     expected_mse,
 )
-from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import Programme
-from pfdist.bounds.weighting import best_shares
+from pfdist.bounds.proof import best_shares
+from pfdist.bounds.relaxation import relaxation_with
 from pfdist.common.scenario import Scenario
 from pfdist.errors import JobError, ModelError
 from pfdist.filters.estimate import Evaluation, difference

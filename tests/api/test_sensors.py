@@ -12,8 +12,8 @@ from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
 from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.models import load_model
 from pfdist.models.checks import formula_of_each_sensor
 from pfdist.sequential.one_filter import begin
@@ -69,7 +69,7 @@ def test_draws_of_one_sensor_are_those_of_a_model_with_this_sensor_alone() -> No
 def test_a_filter_that_stops_at_each_measurement_has_the_bits_of_one_that_does_not() -> None:
     """Sensors of one instant are given together, with NaN for those that do not measure."""
     model, times = SYSTEMS[0].as_model(), (0, 2, 9, 10, 11, 20)
-    settings = FilterSettings(50, "systematic")
+    settings = Estimation(50, "systematic")
     draws = simulate(model, HORIZON, range(1), 5)
     whole = particle_filter.filter_draws(model, draws, times, 50, 3, "systematic", True)
     filtering = begin(model, settings, 3)

@@ -34,7 +34,7 @@ def _all_that_is_said(run: Run) -> str:
 @pytest.fixture
 def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     """A run whose search ended with several sets, between which a race on other draws decided."""
-    monkeypatch.setattr("pfdist.search.trust.BELOW", 10.0)  # 20 particles are believed
+    monkeypatch.setattr("pfdist.search.probe.BELOW", 10.0)  # 20 particles are believed
     text = small_job.path.read_text()
     head, _, rest = text.partition("[[search]]")
     small_job.path.write_text(head + SURVIVORS + rest[rest.index("[comparison]") :])
@@ -81,7 +81,7 @@ def test_a_program_that_would_search_otherwise_does_not_go_on(
 def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pfdist.runner.first_draws.REPEATED", 100)
+    monkeypatch.setattr("pfdist.runner.comparison_phase.REPEATED", 100)
     run = pfdist.run(small_job, tmp_path / "run", figures=False)
     again, once = run.repeated(), run.comparison()[:100]
     assert again["draw"].tolist() == list(range(100))

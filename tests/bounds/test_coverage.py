@@ -17,11 +17,9 @@ from oracles.grid import grid_filter
 from oracles.windows import counted
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 from pfdist.analysis import Moments
-from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.gap import consistent, gap_of
 from pfdist.bounds.programme import least
-from pfdist.bounds.proof import Sums, prove
-from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
+from pfdist.bounds.proof import Sums, consistent, gap_of, prove
+from pfdist.bounds.relaxation import NOTHING, Relaxation, Window, relaxation_with
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse

@@ -9,13 +9,13 @@ import pytest
 from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import (
+from pfdist.bounds.programme import Programme
+from pfdist.bounds.relaxation import (
     MOST_UNITS,
     relaxation_for,
     relaxation_with,
     relaxation_within,
 )
-from pfdist.bounds.programme import Programme
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.search import StateSpaceRelaxation
 from pfdist.search.state_space_relaxation import MOST_CELLS
@@ -121,7 +121,7 @@ def test_with_coarse_units_a_search_still_finds_sets_that_can_be_paid_for(
     model, feasible = SYSTEMS[name], _priced(4001)
     costs = []
     for units in (10_000, 60):
-        monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", units)
+        monkeypatch.setattr("pfdist.bounds.relaxation.MOST_UNITS", units)
         search = StateSpaceRelaxation(feasible, 320)
         costs.append(_found(search, model))
     (regular,) = exactly(model, 24, [search.ask(search.init(), np.random.default_rng(0))[-1]])

@@ -17,10 +17,8 @@ from oracles.windows import (
     relaxed_errors,
 )
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.growth import Longer, longer, near_optimal
-from pfdist.bounds.programme import Programme
-from pfdist.bounds.relaxation import NOTHING
+from pfdist.bounds.programme import Programme, longer, near_optimal
+from pfdist.bounds.relaxation import NOTHING, relaxation_with
 from pfdist.filters.kalman import expected_mse
 
 ROUNDING = 1e-12
@@ -70,7 +68,7 @@ def test_a_window_grows_by_the_measurement_before_it_until_it_is_a_whole_beginni
             if len(end) <= len(beginning)
         }
         far = frozenset(relaxation.overreached(times))
-        assert longer(relaxation, [times]) == Longer(frozenset(windows), far)
+        assert longer(relaxation, [times]) == (windows, far)
         grown = relaxation.grown(*longer(relaxation, [times]))
         for beginning, end, number in zip(beginnings, ends, grown.windows_of(times), strict=True):
             assert len(grown.windows[number]) == min(len(end) + 1, len(beginning) + 1)
@@ -79,10 +77,10 @@ def test_a_window_grows_by_the_measurement_before_it_until_it_is_a_whole_beginni
 def test_what_several_sets_lack_is_given_at_once() -> None:
     relaxation = relaxation_with(FEASIBLE["free"], 1, 3)
     sets = [(1, 4, 6), (0, 4, 6)]
-    apart = [longer(relaxation, [times]) for times in sets]
+    (first, first_far), (second, second_far) = (longer(relaxation, [times]) for times in sets)
     windows, far = longer(relaxation, sets)
-    assert windows == apart[0].windows | apart[1].windows
-    assert far == apart[0].far | apart[1].far
+    assert windows == first | second
+    assert far == first_far | second_far
     assert windows == {(NOTHING, 0), (NOTHING, 1), (0, 4), (1, 4), (4, 6)}
 
 

@@ -17,9 +17,8 @@ from oracles.windows import (
     satisfying,
 )
 from pfdist import StateSpaceModel, linear_gaussian
-from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import Programme, least
-from pfdist.bounds.relaxation import NOTHING, START
+from pfdist.bounds.relaxation import NOTHING, START, relaxation_with
 from pfdist.filters.kalman import expected_mse
 from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible

@@ -7,10 +7,8 @@ import pytest
 from scipy import stats
 
 from oracles.windows import counted, relaxed_errors
-from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.gap import Gap, GapParts, consistent, gap_of
-from pfdist.bounds.proof import Proof, Sums, prove
-from pfdist.bounds.relaxation import START
+from pfdist.bounds.proof import Gap, GapParts, Proof, Sums, consistent, gap_of, prove
+from pfdist.bounds.relaxation import START, relaxation_with
 from pfdist.common.estimate import Estimate
 from pfdist.times.constraints import Constraints
 

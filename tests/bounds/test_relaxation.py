@@ -23,9 +23,8 @@ from oracles.windows import (
     satisfying,
 )
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import Programme, least
-from pfdist.bounds.relaxation import NOTHING, START, Relaxation, Window
+from pfdist.bounds.relaxation import NOTHING, START, Relaxation, Window, relaxation_with
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times

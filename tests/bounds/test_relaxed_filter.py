@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 import pfdist
 from oracles.windows import counted, relaxed_errors
 from pfdist import load_job, load_model
-from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.relaxation import Relaxation
+from pfdist.bounds.relaxation import Relaxation, relaxation_with
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Work, with_truth
 from pfdist.times.feasible import Feasible

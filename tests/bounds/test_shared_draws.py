@@ -15,9 +15,8 @@ import pytest
 from scipy import stats
 
 from oracles.windows import Array, counted
-from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import least
-from pfdist.bounds.relaxation import Relaxation
+from pfdist.bounds.relaxation import Relaxation, relaxation_with
 from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate, StateSpaceRelaxation
 from pfdist.times.feasible import Feasible

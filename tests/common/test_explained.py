@@ -10,8 +10,8 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
-from pfdist.common.explained import explained
 from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
+from pfdist.common.section import explained
 
 METHODS = ["annealing", "corridor", "relaxation", "survivors"]
 

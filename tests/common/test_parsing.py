@@ -6,15 +6,17 @@ from pathlib import Path
 import pytest
 
 from pfdist.common.formatted_times import formatted_time
-from pfdist.common.number_list import MOST_NUMBERS, ranges, whole_numbers
 from pfdist.common.parsing import (
     MOST_BYTES,
     MOST_LEVELS,
+    MOST_NUMBERS,
     finite_number,
     parse_json,
     parse_toml,
+    ranges,
     read_text,
     whole_number,
+    whole_numbers,
 )
 from pfdist.errors import one_line, shown
 

@@ -22,7 +22,7 @@ from oracles.manifest_lines import change, said_of
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
-from pfdist.runner import door, first_draws
+from pfdist.runner import comparison_phase, door
 from pfdist.runner.pace import Pace
 from pfdist.store import files, parquet
 from pfdist.store.repair import repair_run, verify_run
@@ -45,9 +45,9 @@ def _small_files() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(door, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
-        patch.setattr(first_draws, "TRAJECTORIES", 20)
-        patch.setattr(first_draws, "REPEATED", 10)
-        patch.setattr(first_draws, "LOSS_DRAWS", 10)
+        patch.setattr(comparison_phase, "TRAJECTORIES", 20)
+        patch.setattr(comparison_phase, "REPEATED", 10)
+        patch.setattr(comparison_phase, "LOSS_DRAWS", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
         yield

@@ -16,7 +16,7 @@ from oracles.file_layer import Ended, FileLayer
 from oracles.manifest_lines import change
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
-from pfdist.runner import door, first_draws, gap_parts
+from pfdist.runner import comparison_phase, door, gap_parts
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.pace import Pace
 from pfdist.store import parquet
@@ -50,9 +50,9 @@ SAYS += r" was committed is kept, run the same command again once this is mended
 def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
     monkeypatch.setattr(door, "COMMIT_SECONDS", 0.0)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 150 * A_DRAW)
-    monkeypatch.setattr(first_draws, "TRAJECTORIES", 30)
-    monkeypatch.setattr(first_draws, "REPEATED", 10)
-    monkeypatch.setattr(first_draws, "LOSS_DRAWS", 10)
+    monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 30)
+    monkeypatch.setattr(comparison_phase, "REPEATED", 10)
+    monkeypatch.setattr(comparison_phase, "LOSS_DRAWS", 10)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 120)
     return FileLayer(monkeypatch, tmp_path)

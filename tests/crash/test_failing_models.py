@@ -17,7 +17,7 @@ from pfdist.cli.main import main
 from pfdist.common.streams import stream_key
 from pfdist.filters.evaluator import Evaluator
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
-from pfdist.runner import first_draws
+from pfdist.runner import comparison_phase
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 FAILS = "a model that fails does not end the run silently, nor retry for ever"
@@ -82,7 +82,7 @@ def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     """Make the command that runs a job whose model has a fault, in one draw or in all."""
 
     for few in ("TRAJECTORIES", "REPEATED", "LOSS_DRAWS"):
-        monkeypatch.setattr(first_draws, few, 10)  # the fault is in none of these
+        monkeypatch.setattr(comparison_phase, few, 10)  # the fault is in none of these
 
     def make(fault: str, run: Path, *options: str, always: bool = False) -> list[str]:
         draws = stream_key(small_job.seed, "comparison", "draws")

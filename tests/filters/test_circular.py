@@ -20,8 +20,8 @@ from pfdist import Filter, Problem, StateSpaceModel, densities, load_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws, filter_sets
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
 from pfdist.models import carried
 from pfdist.models.base import within_half_turn
@@ -84,7 +84,7 @@ def exact() -> tuple[Any, Array, Array]:
 @pytest.mark.parametrize("estimator", [*ESTIMATORS, FILTER_NOISE.name])
 def test_the_compiled_filter_is_its_plain_twin(model: StateSpaceModel, estimator: str) -> None:
     draws = simulate(model, HORIZON, range(6), 3)
-    settings = FilterSettings(70, estimator=estimator)
+    settings = Estimation(70, estimator=estimator)
     sets, ends = [TIMES, (1, 4), ()], [HORIZON, 6, HORIZON]
     fast, slow = (
         f(model, draws, sets, ends, 9, settings)
@@ -165,7 +165,7 @@ def test_beside_the_truth_the_error_is_one_minus_r_and_at_most_the_exact_error(
     variance, squared = (
         filter_checked_sets(
             HEADING, draws, [TIMES], [HORIZON], 7,
-            FilterSettings(particles, "conditional", estimator=estimator),
+            Estimation(particles, "conditional", estimator=estimator),
         )[:, 0]
         for estimator in ("filter_variance", "squared_error")
     )  # fmt: skip

@@ -17,8 +17,8 @@ from oracles.systems import scalar
 from pfdist.filters import plain
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.particle_filter import filter_checked_sets
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)
@@ -33,8 +33,8 @@ SLOW = system(3.0, 1.0, 0.1)
 """Particles stay near their ancestors, so that a wrong choice of ancestors shows."""
 
 
-def settings(particles: int, estimator: str = "filter_variance") -> FilterSettings:
-    return FilterSettings(particles, "conditional", estimator=estimator)
+def settings(particles: int, estimator: str = "filter_variance") -> Estimation:
+    return Estimation(particles, "conditional", estimator=estimator)
 
 
 def standard_errors(difference: Array) -> float:

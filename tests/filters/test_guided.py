@@ -16,8 +16,8 @@ from pfdist.filters import kalman, plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.interface import Filtered
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import ALWAYS, threshold_of
 
 HORIZON, TIMES = 12, (0, 3, 4, 9, 12)
@@ -83,7 +83,7 @@ def test_compiled_and_plain_filter_agree_draw_for_draw(
 def test_sets_that_share_prefixes_have_the_bits_of_each_alone(threshold: float) -> None:
     draws = simulate(growth, HORIZON, range(4), 3)
     sets = [(0, 3, 4, 9), (0, 3, 4, 10), (0, 3, 5), (0, 3, 4), (1, 3), ()]
-    settings = FilterSettings(100, "systematic", threshold=threshold)
+    settings = Estimation(100, "systematic", threshold=threshold)
     together = filter_checked_sets(growth, draws, sets, [HORIZON] * 6, 5, settings)
     alone = [filter_checked_sets(growth, draws, [s], [HORIZON], 5, settings)[:, 0] for s in sets]
     np.testing.assert_array_equal(together, np.stack(alone, axis=1))
@@ -232,7 +232,7 @@ def test_the_filter_of_the_bound_ignores_the_proposal_and_bounds_the_guided_filt
     draws = simulate(model, HORIZON, range(2000), 1)
 
     def errors(believed: StateSpaceModel, resampling: str, estimator: str) -> Array:
-        settings = FilterSettings(300, resampling, estimator)
+        settings = Estimation(300, resampling, estimator)
         return filter_checked_sets(believed, draws, sets, [HORIZON], 7, settings)[:, 0]
 
     variance = errors(model, "conditional", "filter_variance")

@@ -15,7 +15,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_draws, filter_sets
-from pfdist.filters.settings import FilterSettings, filter_streams
+from pfdist.filters.settings import filter_streams
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.estimators import ESTIMATORS
@@ -138,8 +138,8 @@ def test_together_they_are_bit_for_bit_as_one_by_one_and_plain_ones_agree(
         for times, end in zip(SETS, ENDS, strict=True)
     ]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
-    plainly = ENGINES["numpy"].filter_checked_sets(
-        model, draws, SETS, ENDS, 9, FilterSettings(70, estimator=estimator)
+    plainly = ENGINES["numpy"].filters.filter_checked_sets(
+        model, draws, SETS, ENDS, 9, Estimation(70, estimator=estimator)
     )
     np.testing.assert_allclose(together, plainly, rtol=1e-9)
     assert np.isnan(together).any() == (model is DEGENERATE)

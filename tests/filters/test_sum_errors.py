@@ -12,8 +12,8 @@ import pytest
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.particle_filter import filter_draws, filter_sets, sum_errors
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
 
 HORIZON, PARTICLES, STREAM = 12, 60, 5
@@ -35,7 +35,7 @@ estimators = pytest.mark.parametrize("estimator", ESTIMATORS)
 @estimators
 def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, estimator):
     draws = simulate(model, HORIZON, range(3, 10), 1)
-    settings = FilterSettings(PARTICLES, estimator=estimator)
+    settings = Estimation(PARTICLES, estimator=estimator)
     found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
     for row, times, end in zip(found, SETS, ENDS, strict=True):
         prefixes = [tuple(time for time in times if time <= t) for t in range(end + 1)]
@@ -49,7 +49,7 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, est
 @models
 @estimators
 def test_the_compiled_sums_are_the_plain_ones(model, estimator):
-    draws, settings = simulate(model, HORIZON, range(9), 2), FilterSettings(70, estimator=estimator)
+    draws, settings = simulate(model, HORIZON, range(9), 2), Estimation(70, estimator=estimator)
     compiled, plainly = (
         engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
         for engine in (particle_filter, plain)
@@ -64,7 +64,7 @@ def test_the_error_of_the_model_itself_is_summed(engine):
     """The squared error stands for whatever the model calls the error."""
     model = replace(UNGM, error=lambda z, estimate, t, p: (1 + t) * abs(z[0] - estimate[0]))
     draws = simulate(UNGM, HORIZON, range(5), 1)
-    settings, times = FilterSettings(PARTICLES), (0, 3, 7)
+    settings, times = Estimation(PARTICLES), (0, 3, 7)
     estimate = filter_draws(UNGM, draws, times, PARTICLES, STREAM, trajectories=True).estimate
     expected = (1 + np.arange(HORIZON + 1)) * np.abs(draws.z - estimate)[:, :, 0].sum(axis=0)
     with_error = replace(draws, model=model)
@@ -76,7 +76,7 @@ def test_the_error_of_the_model_itself_is_summed(engine):
 def test_draws_may_be_added_in_blocks(estimator):
     draws, settings = (
         simulate(UNGM, HORIZON, range(8), 1),
-        FilterSettings(PARTICLES, estimator=estimator),
+        Estimation(PARTICLES, estimator=estimator),
     )
     parts = [sum_errors(UNGM, draws[i : i + 2], SETS, ENDS, STREAM, settings) for i in (0, 2, 4, 6)]
     whole = sum_errors(UNGM, draws, SETS, ENDS, STREAM, settings)
@@ -106,7 +106,7 @@ def test_a_set_with_a_degenerate_or_infinite_draw_has_no_sum_and_others_are_as_a
 ):
     model = replace(UNGM, **changes)
     draws = simulate(UNGM, HORIZON, range(20), 1)
-    settings = FilterSettings(PARTICLES, estimator=estimator)
+    settings = Estimation(PARTICLES, estimator=estimator)
     with np.errstate(invalid="ignore"):
         found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
     assert any(wrong)

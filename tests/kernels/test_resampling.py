@@ -7,13 +7,13 @@ import pytest
 from scipy import stats
 
 from pfdist.kernels.noise import padded
-from pfdist.kernels.plain_resampling import plain_ancestors
 from pfdist.kernels.resampling import (
     RESAMPLE,
     SPARE,
     ResamplingScratch,
     expanded,
     merged_ancestors,
+    plain_ancestors,
 )
 from pfdist.kernels.schemes import SCHEMES
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from oracles.every_set import every_set
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
+from pfdist.bounds.relaxation import NOTHING, Relaxation, Window, relaxation_with
 from pfdist.filters.kalman import expected_errors
 from pfdist.times.constraints import Constraints
 from pfdist.times.feasible import Feasible

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pfdist.errors import PoolError
-from pfdist.pools.precautions import private_folder, signals_wait
+from pfdist.pools.ray_cluster import private_folder, signals_wait
 
 LONGEST = "/session_2026-11-20_12-46-57_059075_4194304/sockets/plasma_store"
 
@@ -17,7 +17,7 @@ LONGEST = "/session_2026-11-20_12-46-57_059075_4194304/sockets/plasma_store"
 @pytest.fixture
 def place(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the folder is to lie: the path of the temporary folder of a test may be too long."""
-    monkeypatch.setattr("pfdist.pools.precautions.LONGEST_FOLDER", 1000)
+    monkeypatch.setattr("pfdist.pools.ray_cluster.LONGEST_FOLDER", 1000)
     folder = tmp_path_factory.mktemp("r")
     monkeypatch.setenv("RAY_TMPDIR", str(folder))
     return folder / f"pfdist-ray-{os.getuid()}"

@@ -17,8 +17,7 @@ from pfdist.answers.about_run import _LOAD
 from pfdist.answers.run import page_of, searches
 from pfdist.answers.subject import Subject, effect
 from pfdist.cli.main import main
-from pfdist.common.gap_sentence import gap_sentence
-from pfdist.common.percent import percent
+from pfdist.common.percent import gap_sentence, percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError
 from pfdist.store.repair import verify_run

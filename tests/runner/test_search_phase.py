@@ -57,7 +57,7 @@ def test_an_empty_race_has_no_winner() -> None:
 def test_the_phases_of_a_search_with_a_wrong_filter_take_these_estimators(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pfdist.search.trust.BELOW", 10.0)  # the probes fail on nothing
+    monkeypatch.setattr("pfdist.search.probe.BELOW", 10.0)  # the probes fail on nothing
     monkeypatch.setattr("pfdist.runner.searches._POLISH_DRAWS", 64)  # several sets are left to race
     changes = [*WRONG_FILTER, f"search.{DEFAULT_METHOD}.evaluation.draws=100"]
     run = pfdist.plan(small_job, tmp_path / "run", changes=changes, bound_draws=0, figures=False)

@@ -4,7 +4,7 @@ import pytest
 
 from pfdist import Job
 from pfdist.common.streams import CHOOSING
-from pfdist.runner.study import Study
+from pfdist.runner.searches import Study
 from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.times.measurement_times import Times
 

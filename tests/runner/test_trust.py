@@ -174,7 +174,7 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
         seen.append((believed, squared))
         return squared[:2]
 
-    monkeypatch.setattr("pfdist.search.trust.BELOW", 10.0)  # the probes fail on nothing
+    monkeypatch.setattr("pfdist.search.probe.BELOW", 10.0)  # the probes fail on nothing
     monkeypatch.setattr("pfdist.runner.search_phase._UNPOLISHED", 2)  # or one set alone were left
     monkeypatch.setattr("pfdist.runner.search_phase.misordered", any_two)
     run = pfdist.plan(job, tmp_path / "run", "survivors", SMALL, say=said.append, figures=False)

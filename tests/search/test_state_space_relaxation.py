@@ -11,7 +11,7 @@ import pytest
 from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import relaxation_with
+from pfdist.bounds.relaxation import relaxation_with
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_mse
 from pfdist.search import Candidate, StateSpaceRelaxation

@@ -10,8 +10,16 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate
-from pfdist.search.probe import PROBE_DRAWS, Probe, ProbeState, new_leaders
-from pfdist.search.trust import BELOW, judged, misordered, unchecked_probe
+from pfdist.search.probe import (
+    BELOW,
+    PROBE_DRAWS,
+    Probe,
+    ProbeState,
+    judged,
+    misordered,
+    new_leaders,
+    unchecked_probe,
+)
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 

@@ -22,9 +22,9 @@ from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.interface import Filtered
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
-from pfdist.sequential.beliefs import PREDICTIVE
+from pfdist.filters.work import Estimation
+from pfdist.sequential.estimate import PREDICTIVE
 from pfdist.sequential.filter import SUSPICIOUS
 from pfdist.sequential.one_filter import begin
 
@@ -74,11 +74,11 @@ COIN = replace(
 
 
 def _batch(
-    engine: str, model: StateSpaceModel, draws: Draws, stream: int, settings: FilterSettings
+    engine: str, model: StateSpaceModel, draws: Draws, stream: int, settings: Estimation
 ) -> list[tuple[Any, Any, Any]]:
     """Filter all draws at once: estimate, variance and last particles of each."""
     times = tuple(t for t in TIMES if t in draws.instants)
-    filtered: Filtered = ENGINES[engine].filter_checked_draws(
+    filtered: Filtered = ENGINES[engine].filters.filter_checked_draws(
         model, draws, times, stream, settings, trajectories=True
     )
     assert filtered.estimate is not None
@@ -120,7 +120,7 @@ def test_it_equals_the_batch_filter_draw_for_draw(
     model = _model_of(engine, ungm)
     draws = simulate(model, HORIZON, range(3), 7)
     stream = Filter(model, seed=5, engine=engine).stream
-    batch = _batch(engine, model, draws, stream, FilterSettings(100, resampling))
+    batch = _batch(engine, model, draws, stream, Estimation(100, resampling))
     for d in range(3):
         filtering = Filter(model, 100, 5, resampling=resampling, engine=engine, draw=d)
         _check_equal(filtering, draws, batch[d], d, range(HORIZON + 1))
@@ -130,7 +130,7 @@ def test_it_equals_the_batch_filter_draw_for_draw(
 def test_to_start_from_the_batch_filters_cloud_and_go_on_is_never_to_have_stopped(
     ungm: StateSpaceModel, engine: str
 ) -> None:
-    model, settings = _model_of(engine, ungm), FilterSettings(100, "systematic")
+    model, settings = _model_of(engine, ungm), Estimation(100, "systematic")
     draws = simulate(model, HORIZON, range(3), 7)
     stream = Filter(model, seed=5, engine=engine).stream
     whole = _batch(engine, model, draws, stream, settings)
@@ -155,7 +155,7 @@ def test_to_start_from_the_batch_filters_cloud_and_go_on_is_never_to_have_stoppe
 def test_one_step_over_several_instants_gives_the_estimates_of_each(
     ungm: StateSpaceModel, engine: str
 ) -> None:
-    model, settings = _model_of(engine, ungm), FilterSettings(100, "systematic")
+    model, settings = _model_of(engine, ungm), Estimation(100, "systematic")
     draws = simulate(model, HORIZON, range(2), 7)
     for d, (mean, variance, _) in enumerate(_batch(engine, model, draws, 9, settings)):
         filtering, before = begin(model, settings, 9, d, engine), 0
@@ -418,7 +418,7 @@ def test_a_missing_component_needs_the_models_word() -> None:
 
 def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
     with pytest.raises(MeasurementsError, match=r"no particle of 10 explains .* at t = 3"):
-        begin(ungm, FilterSettings(10), 1).at(3, np.array([np.nan]))
+        begin(ungm, Estimation(10), 1).at(3, np.array([np.nan]))
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from pfdist.errors import ModelError
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.job.online_section import PLANNING
@@ -40,7 +39,7 @@ def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name:
     replanner = Replanner(evaluator, feasible, SEARCHED, 5)
     draws = simulate(model, 12, range(3), 7)
     for d in range(3):
-        filtering, taken, plan = begin(model, FilterSettings(1), 3, d, "kalman"), (), best
+        filtering, taken, plan = begin(model, Estimation(1), 3, d, "kalman"), (), best
         while plan:
             filtering, *_ = filtering.at(plan[0], draws.y[d, plan[0]])
             taken = (*taken, plan[0])
@@ -104,7 +103,7 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     is that of real filters; with the truth among the particles it is far too small.
     """
     model, times, systems = SYSTEMS["static"], (3, 4, 5, 6, 7, 8), 300
-    settings = FilterSettings(20, "systematic")
+    settings = Estimation(20, "systematic")
     draws, evaluator = simulate(model, 8, range(systems), 7), Evaluator(model, 8)
     replanner = Replanner(evaluator, Feasible(8, 9), QUICK, 5)
     planned, with_truth, realised = np.empty((3, systems))
@@ -136,7 +135,7 @@ def test_exact_costs_never_rise_with_a_heuristic_search(name: str) -> None:
     model, feasible = EXACT[name].as_model(), Feasible(20, 6)
     evaluator = Evaluator(model, 20, engine="kalman")
     replanner, first = Replanner(evaluator, feasible, QUICK, 5), feasible.regular()
-    filtering, taken, plan = begin(model, FilterSettings(1), 3, 0, "kalman"), (), first
+    filtering, taken, plan = begin(model, Estimation(1), 3, 0, "kalman"), (), first
     y = simulate(model, 20, range(1), 7).y[0]
     costs = [evaluator.expected_mse([first])[0]]
     while plan:

@@ -75,7 +75,7 @@ model = StateSpaceModel(
 )
 """,
 }
-# Each declares an addition, and breaks the contract of such additions in one way.
+# Each is appended to a file, declares an addition, and breaks the contract of additions in one way.
 BROKEN = {
     "search/broken.py": WORKING["searches"]
     .replace("shifted", "broken")
@@ -89,11 +89,10 @@ def broken(tables):
     '''Nothing at all.'''
     return Plot(2.0, lambda panels: None)
 """,
-    "pools/kinds/broken.py": """
+    "pools/kinds.py": """
 from concurrent.futures import ThreadPoolExecutor
 
 from pfdist.pools.base import Outcome, do
-from pfdist.pools.kinds import POOLS, PoolKind
 
 
 class ThreadPool:
@@ -111,7 +110,7 @@ class ThreadPool:
             yield Outcome(task, *self.threads.submit(do, task.function, task.work).result())
 
 
-POOLS.declare("broken", PoolKind("Thread", "on a thread", f"{__name__}:ThreadPool"))
+POOLS["broken"] = PoolKind("Thread", "on a thread", f"{__name__}:ThreadPool")
 """,
     "cli/commands/broken.py": """
 from pfdist.cli.command import command
@@ -138,14 +137,14 @@ import numpy as np
 from pfdist import load_model
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.simulation import simulate
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.work import Estimation
 
 model = load_model("random_walk")
 draws = simulate(model, 6, range(10), 1)
 for engine in ("compiled", "numpy"):
     found = {
-        name: ENGINES[engine].filter_checked_sets(
-            model, draws, [(0, 3)], [6], 2, FilterSettings(20, estimator=name)
+        name: ENGINES[engine].filters.filter_checked_sets(
+            model, draws, [(0, 3)], [6], 2, Estimation(20, estimator=name)
         )
         for name in ("half_of_each", "squared_error", "filter_variance")
     }
@@ -232,8 +231,9 @@ def test_an_addition_that_breaks_its_contract_fails_the_tests_by_its_name(copy: 
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "tests", copy.parent / "tests", ignore=ignored)
     shutil.copy(ROOT / "pyproject.toml", copy.parent)
-    for file, text in BROKEN.items():
-        (copy / file).write_text(text)
+    for path, text in BROKEN.items():
+        with (copy / path).open("a") as file:
+            file.write(text)
     options = ("-n", "0", "-p", "no:cacheprovider")
     tests = " or ".join(CONTRACTS.values())
     files = [f"tests/contracts/{file}" for file in CONTRACTS]

@@ -9,7 +9,7 @@ from pfdist.cli.command import command
 
 
 def _add_settings(parser: ArgumentParser) -> None:
-    from pfdist.bounds.first_windows import WINDOW
+    from pfdist.bounds.relaxation import WINDOW
     from pfdist.runner.bound_settings import DRAWS, MEMORY, WITHIN_DRAWS
 
     parser.add_argument(

@@ -6,7 +6,7 @@ from pfdist.cli.answers import print_run
 from pfdist.cli.arguments import RESULTS, add_answer, add_job, computing, finite, whole
 from pfdist.cli.command import command
 from pfdist.cli.words import number_list
-from pfdist.common.number_list import SPELLING
+from pfdist.common.parsing import SPELLING
 
 
 def _add_numbers(parser: ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from pfdist.cli.answers import print_json, print_page
 from pfdist.cli.arguments import add_job, add_json, whole
 from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, sets_by_name
-from pfdist.common.number_list import SPELLING
+from pfdist.common.parsing import SPELLING
 
 if TYPE_CHECKING:  # a command that evaluates nothing needs no NumPy
     from pfdist.filters.estimate import Evaluation

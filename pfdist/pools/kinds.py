@@ -1,13 +1,14 @@
-"""The pools that a job can name. Each is declared in one file.
+"""The pools that a job can name.
 
 A declaration names the pool's class as text, and the class is imported when a pool is made. So
 listing the pools does not import Ray.
 """
 
+import os
 import pkgutil
+import sys
 from dataclasses import dataclass
 
-from pfdist.common.registry import Registry
 from pfdist.pools.base import Pool
 
 
@@ -36,4 +37,35 @@ class PoolKind:
 
 
 AUTO = "auto"  # one of the pools, by what a job needs
-POOLS: Registry[PoolKind] = Registry(__name__)
+POOLS = {
+    "ray": PoolKind(
+        "Ray",
+        "on Ray workers",
+        "pfdist.pools.ray_pool:RayPool",
+        takes=("workers", "address", "wait_for_cores", "threaded"),
+        isolated=True,
+    ),
+    "serial": PoolKind("Serial pool", "in this process", "pfdist.pools.base:SerialPool"),
+    "threads": PoolKind(
+        "Thread pool",
+        "on threads of this process",
+        "pfdist.pools.threads:ThreadPool",
+        takes=("workers",),
+    ),
+}
+
+
+def cluster_at_hand(address: str) -> str:
+    """Why a cluster is at hand, as a phrase; empty if there is none.
+
+    Parameters
+    ----------
+    address : str
+        That of the job.
+    """
+    if address:
+        return "an address is given"
+    if os.environ.get("RAY_ADDRESS"):
+        return "RAY_ADDRESS is set"
+    ray = sys.modules.get("ray")  # importing Ray takes a second
+    return "this process has joined a cluster" if ray and ray.is_initialized() else ""
