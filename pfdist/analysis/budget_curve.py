@@ -41,7 +41,7 @@ def budget_table(
     Returns
     -------
     DataFrame
-        See `pfdist.analysis.Run.budget`.
+        See the table ``budget``.
     """
     rows = []
     for entry in compared.to_dict("records"):
@@ -84,12 +84,12 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
     table : DataFrame
         As of `budget_table`.
     proofs : mapping of str to mapping
-        As of `pfdist.analysis.bounds.last_bounds`: the lower bound of each found set, by name.
+        As of `pfdist.analysis.stored_run.last_bounds`: the lower bound of each found set, by name.
 
     Returns
     -------
     DataFrame
-        See `pfdist.analysis.Run.budget`. The columns are NaN for sets that have no bound.
+        See the table ``budget``. The columns are NaN for sets that have no bound.
     """
     numbers = max(len(proofs), int((table["kind"] == FOUND).sum()))
     columns = []

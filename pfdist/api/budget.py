@@ -65,8 +65,8 @@ def budget(
     Returns
     -------
     Run
-        `Run.budget` has a row for each number of measurements and each kind of times, with the
-        lower bound beside the found times.
+        Its table ``budget`` has a row for each number of measurements and each kind of times, with
+        the lower bound beside the found times.
 
     Raises
     ------

@@ -108,7 +108,7 @@ def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None
 def test_a_run_computes_if_this_process_has_made_it(there: Path) -> None:
     made = pfdist.run("jobs/small.toml", changes=QUICK, figures=False)
     opened = pfdist.open_run(made.path)
-    pd.testing.assert_frame_equal(why(made, changes=()).worth, opened.worth())
+    pd.testing.assert_frame_equal(why(made, changes=()).worth, opened.table("worth"))
     with pytest.raises(
         ArgumentError, match=r"give the job, for instance 'results/small/job\.toml'"
     ):
@@ -158,7 +158,7 @@ def test_a_command_that_reads_runs_no_model(command: str, hostile: Path) -> None
 
 
 def test_a_run_that_is_compared_has_no_model_run(hostile: Path) -> None:
-    pfdist.compare("jobs/small.toml", "results/small", draws=20, figures=False).pairs()
+    pfdist.compare("jobs/small.toml", "results/small", draws=20, figures=False).table("pairs")
     assert not hostile.exists()
 
 

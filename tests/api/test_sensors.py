@@ -105,7 +105,7 @@ def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
         and not (times[0] % 3 == times[1] % 3 == 1 and times[1] // 3 - times[0] // 3 < 9)
     ]
     (name,) = run.found
-    assert _numbers(run.sets()[name]) == min(within, key=mse.__getitem__)
+    assert _numbers(run.sets[name]) == min(within, key=mse.__getitem__)
     bound = run.summary().results[name].lower_bound
     assert bound["bound"] == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
     assert pfdist.bound(problem, results=run.path, report=False).as_json()["leaves_out_limits"]
@@ -115,7 +115,7 @@ def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
     planned: tuple[pfdist.Problem, pfdist.Run],
 ) -> None:
     _, run = planned
-    sets = {name: list(times) for name, times in run.sets().items()}
+    sets = {name: list(times) for name, times in run.sets.items()}
     assert sets["regular"] == ["0 near", "12 near"]
     assert sets["alone_far"] == ["0 far", "12 far"]
     assert sets["rotation"] == ["0 near", "12 far"]
@@ -128,7 +128,7 @@ def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(
     problem, run = planned
     worth = pfdist.why(problem, results=run.path, figures=False).worth
     (name,), system = run.found, SYSTEMS[3]
-    times = _numbers(run.sets()[name])
+    times = _numbers(run.sets[name])
     rows = worth[worth["name"] == name]
     assert _numbers(f"{row.t} {row.sensor}" for row in rows.itertuples()) == times
     for time, removed in zip(times, rows["removed"], strict=True):
@@ -244,7 +244,7 @@ def test_the_plan_is_the_optimum_of_brute_force_and_its_gap_is_0(
         report=False,
     )  # fmt: skip
     (name,) = run.found
-    times = _numbers(run.sets()[name])
+    times = _numbers(run.sets[name])
     assert system.expected_mse(times) == pytest.approx(least, rel=1e-9)
     assert times == best
     bound = run.summary().results[name].lower_bound
@@ -264,6 +264,6 @@ def test_two_platforms_leave_little_room_to_the_relaxation(tmp_path: Path) -> No
         figures=False, report=False,
     )  # fmt: skip
     (name,) = run.found
-    assert {str(each).split()[1] for each in run.sets()[name]} == {"moving", "still"}
+    assert {str(each).split()[1] for each in run.sets[name]} == {"moving", "still"}
     result = run.summary().results[name]
     assert result.lower_bound["relaxation"] < 0.03 * result.expected_mse

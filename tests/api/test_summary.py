@@ -44,7 +44,7 @@ def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ru
 def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     raced: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result, rows = raced.summary().results["survivors"], raced.evaluations()
+    result, rows = raced.summary().results["survivors"], raced.table("evaluations")
     times = rows["measurement_times"].map(tuple) == tuple(result.measurement_times)
     own = rows[times & rows["phase"].isin(["survivors", "survivors.polish"]) & (rows["end"] == 12)]
     race = rows[rows["phase"] == "survivors.shortlist"]
@@ -54,7 +54,7 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     believed = chosen.loc[chosen["draws"].idxmax()]
     assert result.search_cost == believed["expected_mse"]
     assert result.search_standard_error == believed["standard_error"]
-    fresh = raced.comparison()["mse_survivors"].mean()
+    fresh = raced.table("comparison")["mse_survivors"].mean()
     assert result.expected_mse == pytest.approx(fresh)
     assert result.search_excess == pytest.approx(result.search_cost / fresh - 1)
     differs = {"particles": 20, "resampling": "systematic", "estimator": "filter_variance"}
@@ -83,7 +83,7 @@ def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
 ) -> None:
     monkeypatch.setattr("pfdist.runner.first_draws.REPEATED", 100)
     run = pfdist.run(small_job, tmp_path / "run", figures=False)
-    again, once = run.repeated(), run.comparison()[:100]
+    again, once = run.table("repeated"), run.table("comparison")[:100]
     assert again["draw"].tolist() == list(range(100))
     a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
     assert (a != b).all()  # other noise,
@@ -163,7 +163,7 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     sets = {"early": [0, 1], "late": [2, 3]}
     run = pfdist.compare(problem, times=sets, results=tmp_path / "run", draws=400, figures=False)
     for name, result in run.summary().results.items():
-        mse = np.sort(run.comparison()[f"mse_{name}"])
+        mse = np.sort(run.table("comparison")[f"mse_{name}"])
         assert result.top_percent_share == pytest.approx(mse[-4:].sum() / mse.sum())
         assert result.top_percent_share > 0.5
     told = _all_that_is_said(run)
@@ -198,7 +198,7 @@ def budget(small_job: Job, tmp_path: Path) -> Run:
 
 def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished(*EXACT))
-    sets, table = run.sets_of_one_number(), run.budget()
+    sets, table = run.sets_of_one_number(), run.table("budget")
     assert list(sets) == run.names
     assert all(len(measurement_times) == 4 for measurement_times in sets.values())
     assert table["kind"].tolist() == ["regular", "found", "found"]
@@ -212,7 +212,7 @@ def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., P
 
 def check_results(run: Run) -> None:
     """Check that there is a result for each row of the curve."""
-    results, table = run.summary().results, run.budget().set_index("name")
+    results, table = run.summary().results, run.table("budget").set_index("name")
     assert list(results) == run.names == table.index.tolist()
     for name, result in results.items():
         assert result.expected_mse == table.loc[name, "expected_mse"]
@@ -221,7 +221,7 @@ def check_results(run: Run) -> None:
 
 def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
     check_results(budget)
-    results, gains = budget.summary().results, budget.gains()
+    results, gains = budget.summary().results, budget.table("gains")
     assert len(budget.references) == 3
     assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
     for name, reference in budget.references.items():

@@ -243,4 +243,4 @@ def test_a_run_that_reuses_another_signs_what_it_takes(
     new = pfdist.run(longer, tmp_path / "new", reuse=runs[1, "finished"], figures=False)
     assert not list(verify_run(new.path))
     assert hashes(new.path) == hashes(pfdist.run(longer, tmp_path / "alone", figures=False).path)
-    assert len(Store(new.path).read("draws")) == len(pfdist.open_run(new.path).draws())
+    assert len(Store(new.path).read("draws")) == len(pfdist.open_run(new.path).table("draws"))

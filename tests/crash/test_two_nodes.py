@@ -64,7 +64,7 @@ def say(line):
 
 
 done = pfdist.run(job, run, pool="ray", workers=2, address=address, say=say, figures=False)
-print(len(nodes), done.timings()["worker"].nunique(), done.timings()["error"].isna().all())
+print(len(nodes), done.table("timings")["worker"].nunique(), done.table("timings")["error"].isna().all())
 """
 
 

@@ -171,9 +171,9 @@ def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -
     assert typical_draw(gains) == 7
     assert typical_draw(gains.drop(4)) == 7  # the lower of two
     told = one_draw(plain, ax=_axes()).get_legend().get_title().get_text()
-    median = typical_draw(plain.gains().set_index("draw")["gain_genetic"])
+    median = typical_draw(plain.table("gains").set_index("draw")["gain_genetic"])
     assert told.startswith(f"draw {median}, relative gain ")
-    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
+    z = plain.table("trajectories").query("draw == 7")["z_0"].tolist()
     assert _lines(one_draw(plain, draw=7, ax=_axes()))["$z(t)$"][1] == z
 
 
@@ -215,11 +215,11 @@ def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
     above, below = drawn(plot).axes
     assert [*_lines(above)] == plain.names
     rows = [line for line in below.get_lines() if line.get_marker() != "None"]
-    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets().values()]
+    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets.values()]
     colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
     assert colours[0] == colours[1]
     assert above.get_xlim() == below.get_xlim()
-    table, (reference, *others) = plain.trajectories(), plain.names
+    table, (reference, *others) = plain.table("trajectories"), plain.names
     mse = {name: each.mean for name, each in plain.statistics().mse.items()}
     best = min(others, key=mse.get)
     errors = [
