@@ -99,13 +99,12 @@ class Subject:
         others = len(self.others) - len(self.shown)
         if not others:
             return []
-        adjective = "found " * (
-            len(self.found_results) < len(self.others) and bool(self.found_results)
-        )
+        adjective = "found " if self.found_results else ""
+        shown = number_of(len(self.shown), f"{adjective}set")
         return [
             Text(
-                f"Figures are shown of the {len(self.shown)} {adjective}sets with the least "
-                f"expected error. Those of the other {others} are in the folder figures of the run."
+                f"Figures are shown of {shown} with the least expected error. Those of the other "
+                f"{number_of(others, 'set')} are in the folder figures of the run."
             )
         ]
 

@@ -215,7 +215,7 @@ def bound_settings(draws: int) -> BoundSettings | None:
     try:
         return None if draws == 0 else BoundSettings(draws)
     except JobError as error:
-        raise JobError(f"bound_{error}", argument="bound_draws") from error
+        raise JobError(f"bound_{error} (0 for no bound)", argument="bound_draws") from error
 
 
 def _prover(built: Built, settings: BoundSettings | None, say: Say) -> Prover | None:

@@ -15,6 +15,7 @@ import pytest
 
 import pfdist
 from pfdist import Job, Run, load_job
+from pfdist.analysis.stored_run import statistics_of
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.cli.main import main
@@ -280,7 +281,9 @@ def test_a_set_with_degenerate_draws_has_no_gap(
     run = run_of(*models, *few, source=CUT)
     for gap in bound(run, LEAST_DRAWS).gaps:
         assert f"a draw is degenerate or infinite{reason}" in gap.reason
-    assert all("degenerate or infinite" in each for each in pfdist.open_run(run).table("bound")["reason"])
+    assert all(
+        "degenerate or infinite" in each for each in pfdist.open_run(run).table("bound")["reason"]
+    )
     assert main(["bound", str(run / "job.toml"), "--pool", "serial"]) == 0
 
 
@@ -411,7 +414,7 @@ def test_what_is_committed_is_not_computed_again(
 
 def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
     run = pfdist.open_run(run_of(*WALK, f"comparison.draws={SET_DRAWS}"))
-    found, statistics = bound(run.path, LEAST_DRAWS), run.statistics()
+    found, statistics = bound(run.path, LEAST_DRAWS), statistics_of(run)
     for gap in found.gaps:
         mse = statistics.mse[gap.name]
         assert gap.expected_mse.value == mse.mean

@@ -12,6 +12,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.analysis import reaching
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.filters.kalman import expected_mse
@@ -92,7 +93,7 @@ def test_a_number_is_impossible_if_no_set_of_so_many_times_reaches_the_target(
 ) -> None:
     for target in (1.0, 1.5, 1.8, 2.2, 2.6):
         cannot = optima.index[optima > target]
-        reached = exact.reaching(target)["found"]
+        reached = reaching(exact.table("budget"), target)["found"]
         assert reached["impossible"] == (max(cannot) if len(cannot) else None)
         assert reached["measurements"] is None or reached["measurements"] not in cannot
 
@@ -181,7 +182,7 @@ def test_without_draws_there_is_no_bound(
     run = pfdist.open_run(tmp_path / "run")
     assert "bound" not in run.tables
     assert run.table("budget")["bound_low"].isna().all()
-    assert run.reaching(0.1)["found"]["impossible"] is None
+    assert reaching(run.table("budget"), 0.1)["found"]["impossible"] is None
 
 
 @pytest.mark.usefixtures("no_figures")

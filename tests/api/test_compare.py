@@ -12,6 +12,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Run
+from pfdist.analysis.stored_run import found_sets, named_sets
 from pfdist.cli.main import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
 
@@ -159,7 +160,9 @@ def test_times_are_times_on_the_clock(job: Job, tmp_path: Path, compared: Run) -
     times = {"clinic": [0, 1.5, 3, 6], "late": "3:6:1", "few": [2, 4.5]}
     run = compare(job.with_changes(settings=clock), times=times, results=tmp_path / "clock")
     assert run.sets == {"clinic": (0.0, 1.5, 3.0, 6.0), "late": (3, 4, 5, 6), "few": (2, 4.5)}
-    np.testing.assert_array_equal(run.table("pairs")["difference"], compared.table("pairs")["difference"])
+    np.testing.assert_array_equal(
+        run.table("pairs")["difference"], compared.table("pairs")["difference"]
+    )
 
 
 def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
@@ -261,7 +264,7 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     changes += ["comparison.sets.mine=[0, 1, 2]", "comparison.sets.every='0:12'"]
     run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
     assert run.names == ["regular", "mine", "every", "random"]
-    assert (run.named, run.found) == (["mine", "every"], ["random"])
+    assert (named_sets(run), found_sets(run)) == (["mine", "every"], ["random"])
     results = run.summary().results
     assert results["random"].search_cause
     assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]

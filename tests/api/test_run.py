@@ -73,7 +73,10 @@ def test_a_search_reports_what_its_own_evaluation_got(small_run: pfdist.Run) -> 
 
 
 def test_the_first_trajectories_belong_to_the_comparison(small_run: pfdist.Run) -> None:
-    rows, comparison = small_run.table("trajectories"), small_run.table("comparison").set_index("draw")
+    rows, comparison = (
+        small_run.table("trajectories"),
+        small_run.table("comparison").set_index("draw"),
+    )
     assert rows["draw"].nunique() == 100
     for name in small_run.names:
         error = (rows["z_0"] - rows[f"estimate_{name}_0"]) ** 2
@@ -371,7 +374,11 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
 def test_the_papers_run_of_fewer_particles_holds_fewer_than_60_files(tmp_path: Path) -> None:
     job = load_job(ROOT / "jobs" / "paper.toml", ["filter.particles=2"])  # as many rows
     run = pfdist.run(job, tmp_path / "run", pool="serial")
-    assert len(run.table("draws")) == 1000 * run.table("evaluations")["evaluation"].nunique() > 2_000_000
+    assert (
+        len(run.table("draws"))
+        == 1000 * run.table("evaluations")["evaluation"].nunique()
+        > 2_000_000
+    )
     assert run.draws_compared == 100_000
     assert len([path for path in run.path.rglob("*") if path.is_file()]) < 60
     assert list(verify_run(run.path)) == []

@@ -144,7 +144,9 @@ def hostile(there: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (run / "job.toml").write_text(job)
     about = json.loads((run / "run.json").read_text())
     about["provenance"]["folder"] = str(run)
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)  # all is signed anew
+    monkeypatch.setattr(
+        "pfdist.analysis.stored_run.check_key", lambda *_: None
+    )  # all is signed anew
     (run / "run.json").write_text(json.dumps(about))
     return flag
 
@@ -175,7 +177,7 @@ def test_an_object_of_python_is_asked_for_in_python(
     there: Path, error: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = Path("results/small/job.toml")
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
+    monkeypatch.setattr("pfdist.analysis.stored_run.check_key", lambda *_: None)
     job.write_text(job.read_text().replace('name = "ungm"', 'name = "python:mine"'))
     line = error("why", str(job))
     assert line.startswith("model.name: the model 'python:mine' was given as an object in Python")

@@ -9,7 +9,8 @@ import pytest
 
 import pfdist
 from pfdist import Job, Problem, StateSpaceModel
-from pfdist.analysis import Run
+from pfdist.analysis import Run, reaching
+from pfdist.analysis.stored_run import check_one_number
 from pfdist.answers.run import answer_of, page_of, searches
 from pfdist.answers.subject import Subject
 from pfdist.common.rounding import with_error, with_interval
@@ -198,15 +199,15 @@ def budget(small_job: Job, tmp_path: Path) -> Run:
 
 def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished(*EXACT))
-    sets, table = run.sets_of_one_number(), run.table("budget")
+    sets, table = run.sets, run.table("budget")
     assert list(sets) == run.names
     assert all(len(measurement_times) == 4 for measurement_times in sets.values())
     assert table["kind"].tolist() == ["regular", "found", "found"]
     assert table["measurements"].tolist() == [4, 4, 4]
     check_results(run)
     least = table[table["kind"] == "found"]["expected_mse"].min()
-    assert run.reaching(least)["found"]["measurements"] == 4
-    below = run.reaching(least * 0.999)
+    assert reaching(run.table("budget"), least)["found"]["measurements"] == 4
+    below = reaching(run.table("budget"), least * 0.999)
     assert (below["found"]["measurements"], below["regular"]["measurements"]) == (None, None)
 
 
@@ -229,4 +230,4 @@ def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run
         assert results[name].measurements == results[reference].measurements
         assert results[name].gain_of_means == pytest.approx(1 - cost / other)
     with pytest.raises(StoreError, match="times of several numbers of measurements"):
-        budget.sets_of_one_number()
+        check_one_number(budget)

@@ -66,7 +66,7 @@ def test_the_keys_that_differ_are_columns_and_no_others(
     alone = pfdist.table(folder / "kalman")
     assert alone.columns.tolist()[:2] == ["run", "set"]
     # and so are versions
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
+    monkeypatch.setattr("pfdist.analysis.stored_run.check_key", lambda *_: None)
     other = shutil.copytree(folder / "kalman", folder / "other")
     about = json.loads((other / "run.json").read_text())
     (other / "run.json").write_text(json.dumps({**about, "pfdist": "0.3.1"}))

@@ -177,8 +177,12 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     }
     assert after == before
     assert run.state == "finished"
-    assert run.table("profile")["error"].tolist()[:13] == [row["error"] for row in regular["profile"]]
-    assert run.table("worth")["removed"].tolist()[:4] == [row["removed"] for row in regular["worth"]]
+    assert run.table("profile")["error"].tolist()[:13] == [
+        row["error"] for row in regular["profile"]
+    ]
+    assert run.table("worth")["removed"].tolist()[:4] == [
+        row["removed"] for row in regular["worth"]
+    ]
     stored = run.table("sampling_windows")
     assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
     assert run.table("jitter")["loss"].tolist()[:2] == [row["loss"] for row in jitter]

@@ -12,6 +12,7 @@ from matplotlib.patches import StepPatch
 import pfdist
 from pfdist.analysis import Gain, Run
 from pfdist.analysis.online import OnlineDraws
+from pfdist.analysis.stored_run import found_sets, statistics_of
 from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
 from pfdist.plots import (
     budget,
@@ -96,8 +97,10 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
     [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
     comparable, other = drawn(plot).axes
     curves = {"genetic, average", "genetic, minimum"}
-    mse = {name: each.mean for name, each in plain.statistics().mse.items()}
-    names = {"regular": "regular times"} | {name: f"the times of {name}" for name in plain.found}
+    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
+    names = {"regular": "regular times"} | {
+        name: f"the times of {name}" for name in found_sets(plain)
+    }
     on_fresh_draws = {
         f"{names[name]}: {mse[name]:.4g}" for name in ("regular", min(mse, key=mse.get))
     }
@@ -220,7 +223,7 @@ def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
     assert colours[0] == colours[1]
     assert above.get_xlim() == below.get_xlim()
     table, (reference, *others) = plain.table("trajectories"), plain.names
-    mse = {name: each.mean for name, each in plain.statistics().mse.items()}
+    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
     best = min(others, key=mse.get)
     errors = [
         table.eval(f"(estimate_{name}_0 - z_0) ** 2").groupby(table["t"]).mean()

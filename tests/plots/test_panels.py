@@ -97,7 +97,12 @@ def test_only_a_found_set_is_called_an_optimum_in_a_title() -> None:
     windows = windows.assign(within_1="inside", within_5="inside")
     jitter = pd.DataFrame({"name": ["given", "found"], "percent": 1, "draws": 9})
     jitter = jitter.assign(loss=0.0, low=0.0, high=0.001)
-    run = SimpleNamespace(sampling_windows=lambda: windows, jitter=lambda: jitter, found=["found"])
+    run = SimpleNamespace(
+        table={"sampling_windows": windows, "jitter": jitter}.__getitem__,
+        job={"comparison": {"sets": {"given": [3]}}},
+        sets={"given": (3,), "found": (3,)},
+        references={"found": "given"},
+    )
     tables = SimpleNamespace(run=run)
     titles = [FIGURES["sampling_windows"].plot(tables, name).title for name in ("given", "found")]
     assert ["optimum is flat" in title for title in titles] == [False, True]

@@ -163,7 +163,9 @@ def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
     # On the same draws, two filters leave out the truth's own chance.
     first, second = (run.table("evaluations")["standard_error"].mean() for run in (paper, other))
     assert second < 0.8 * first
-    assert not {*paper.table("evaluations")["evaluation"]} & {*other.table("evaluations")["evaluation"]}
+    assert not {*paper.table("evaluations")["evaluation"]} & {
+        *other.table("evaluations")["evaluation"]
+    }
 
 
 NEEDS_NUMPY = {"formula": "np.reshape(np.clip(0.5 * x[0], -9, 9), np.shape(x[0]))"}

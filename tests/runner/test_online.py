@@ -16,6 +16,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job, load_job
 from pfdist.analysis import Run
 from pfdist.analysis.online import online_draws
+from pfdist.analysis.stored_run import problem_of
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
@@ -145,10 +146,12 @@ def test_a_job_with_a_clock_has_the_figure_of_online_times(clock: str, tmp_path:
     run = pfdist.run(path, tmp_path / "run", figures=False)
     (plot,) = (plot for _, plot in FIGURES["online_times"].plots(Tables(run)))
     shares, _ = drawn(plot).axes
-    times = run.problem.clock.times
+    times = problem_of(run).clock.times
     middles = [bar.get_x() + bar.get_width() / 2 for bar in shares.patches]  # type: ignore[attr-defined]
     np.testing.assert_allclose(middles, times)
-    counts = [sum(time in chosen for chosen in run.table("online")["measurement_times"]) for time in times]
+    counts = [
+        sum(time in chosen for chosen in run.table("online")["measurement_times"]) for time in times
+    ]
     heights = [bar.get_height() for bar in shares.patches]  # type: ignore[attr-defined]
     np.testing.assert_allclose(heights, 100 * np.array(counts) / len(run.table("online")))
 
@@ -254,7 +257,7 @@ def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Ru
 
 def test_a_run_without_the_section_has_none() -> None:
     run = pfdist.open_run(ASSETS / "schema-3")
-    assert run.table("online").empty
+    assert "online" not in run.tables
     assert run.summary().online is None
 
 
