@@ -17,6 +17,7 @@ import pyarrow as pa
 from pydantic.fields import FieldInfo
 
 from pfdist import plots
+from pfdist.analysis.stored_run import COMPUTED
 from pfdist.cli.command import COMMANDS, Command
 from pfdist.cli.parser import complete_parser, subparsers_of
 from pfdist.common.component_names import Component
@@ -164,6 +165,13 @@ def columns() -> str:
     return "\n\n".join(parts)
 
 
+def computed_tables() -> str:
+    """Give a section for each table of a run that follows from others."""
+    return "\n\n".join(
+        f"## `{name}`\n\n{inspect.getdoc(function)}" for name, function in COMPUTED.items()
+    ).replace("``", "`")
+
+
 def filtered_columns() -> str:
     """Give the table of the columns of filtered measurements."""
     return _table_of_columns(filtered_schema(_MODEL))
@@ -306,8 +314,8 @@ def densities() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, gallery, engines,
-        estimators, schemes, commands, figures, panels, pools, densities,
+        methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
+        gallery, engines, estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 

@@ -8,6 +8,7 @@ from typing import Any
 import tomli_w
 
 from pfdist.analysis import read_recorded
+from pfdist.analysis.stored_run import problem_of, version_of
 from pfdist.answers.subject import Subject, number_of, without_folder
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.documents.parts import Code, Facts, Section, Text
@@ -26,7 +27,7 @@ import pfdist
 
 run = pfdist.open_run({name})  # the folder of the run
 run.summary()
-run.gains().describe()           # a row for each draw
+run.table("gains").describe()           # a row for each draw
 
 # The tables are plain Parquet, so pandas alone reads them, too:
 import pandas as pd
@@ -53,7 +54,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         yield "model of the filter", _model(job["model"]["filter"])
     yield from _named_components(read_recorded(subject.run.path)[0]["model"])
     yield "instants", _instants(subject)
-    yield from _weights(problem, subject.run.problem)
+    yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
     for key, name in (
         ("forbidden", "not measured at"),
@@ -62,7 +63,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         if problem.get(key):
             yield name, formatted_spelling(problem[key], subject.unit)
     if problem.get("minimum_spacing"):
-        what = "time" if subject.run.problem.has_clock else "instants"
+        what = "time" if problem_of(subject.run).has_clock else "instants"
         spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
@@ -98,7 +99,7 @@ def _measurements(job: Mapping[str, Any]) -> str:
 
 
 def _instants(subject: Subject) -> str:
-    clock = subject.run.problem.clock
+    clock = problem_of(subject.run).clock
     ends = (
         f"t = {formatted_time(clock.times[0])} to {formatted_times(clock.times[-1:], clock.unit)}"
     )
@@ -151,7 +152,7 @@ def tables(subject: Subject) -> Section:
 
 def citation(subject: Subject) -> Section:
     """Say how to cite the method and the program."""
-    version = subject.run.version
+    version = version_of(subject.run)
     text = "Please cite the paper whose method pfdist implements, and the program."
     return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])
 
@@ -169,9 +170,9 @@ def _versions(about: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _work(subject: Subject) -> list[tuple[str, str]]:
-    if not subject.run.has("timings"):
+    if "timings" not in subject.run.tables:
         return []
-    rows = subject.run.timings()
+    rows = subject.run.table("timings")
     seconds = rows.groupby("session")["seconds"].sum()
     workers = rows[["node", "worker"]].drop_duplicates()
     facts = [("time of all workers", _seconds(seconds.sum()))]

@@ -9,6 +9,7 @@ from typing import Any
 
 from pfdist.analysis import Run, read_recorded
 from pfdist.analysis.reference import label
+from pfdist.analysis.stored_run import problem_of
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.percent import percent, range_of, times_100
@@ -98,13 +99,12 @@ class Subject:
         others = len(self.others) - len(self.shown)
         if not others:
             return []
-        adjective = "found " * (
-            len(self.found_results) < len(self.others) and bool(self.found_results)
-        )
+        adjective = "found " if self.found_results else ""
+        shown = number_of(len(self.shown), f"{adjective}set")
         return [
             Text(
-                f"Figures are shown of the {len(self.shown)} {adjective}sets with the least "
-                f"expected error. Those of the other {others} are in the folder figures of the run."
+                f"Figures are shown of {shown} with the least expected error. Those of the other "
+                f"{number_of(others, 'set')} are in the folder figures of the run."
             )
         ]
 
@@ -123,14 +123,14 @@ class Subject:
         if len(steps) != 1 or len(sensors) > 1:
             return label(name)
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
-        if self.run.problem.has_clock:
+        if problem_of(self.run).has_clock:
             return f"every {step} {self.unit}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor
 
     @property
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
-        return self.run.problem.clock.unit
+        return problem_of(self.run).clock.unit
 
     def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""

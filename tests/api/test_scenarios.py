@@ -149,9 +149,9 @@ def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
         figures=False,
         report=False,
     )
-    found = combined(costs([run.sets()[method]], told=True), criterion)
+    found = combined(costs([run.sets[method]], told=True), criterion)
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
-    believed = run.compared().set_index("name")["search_cost"][method]
+    believed = run.table("compared").set_index("name")["search_cost"][method]
     assert believed == pytest.approx(exact.min(), rel=1e-9)
 
 
@@ -174,8 +174,8 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
         figures=False,
         report=False,
     )
-    times = run.sets()["exhaustive"]
-    rows = run.scenarios()
+    times = run.sets["exhaustive"]
+    rows = run.table("scenarios")
     own = rows[rows["name"] == "exhaustive"].set_index("scenario")
     exact = costs([times], told=False)[0]
     # 100 particles cost about 1 / 100 more than the Kalman filter

@@ -99,7 +99,7 @@ def test_a_job_is_evaluated_and_runs(
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf
     run = pfdist.run(job, tmp_path / "run", pool="serial")
     assert run.state == "finished"
-    assert np.isfinite(run.comparison()).all(axis=None)
+    assert np.isfinite(run.table("comparison")).all(axis=None)
 
 
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
