@@ -4,8 +4,8 @@ The dose enters the central compartment (the blood) at time 0. The drug is elimi
 and goes to and fro between it and the peripheral compartment (the tissue). All rates are
 proportional to amounts, so the amounts after any time follow in closed form from the exponential of
 a 2x2 matrix. The share of the dose that arrives differs between patients, and white noise of both
-amounts stands for what two compartments leave out. Two assays measure the concentration in the blood
-with normal noise: an immunoassay is cheap and noisy, a liquid chromatography is dear and exact.
+amounts stands for what two compartments leave out. Two assays measure the concentration in the
+blood with normal noise: an immunoassay is cheap and noisy, a chromatography is dear and exact.
 
 The clearance is a parameter. It differs between patients by a factor of two and more, so a job
 gives it scenarios: see the page on robust plans. With a known clearance the system is linear and
