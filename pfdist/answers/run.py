@@ -11,7 +11,7 @@ from pfdist.answers.bound import proof
 from pfdist.answers.budget import budget
 from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
-from pfdist.answers.robust import scenarios
+from pfdist.answers.robust import THE_WORST, scenarios, worst_effect
 from pfdist.answers.subject import (
     Subject,
     effect,
@@ -168,7 +168,7 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
     result = subject.found_results[name]
     times = result.measurement_times
     if subject.is_compared:
-        sentences = [_gain(subject, result), _proof(subject, result), online_sentence(subject)]
+        sentences = [_gain(subject, name), _proof(subject, result), online_sentence(subject)]
         yield Text(" ".join(filter(None, sentences)), prominent=True)
         others = len(subject.found_results) - 1
         if others:
@@ -182,7 +182,8 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
         yield Text(f"{name}: measure at {at}. The search believed an expected error of {believed}.")
 
 
-def _gain(subject: Subject, result: SetResult) -> str:
+def _gain(subject: Subject, name: str) -> str:
+    result = subject.found_results[name]
     gain, positive = result.gain_of_means, result.positive_fraction
     times = result.measurement_times
     if times == subject.reference_times:
@@ -194,8 +195,12 @@ def _gain(subject: Subject, result: SetResult) -> str:
     share = f"{percent(positive, 0)} of {number_of(result.gain_draws or 0, 'draw')}"
     reference = next(iter(subject.results.values())).exact_mse
     if result.exact_mse is not None and reference:
-        lowers = exact_effect(result.exact_mse, reference)
+        what = THE_WORST if subject.summary.is_worst else "the expected error"
+        lowers = exact_effect(result.exact_mse, reference, what)
         return f"{these} {lowers}. In {share}, the error is lower."
+    if (worst := worst_effect(subject, name)) is not None:
+        mean, _ = effect(gain, result.gain_of_means_interval, "the mean over the scenarios")
+        return f"{these} {worst} It {mean}."
     lowers, left_open = effect(gain, result.gain_of_means_interval)
     measured = _MEASURED if subject.is_exact else ""
     sentences = (f"{these} {lowers}.", measured, f"In {share}, the error is lower.", left_open)

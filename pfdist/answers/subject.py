@@ -150,7 +150,9 @@ def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, s
     return f"{value} %", f"{low} to {high} %"
 
 
-def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
+def effect(
+    gain: float, interval: Sequence[float | None], what: str = "the expected error"
+) -> tuple[str, str]:
     """Say what a gain does to the expected error, and what its interval leaves open.
 
     Parameters
@@ -159,6 +161,7 @@ def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
         Relative; negative if the error rises.
     interval : list of float or None
         Lower and upper end, 95 %; None is unknown.
+    what : str
 
     Returns
     -------
@@ -176,22 +179,23 @@ def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
     changes = "lowers" if gain >= 0 else "raises"
     if low is None or high is None:
         value, *_ = with_interval(100 * abs(gain), None, None)
-        phrase = f"{changes} the expected error by {value} %"
+        phrase = f"{changes} {what} by {value} %"
         return phrase, "There are too few draws to say how exact this figure is."
     ends = [low, high] if gain >= 0 else [-high, -low]
     value, low_to_high = percent_and_interval(abs(gain), ends)
-    phrase = f"{changes} the expected error by {value} (95 %: {low_to_high})"
+    phrase = f"{changes} {what} by {value} (95 %: {low_to_high})"
     open_ = "The interval contains 0, so these draws do not tell which times are better."
     return phrase, open_ if low <= 0.0 <= high else ""
 
 
-def exact_effect(mse: float, reference: float) -> str:
+def exact_effect(mse: float, reference: float, what: str = "the expected error") -> str:
     """Say what times do to the expected error, where both expected errors are known exactly.
 
     Parameters
     ----------
     mse, reference : float
         Expected MSE of the times, and that of the reference.
+    what : str
 
     Examples
     --------
@@ -201,7 +205,7 @@ def exact_effect(mse: float, reference: float) -> str:
     changes = "lowers" if mse <= reference else "raises"
     change = percent(abs(1 - mse / reference))
     ends = f"from {rounded(reference)} to {rounded(mse)}"
-    return f"{changes} the expected error by {change}, {ends}: the filter knows both exactly"
+    return f"{changes} {what} by {change}, {ends}: the filter knows both exactly"
 
 
 def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:

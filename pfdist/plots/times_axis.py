@@ -40,6 +40,7 @@ _MOST_LINES = 5  # sets that differ in colours and dashes
 _MOST_COMPONENTS = 3  # of z, each with a panel above the times
 _ROW, _PANEL = 0.17, 1.6  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
+_LONGEST_OF_TWO = 16  # characters of a name with which the legend has two columns
 _MARGIN = 0.03  # part of the axis beside times that are not whole
 _LEADING = 1.25  # distance of two names over the size of their font
 
@@ -165,7 +166,8 @@ def uncertainty(
     cut_outliers(ax, curves, zero=True)
     label_quantity(ax, quantities, component, "root mean square error of {}")
     label_times(ax, table)
-    legend_above(ax, columns=3 if max(map(len, names)) <= 12 else 0)
+    longest = max(map(len, names))
+    legend_above(ax, columns=3 if longest <= 12 else 2 if longest <= _LONGEST_OF_TWO else 1)
     return ax
 
 
@@ -258,7 +260,17 @@ def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, 
         time, sensor = time_and_sensor(measurement)
         by_sensor.setdefault(sensor, []).append(time)
     rows = sorted(by_sensor.items()) or [("", [])]
-    return [(name, f"{name}, {sensor}" if sensor else name, at) for sensor, at in rows]
+    return [
+        # The name of a sensor alone has the name of the sensor.
+        (
+            name,
+            f"{name}, {sensor}"
+            if sensor and name != f"alone_{sensor}".lower().replace("-", "_")
+            else name,
+            at,
+        )
+        for sensor, at in rows
+    ]
 
 
 def _forbidden_times(run: Run) -> list[float]:

@@ -15,8 +15,6 @@ from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.models import load_model
-from pfdist.models.checks import formula_of_each_sensor
 from pfdist.sequential.one_filter import begin
 from pfdist.sequential.work import seen
 
@@ -186,41 +184,6 @@ def test_weights_are_not_carried_between_sensors(engine: str) -> None:
 def test_a_model_with_sensors_has_no_proposal() -> None:
     with pytest.raises(ModelError, match="with sensors must have no proposal, got proposal"):
         replace(SYSTEMS[0].as_model(), proposal=lambda x, y, t, u, p: u)
-
-
-def test_scenarios_and_sensors_together(tmp_path: Path) -> None:
-    """The exact error is the mean over scenarios, each filtered by the oracle-tested engine."""
-    system = load_model("two_compartments")
-    assays = {
-        name: pfdist.Sensor(
-            lambda x, t, v, p, sd=sd: (x[0] / p.central_volume + sd * v[0],),
-            lambda y, x, t, p, sd=sd: -0.5 * ((y[0] - x[0] / p.central_volume) / sd) ** 2,
-            ("normal",),
-            cost,
-        )
-        for name, sd, cost in (("cheap", 2.0, 1), ("dear", 0.5, 3))
-    }
-    alone = {"measurement": formula_of_each_sensor, "log_likelihood": formula_of_each_sensor}
-    model = replace(system, sensors=assays, measurement_noise=(), y_names=(), **alone)
-    clearances = (3.0, 6.0)
-    keys = {"horizon": 6, "time_step": 1.0, "total_cost": 5, "engine": "kalman"}
-    told = {"parameters": [{"clearance": each} for each in clearances], "filter": "told"}
-    problem = pfdist.Problem(model, scenarios=told, **keys)
-    times = ["1 cheap", "2 dear"]
-    costs = [
-        pfdist.evaluate(
-            pfdist.Problem(model.with_parameters({"clearance": clearance}), **keys), times
-        ).expected_mse
-        for clearance in clearances
-    ]
-    mse = pfdist.evaluate(problem, times).expected_mse
-    assert mse == pytest.approx(sum(costs) / 2, rel=1e-12)
-    run = pfdist.plan(
-        problem, results=tmp_path / "run", pool="serial", changes=("comparison.draws=50",),
-        figures=False, report=False,
-    )  # fmt: skip
-    (name,) = found_sets(run)
-    assert run.summary().results[name].lower_bound["gap"] >= -1e-9
 
 
 def test_sets_of_pairs_are_evaluated_as_the_oracle_does() -> None:
