@@ -22,6 +22,7 @@ _WHAT = (
     "simulated system with its measurements. The errors are averages over draws that were "
     "simulated afresh, after the times had been chosen."
 )
+_MOST_VALUES = 8  # of a parameter that are shown
 _LOAD = """\
 import pfdist
 
@@ -77,9 +78,20 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
 
 
 def _model(section: Mapping[str, Any]) -> str:
-    changed = ", ".join(f"{key} = {value}" for key, value in section["parameters"].items())
+    changed = ", ".join(f"{key} = {_values(value)}" for key, value in section["parameters"].items())
     name = without_folder(section["name"])
     return f"{name} ({changed})" if changed else name
+
+
+def _values(value: Any) -> str:
+    """A parameter of a job; the number and the range of many values.
+
+    >>> _values(0.5), _values([0.0, 80.0]), _values([0.0, 80.0, 25.0] * 16)
+    ('0.5', '[0.0, 80.0]', '48 values from 0 to 80')
+    """
+    if not isinstance(value, list | tuple) or len(value) <= _MOST_VALUES:
+        return str(value)
+    return f"{len(value)} values from {min(value):g} to {max(value):g}"
 
 
 def _named_components(meaning: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -68,7 +68,8 @@ def _target(subject: Subject) -> Iterator[Text]:
     for kind, reached in reaching(subject.run.table("budget"), subject.target).items():
         yield Text(_reached(kind, reached, subject.target), prominent=True)
         if reached["measurement_times"] is not None and kind == "found":
-            yield Text(f"Measure at t = {subject.listed(reached['measurement_times'])}.")
+            times = subject.listed(reached["measurement_times"])
+            yield Text(f"To reach {subject.target:g}, measure at t = {times}.")
 
 
 def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:

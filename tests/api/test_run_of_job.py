@@ -94,7 +94,7 @@ def test_another_job_than_that_of_the_run_is_refused(
     words = [command, "jobs/small.toml", *ASK[command], "--set", *QUICK, "filter.particles=7"]
     line = error(*words)
     assert "results/small holds another run (give results another folder, or name the run's" in line
-    assert line.endswith("filter.particles: 40 -> 7")
+    assert line.endswith("; in the run -> now: filter.particles: 40 -> 7")
 
 
 def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None:
