@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 import pfdist
 from pfdist import load_model
+from pfdist.analysis.stored_run import found_sets
 from pfdist.filters import kalman
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
@@ -96,7 +97,7 @@ def test_a_plan_with_both_assays_is_the_optimum_of_brute_force(tmp_path: Path) -
         problem, results=tmp_path / "run", pool="serial", changes=("comparison.draws=50",),
         figures=False, report=False,
     )  # fmt: skip
-    (name,) = run.found
+    (name,) = found_sets(run)
     best = min(mse, key=mse.__getitem__)
     assays = ("immunoassay", "chromatography")
     assert list(run.sets()[name]) == [f"{hours[m // 2]:g} {assays[m % 2]}" for m in best]
