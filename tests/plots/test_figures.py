@@ -1,5 +1,6 @@
 """The paper's figures show what the tables say."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 
 import pfdist
-from pfdist.analysis import Gain, Run
+from pfdist.analysis import Gain, Run, open_run
 from pfdist.analysis.online import OnlineDraws
 from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
 from pfdist.plots import (
@@ -113,12 +114,13 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
 
 
 def test_a_file_is_laid_out_once_and_drawn_once(
-    plain: Run, monkeypatch: pytest.MonkeyPatch
+    plain: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A canvas with a layout engine draws everything once more for each format."""
     draws, draw = list[Figure](), Figure.draw
     monkeypatch.setattr(Figure, "draw", lambda canvas, to: (draws.append(canvas), draw(canvas, to)))
-    files = draw_figures(plain, "times")
+    run = open_run(shutil.copytree(plain.path, tmp_path / "run"))
+    files = draw_figures(run, "times")
     assert len(draws) == len(files) == 2
 
 
