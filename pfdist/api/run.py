@@ -4,6 +4,7 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Unpack
 
@@ -150,6 +151,8 @@ def run_built(
     with opened(path, built, say) as store, ThreadPoolExecutor(1) as beside:
 
         def driver() -> Generator[Batch, None, Future[Run]]:
+            if (ending.figures or ending.report) and open_run(path).state != "finished":
+                beside.submit(_load_libraries_of_figures)
             session = Session(built, store, show, say)
             is_new = yield from compute(session, ending.bound, partial(beside.submit, draw))
             return beside.submit(finish, is_new=is_new)
@@ -157,6 +160,12 @@ def run_built(
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
         run: Run = complete(driver(), pool, lenders).result()
     return run
+
+
+def _load_libraries_of_figures() -> None:
+    """Import Matplotlib and Jinja beside the search, which would otherwise be waited for later."""
+    for module in ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special"):
+        import_module(module)
 
 
 def _draw_missing_figures(run: Run) -> None:
