@@ -69,7 +69,9 @@ def integral(likelihood: Likelihood, y: Array) -> Estimate:
     counts = whole(y)
     for component in np.flatnonzero(~counts):
         if np.unique(y[component]).size < (1 - _TIES) * y.shape[1]:
-            raise NoIntegralError(f"component {component} has few values, which are not whole numbers")
+            raise NoIntegralError(
+                f"component {component} has few values, which are not whole numbers"
+            )
     fitted, others = y[:, ::2], y[:, 1::2]  # the region must not depend on what is counted in it
     if len(y) <= MOST_ON_A_GRID:
         return _on_a_grid(likelihood, fitted, others, counts)
