@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Unpack
 
 from pfdist.analysis import Run, open_run
-from pfdist.answers.pages import remove_report
 from pfdist.answers.run import answer_in_a_line
 from pfdist.api.at_work import at_work, noted
-from pfdist.api.following import Say, following
-from pfdist.api.options import Chosen, Options, with_options
-from pfdist.api.report import try_report
+from pfdist.api.options import Chosen, Options, Say, following, with_options
+from pfdist.api.report import remove_report, try_report
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import paths_argument
 from pfdist.errors import JobError, ModelError, TaskError

@@ -12,6 +12,7 @@ from pfdist.errors import ArgumentError
 
 FUNCTIONS = [
     pfdist.run, pfdist.plan, pfdist.budget, pfdist.online, pfdist.compare, pfdist.bound,
+    pfdist.sweep,
 ]  # fmt: skip
 
 
