@@ -133,8 +133,10 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
         for name in named:
             if name not in names:
                 nearest = did_you_mean(name, names)
+                keys = " (changes=['KEY=VALUE'] changes a key of the job)"
                 raise ArgumentError(
                     f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
+                    f"{keys if 'changes' in names else ''}"
                 )
         return function(*arguments, **named)
 

@@ -93,7 +93,9 @@ class _Parser(argparse.ArgumentParser):
         own = takewhile(_is_option, words) if self._subparsers else words
         options = [option for action in self._actions for option in action.option_strings]
         if unknown := unknown_option(own, options):
-            self.error(f"unknown option {shown_text(unknown)}{did_you_mean(unknown, options)}")
+            meant = did_you_mean(unknown, options)
+            keys = " (--set KEY=VALUE changes a key of the job)" if "--set" in options else ""
+            self.error(f"unknown option {shown_text(unknown)}{keys}{meant}")
         return super().parse_known_args(words, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
