@@ -80,12 +80,14 @@ def _surprise(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     most = answer["most_surprising"]
     if not most:
         return []
-    at, p = (
-        formatted_times([most["t"]], answer.get("time_unit", "")),
-        rounded(most["surprise"], _P_DIGITS),
-    )
+    at, p = _time(answer, most["t"]), rounded(most["surprise"], _P_DIGITS)
     among = rounded(answer["surprise_of_all"], _P_DIGITS)
     return [("most surprising", f"t = {at}, p = {p} ({among} among all measurements)")]
+
+
+def _time(answer: Mapping[str, Any], t: float) -> str:
+    """A time with the unit of the answer's clock."""
+    return formatted_times([t], answer.get("time_unit", ""))
 
 
 def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
@@ -104,7 +106,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
         among = rounded(answer["surprise_of_all"], _P_DIGITS)
         blocks.append(
             Text(
-                f"The most surprising measurement is that at t = {formatted_time(most['t'])}: p = "
+                f"The most surprising measurement is that at t = {_time(answer, most['t'])}: p = "
                 f"{rounded(most['surprise'], _P_DIGITS)}, and {among} among all measurements. A "
                 "p-value near 0 means that the model hardly ever gives such a measurement."
             )
@@ -115,7 +117,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
     if len(rows):
         least = rows.iloc[rows["effective_sample_size"].argmin()]
         title = (
-            f"At t = {formatted_time(least['t'])} the fewest particles count: "
+            f"At t = {_time(answer, least['t'])} the fewest particles count: "
             f"{least['effective_sample_size']:.0f}."
         )
         plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
@@ -178,7 +180,8 @@ def _before(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The plan from before these measurements, if it was another one."""
     if answer["planned_before"] == answer["plan"]:
         return []
-    times, name = formatted_times(answer["planned_before"]), answer["planned"]
+    unit, name = answer.get("time_unit", ""), answer["planned"]
+    times = formatted_times(answer["planned_before"], unit)
     if not times:
         return [(name, "plans no further measurement")]
     if answer["expected_mse_before"] is None:
@@ -189,4 +192,4 @@ def _before(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _expected(answer: Mapping[str, Any], plan: str) -> str:
     mse = with_error(cost(answer[f"expected_mse{plan}"]), answer[f"standard_error{plan}"])
-    return f"{mse} from t = {formatted_time(answer['now'])} on"
+    return f"{mse} from t = {_time(answer, answer['now'])} on"

@@ -324,6 +324,11 @@ def test_measurements_and_the_next_time_speak_of_the_clock(
     out = capsys.readouterr().out
     assert re.search(r"planned, missing +[\d., ]+ h\n", out)
     assert re.search(r"most surprising +t = [\d., ]+ h", out)
+    main(["next", job_of_run, str(tmp_path / "mine.csv")])
+    assert re.search(r"expected MSE .* from t = 12 h on", capsys.readouterr().out)
+    main(["filter", job_of_run, str(tmp_path / "mine.csv")])
+    report = (tmp_path / "mine.filtered.html").read_text()
+    assert re.search(r"surprising measurement is that at t = [\d.]+ h: p", report)
     after = pfdist.next_time(run, measured[:1], now=planned[0])
     planner = pfdist.Planner(pfdist.load_job(job), planned)
     assert planner.next_time() == planned[0]
