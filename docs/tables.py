@@ -230,7 +230,12 @@ def genetic() -> str:
     shares = [over_seeds(100 * seeds[column], 1) for column in ("gain", "positive")]
     known = [f"{100 * best[column]:.1f}" for column in ("gain", "positive")]
     rows = [
-        ["the genetic algorithm, fifteen seeds: mean (range)", f"{regular.cost:.2f}", costs, *shares],
+        [
+            "the genetic algorithm, fifteen seeds: mean (range)",
+            f"{regular.cost:.2f}",
+            costs,
+            *shares,
+        ],
         ["the best set known", f"{regular.cost:.2f}", f"{best.cost:.2f}", *known],
         ["the paper prints", "31.08", "", "27.7", "87.5"],
     ]
@@ -346,8 +351,8 @@ def densities() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, gallery, genetic, engines,
-        estimators, schemes, commands, figures, panels, pools, densities,
+        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, gallery, genetic,
+        engines, estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 
@@ -489,5 +494,5 @@ def _table(header: list[str], rows: Iterable[list[str]]) -> str:
 
 
 if __name__ == "__main__":
-    for path in sorted(FOLDER.glob("*.md")):
+    for path in (FOLDER.parent / "README.md", *sorted(FOLDER.glob("*.md"))):
         path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
