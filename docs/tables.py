@@ -240,7 +240,7 @@ def genetic() -> str:
         ["the paper prints", "31.08", "", "27.7", "87.5"],
     ]
     head = [
-        "",
+        "search",
         "expected MSE, regular times",
         "expected MSE, found times",
         "mean relative gain, %",
