@@ -137,7 +137,7 @@ def _bounded(quick: bool, say: Say) -> pd.DataFrame:
         for kind, every in WORK.items():
             for settings in every[: 1 if quick else None]:
                 found = pfdist.bound(run, BoundSettings(**settings), figures=False)
-                proved = run.bounds()
+                proved = run.table("bound")
                 last = proved[
                     (proved["draws"] == found.draws) & (proved["windows"] == found.windows)
                 ].iloc[-1]

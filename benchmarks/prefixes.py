@@ -55,7 +55,7 @@ def measure(quick: bool, say: Say) -> Tables:
         changes += ["evaluation.draws=20"]
     job = load_job(JOB, changes)
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
-        evaluations = run(job, results=folder, pool="serial").evaluations()
+        evaluations = run(job, results=folder, pool="serial").table("evaluations")
     say(f"{len(evaluations)} evaluations")
     evaluations = evaluations.drop_duplicates("evaluation")  # copies were evaluated once
     horizon, particles = job.problem.feasible.horizon, job.filter.particles

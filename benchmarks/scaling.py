@@ -87,7 +87,7 @@ def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, 
 
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
         done = run(job, results=folder, pool=pool, workers=workers, progress=report)
-        evaluated, tasks = done.evaluations()["generation"], done.timings()["seconds"]
+        evaluated, tasks = done.table("evaluations")["generation"], done.table("timings")["seconds"]
     a_draw = (job.problem.feasible.horizon + 1) * job.filter.particles
     steps = int((evaluated > 0).sum()) * draws * a_draw
     compared = len(done.names) * (job.comparison.draws + TRAJECTORIES) * a_draw

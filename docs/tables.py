@@ -18,6 +18,7 @@ import pyarrow as pa
 from pydantic.fields import FieldInfo
 
 from pfdist import plots
+from pfdist.analysis.stored_run import COMPUTED
 from pfdist.cli.command import COMMANDS, Command
 from pfdist.cli.parser import complete_parser, subparsers_of
 from pfdist.common.component_names import Component
@@ -165,6 +166,13 @@ def columns() -> str:
             f"## `{name}`\n\nA row for {_ROWS[name]}. Key: {key}.\n\n{_table_of_columns(columns)}"
         )
     return "\n\n".join(parts)
+
+
+def computed_tables() -> str:
+    """Give a section for each table of a run that follows from others."""
+    return "\n\n".join(
+        f"## `{name}`\n\n{inspect.getdoc(function)}" for name, function in COMPUTED.items()
+    ).replace("``", "`")
 
 
 def filtered_columns() -> str:
@@ -351,8 +359,8 @@ def densities() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, keys, sweep_keys, columns, filtered_columns, usage, gallery, genetic,
-        engines, estimators, schemes, commands, figures, panels, pools, densities,
+        methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
+        gallery, genetic, engines, estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 

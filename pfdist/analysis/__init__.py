@@ -15,8 +15,8 @@ from pfdist.analysis.gains import (
     relative_gain,
     summarise_gain,
 )
-from pfdist.analysis.recorded import read_recorded
-from pfdist.analysis.stored_run import Run, open_run
+from pfdist.analysis.run import Run, open_run
+from pfdist.analysis.stored_run import read_recorded
 from pfdist.analysis.streaming_moments import Moments
 
 __all__ = [

@@ -3,13 +3,11 @@
 import math
 from collections.abc import Mapping
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pfdist.analysis.stored_run import StoredRun, distrust_of, own_estimation
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.kernels.estimators import SQUARED_ERROR
-
-if TYPE_CHECKING:
-    from pfdist.analysis.stored_run import Run
 
 _ROUNDING = 1e-9
 _CHOSE = "its draws chose the set"
@@ -17,12 +15,12 @@ _UNDERESTIMATES = "the search's filter underestimates its error"
 _ERRS_MORE = "the search's filter errs more than the job's own"
 
 
-def belief_of(run: "Run", search: str, result: Mapping[str, Any]) -> dict[str, Any]:
+def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[str, Any]:
     """How far the believed cost of a set is from the cost on fresh draws, and why.
 
     Parameters
     ----------
-    run : Run
+    run : StoredRun
     search : str
         The search that found the set.
     result : mapping
@@ -35,47 +33,20 @@ def belief_of(run: "Run", search: str, result: Mapping[str, Any]) -> dict[str, A
     """
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
-    own, count = run.own_estimation(search), _evaluations_of(run, search)
+    own, count = own_estimation(run, search), _evaluations_of(run, search)
     return {
         "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
         "search_estimation": own,
         "search_cause": cause_of_excess(result, own, str(run.path), count),
-        "search_distrust": run.distrust(search),
+        "search_distrust": distrust_of(run, search),
     }
 
 
-def own_estimation(
-    about: Mapping[str, Any], job: Mapping[str, Any], search: str, *, redone: bool
-) -> dict[str, Any]:
-    """How a search estimates otherwise than the comparison.
-
-    Parameters
-    ----------
-    about : mapping
-        The run.json of the run.
-    job : mapping
-        The resolved job of the run.
-    search : str
-    redone : bool
-        Whether the search was run again by the squared error.
-
-    Returns
-    -------
-    dict
-        particles, resampling and estimator, where they differ from the comparison's.
-    """
-    compared = {**job["filter"], "estimator": SQUARED_ERROR.name}
-    own = about["estimations"].get(search, {})
-    if redone:
-        own = {"resampling": own.get("resampling", compared["resampling"])}
-    return {key: value for key, value in own.items() if key in compared and value != compared[key]}
-
-
-def _evaluations_of(run: "Run", search: str) -> int:
+def _evaluations_of(run: StoredRun, search: str) -> int:
     """Number of sets that a search evaluated, in all its phases."""
-    if not run.has("evaluations"):
+    if "evaluations" not in run.tables:
         return 1
-    searches = run.evaluations()["phase"].astype(str).str.partition(".")[0]
+    searches = run.table("evaluations")["phase"].astype(str).str.partition(".")[0]
     return max(1, int((searches == search).sum()))
 
 

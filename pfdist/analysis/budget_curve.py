@@ -41,7 +41,7 @@ def budget_table(
     Returns
     -------
     DataFrame
-        See `pfdist.analysis.Run.budget`.
+        See the table ``budget``.
     """
     rows = []
     for entry in compared.to_dict("records"):
@@ -84,12 +84,12 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
     table : DataFrame
         As of `budget_table`.
     proofs : mapping of str to mapping
-        As of `pfdist.analysis.bounds.last_bounds`: the lower bound of each found set, by name.
+        As of `pfdist.analysis.stored_run.last_bounds`: the lower bound of each found set, by name.
 
     Returns
     -------
     DataFrame
-        See `pfdist.analysis.Run.budget`. The columns are NaN for sets that have no bound.
+        See the table ``budget``. The columns are NaN for sets that have no bound.
     """
     numbers = max(len(proofs), int((table["kind"] == FOUND).sum()))
     columns = []
@@ -145,13 +145,26 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     Parameters
     ----------
     table : DataFrame
-        A table as `with_bounds` returns it.
+        The table ``budget`` of a run.
     target : float
 
     Returns
     -------
     dict
-        For each kind of times the fields of `pfdist.analysis.Run.reaching`.
+        For each kind of times, as ``regular`` and ``found``:
+
+        - measurements: the least number; None if no number reaches the target.
+        - interval, 95 %: the least number whose interval reaches the target, and the least number
+          whose interval lies below it. The intervals of all numbers hold together.
+        - measurement_times.
+        - larger_that_do_not: larger numbers whose interval lies above the target. More regular
+          times are not always better.
+        - impossible, for found times alone: the largest number of measurements with which no
+          feasible times and no filter reach the target (bound_low lies above the target); None if
+          no number is proved. Without a minimum spacing, all smaller numbers are impossible too:
+          more measurements never harm the exact filter of the true model.
+
+        The least numbers above leave out each number that is proved impossible.
     """
     answer = dict[str, dict[str, Any]]()
     for kind, sets in table.groupby("kind", sort=False):

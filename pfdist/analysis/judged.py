@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from pfdist.analysis.gains import Gain, relative_gain
+from pfdist.analysis.run import Run
 from pfdist.analysis.runs_table import RESULTS, runs_table
-from pfdist.analysis.stored_run import Run
+from pfdist.analysis.stored_run import blocks_of, filter_is_wrong, found_sets, problem_of
 from pfdist.analysis.summary import SetResult
 from pfdist.times.measurement_times import Times
 
@@ -35,7 +36,7 @@ class FoundSet(NamedTuple):
 def times_by_search(runs: Mapping[str, Run]) -> dict[str, dict[str, Times]]:
     """The times that the searches of each run have found, by name of the run and search."""
     return {
-        name: {search: run.sets()[search] for search in run.found} for name, run in runs.items()
+        name: {search: run.sets[search] for search in found_sets(run)} for name, run in runs.items()
     }
 
 
@@ -71,7 +72,7 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
         return NOTHING_JUDGED.copy()
     frame = runs_table(list(judges.values()))
     points = {str(judge.path): point for point, judge in judges.items()}
-    smaller = any(judge.filter_is_wrong for judge in judges.values())
+    smaller = any(filter_is_wrong(judge) for judge in judges.values())
     losses = {point: _losses(judge, found_sets, point, smaller) for point, judge in judges.items()}
     rows = [
         row
@@ -96,7 +97,7 @@ def _losses(
 
     With money, `smaller` says whether sets can be compared to which a measurement can be added.
     """
-    names = {times: name for name, times in judge.sets().items()}
+    names = {times: name for name, times in judge.sets.items()}
     results = judge.summary().results
     mse = {times: _mse(results[name]) for times, name in names.items()}
     own = {each.times for each in found_sets if each.point == point and each.times in names}
@@ -110,7 +111,7 @@ def _losses(
         gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
         return {times: (0.0 - gain,) * 3 for times, gain in gains.items()}
     drawn = {times: Gain() for times in best}
-    for block in judge.blocks():
+    for block in blocks_of(judge):
         for times, gain in drawn.items():
             columns = (f"mse_{names[each]}" for each in (times, best[times]))
             gain.add(*(block[column].to_numpy() for column in columns))
@@ -126,10 +127,10 @@ def _mse(result: SetResult) -> float:
 
 def _are_comparable(judge: Run, times: Times, own: Times, smaller: bool) -> bool:
     """Whether times are feasible at a point, and as many as those that were found there."""
-    feasible = replace(judge.problem.feasible, smaller=smaller)
+    feasible = replace(problem_of(judge).feasible, smaller=smaller)
     if feasible.counted:
         feasible = replace(feasible, measurement_budget=len(own))
-    return feasible.accepts(judge.problem.clock.measurements(times))
+    return feasible.accepts(problem_of(judge).clock.measurements(times))
 
 
 def _loss(gain: Gain) -> Loss:

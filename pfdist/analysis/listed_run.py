@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pfdist.analysis.exact import exact_costs
 from pfdist.analysis.gains import ComparisonStatistics
-from pfdist.analysis.stored_run import Run, open_run
+from pfdist.analysis.run import Run, open_run
+from pfdist.analysis.stored_run import exact_costs, found_sets, statistics_of
 from pfdist.errors import StoreError, one_line, shown_text
 from pfdist.store import check_not_held
 from pfdist.store.folder import extent
@@ -88,7 +88,7 @@ def listed_run(path: Path, name: str) -> ListedRun:
         best,
         None if best is None else run.names[0],
         gain,
-        run.has_budget,
+        "budget" in run.job,
     )
 
 
@@ -102,15 +102,15 @@ def _state(run: Run) -> str:
 
 def _statistics(run: Run) -> ComparisonStatistics | None:
     """The statistics of the compared draws; None if no draw was compared."""
-    if not run.has("compared") or not run.has("comparison"):
+    if "compared" not in run.tables or "comparison" not in run.tables:
         return None
-    return run.statistics()
+    return statistics_of(run)
 
 
 def _best(run: Run, statistics: ComparisonStatistics) -> tuple[str | None, float]:
     """The best set and the gain of means; exact errors decide if the engine knows them."""
-    names = run.found or run.names[1:]
-    if run.has_budget or not names:
+    names = found_sets(run) or run.names[1:]
+    if "budget" in run.job or not names:
         return None, math.nan
     exact = exact_costs(run)
     are_exact = all(name in exact for name in names)

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.analysis.gains import Gain
+from pfdist.analysis.stored_run import StoredRun, problem_of
 from pfdist.analysis.streaming_moments import Array, Moments
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from pfdist.analysis.stored_run import Run
 
 
 @dataclass(frozen=True)
@@ -97,17 +96,17 @@ class OnlineDraws:
         return self.rows[[f"mse_{name}" for name in names]].notna().all(axis=1).to_numpy()
 
 
-def online_draws(run: Run) -> OnlineDraws:
+def online_draws(run: StoredRun) -> OnlineDraws:
     """Read the draws that have both online times and errors in the comparison.
 
     Parameters
     ----------
-    run : Run
+    run : StoredRun
         It has rows of the tables ``online`` and ``comparison``.
     """
     reference, plan = run.names[0], str(run.job["search"][0]["name"])
-    chosen = run.online().rename(columns={"mse": "mse_online"})
-    compared = run.comparison(int(chosen["draw"].max()) + 1)
+    chosen = run.table("online").rename(columns={"mse": "mse_online"})
+    compared = run.table("comparison", int(chosen["draw"].max()) + 1)
     columns = ["draw", f"mse_{reference}", f"mse_{plan}"]
     rows = chosen.merge(compared[columns], on="draw")
-    return OnlineDraws(reference, plan, run.sets()[plan], rows, run.problem.clock)
+    return OnlineDraws(reference, plan, run.sets[plan], rows, problem_of(run).clock)

@@ -112,7 +112,7 @@ class Pair:
 def pairs_table(
     names: Sequence[str], blocks: Iterable[Array], exact: Mapping[str, float]
 ) -> pd.DataFrame:
-    """A row for each pair of sets, with the columns of `pfdist.analysis.Run.pairs`.
+    """A row for each pair of sets, with the columns of the table ``pairs``.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
     Returns
     -------
     DataFrame
-        The columns of `pfdist.analysis.Run.ranks`.
+        The columns of the table ``ranks``.
     """
     order = sorted(costs, key=lambda name: (math.isnan(costs[name][0]), costs[name][0]))
     # For each set, the number of sets that are clearly better; and of those that are clearly worse

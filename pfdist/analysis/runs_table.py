@@ -7,7 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from pfdist.analysis.stored_run import Run
+from pfdist.analysis.run import Run
+from pfdist.analysis.stored_run import version_of
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.dotted_keys import leaves
 from pfdist.common.percent import cost
@@ -93,7 +94,7 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
         A table of a run cannot be read.
     """
     keys = differing_keys([run.job for run in runs])
-    versions = [run.version or None for run in runs]
+    versions = [version_of(run) or None for run in runs]
     if len(set(versions)) > 1:
         keys["pfdist"] = versions
     names = _differ([run.path for run in runs])
@@ -173,7 +174,7 @@ def _gains(result: SetResult) -> Row:
 
 
 def _seconds(run: Run) -> float | None:
-    return float(run.timings()["seconds"].sum()) if run.has("timings") else None
+    return float(run.table("timings")["seconds"].sum()) if "timings" in run.tables else None
 
 
 def _differ(paths: Sequence[Path]) -> list[str]:

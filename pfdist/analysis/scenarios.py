@@ -21,7 +21,7 @@ def scenarios_table(
     references: Mapping[str, str],
     blocks: Iterable[pa.Table],
 ) -> pd.DataFrame:
-    """A row for each scenario and set; columns as of `pfdist.analysis.Run.scenarios`.
+    """A row for each scenario and set; columns as of the table ``scenarios``.
 
     Parameters
     ----------

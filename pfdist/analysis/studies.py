@@ -194,7 +194,7 @@ def plain(value: Any) -> Any:
     return None if is_missing(value) else value
 
 
-def _order(value: Any) -> tuple[int, float, list[tuple[int, str]]]:
+def _order(value: Any) -> tuple[int, float, list[tuple[float, str]]]:
     if value is None:
         return 2, 0.0, []
     if is_numeric([value]):

@@ -2,22 +2,27 @@
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pfdist.analysis.belief import belief_of
-from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import FOUND
-from pfdist.analysis.exact import exact_costs
 from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import gain_over_itself
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.particle_loss import hardly_measured
 from pfdist.analysis.reference import described, without_number
+from pfdist.analysis.stored_run import (
+    StoredRun,
+    budget_of,
+    exact_costs,
+    last_bounds,
+    named_sets,
+    particle_losses_of,
+    problem_of,
+    statistics_of,
+)
 from pfdist.filters.engines import is_exact
 from pfdist.times.clock import Time
-
-if TYPE_CHECKING:
-    from pfdist.analysis.stored_run import Run
 
 Ends = list[float | None]
 Row = dict[str, Any]
@@ -37,7 +42,7 @@ class SetResult:
     Parameters
     ----------
     kind, measurement_times, expected_mse, standard_error, low, high, draws, degenerate_draws
-        As of `pfdist.analysis.Run.budget`, like worse_than, bound, bound_error and bound_low. Only
+        As of the table ``budget``, like worse_than, bound, bound_error and bound_low. Only
         the times are known before the comparison has begun, and the next two fields.
     search_cost, search_standard_error : float or None
         The search that found the set believed this cost of it.
@@ -62,7 +67,7 @@ class SetResult:
     unmeasured_mse : float or None
         The exact filter's expected MSE without a measurement.
     lower_bound : dict or None
-        Columns of `pfdist.analysis.Run.bounds`, of the proof of most compared draws, then of most
+        Columns of the table ``bound``, of the proof of most compared draws, then of most
         particle-steps.
     exact_mse, exact_gain : float or None
         An exact engine knows the expected MSE, and 1 less its ratio to that of the reference. Those
@@ -166,9 +171,9 @@ class Summary:
         Student's t, of the paired differences), and the fields of `GainSummary` for the gain of
         the online times over the set.
     pairs, ranks : list of dict or None
-        Rows of `pfdist.analysis.Run.pairs` and `pfdist.analysis.Run.ranks`, if the job names sets.
+        Rows of the tables ``pairs`` and ``ranks``, if the job names sets.
     scenarios : list of dict or None
-        Rows of `pfdist.analysis.Run.scenarios`, if the job has scenarios.
+        Rows of the table ``scenarios``, if the job has scenarios.
     is_worst : bool
         Whether the job asks for the least expected MSE in the worst scenario.
     """
@@ -216,39 +221,46 @@ class Summary:
         return asdict(self)
 
 
-def summary_of(run: "Run") -> Summary:
+def summary_of(run: StoredRun) -> Summary:
     """How far a run is, and what it has found.
 
     Parameters
     ----------
-    run : Run
+    run : StoredRun
     """
-    compared, problem = run.has("comparison"), run.problem
-    named = compared and bool(run.named)
+    tables, problem = run.tables, problem_of(run)
+    compared = "comparison" in tables
+    named = compared and bool(named_sets(run))
     scenarios = run.job.get("scenarios", {})
     return Summary(
         state=run.state,
         run=str(run.path),
-        evaluations=int(run.evaluations()["copies"].sum()) if run.has("evaluations") else 0,
+        evaluations=int(run.table("evaluations")["copies"].sum()) if "evaluations" in tables else 0,
         draws_compared=run.draws_compared,
-        has_budget=run.has_budget,
+        has_budget="budget" in run.job,
         is_exact=is_exact(run.job["filter"]["engine"]),
         is_constrained=problem.is_constrained,
         time_unit=problem.clock.unit if problem.has_clock else None,
         instant_weights=[*problem.weights] if problem.weights else None,
-        results=_results(run) if run.has("compared") else {},
-        online=finite(online_draws(run).summary()) if compared and run.has("online") else None,
-        pairs=finite(run.pairs().to_dict("records")) if named else None,
-        ranks=finite(run.ranks().to_dict("records")) if named else None,
-        scenarios=finite(run.scenarios().to_dict("records")) if compared and scenarios else None,
+        results=_results(run) if "compared" in tables else {},
+        online=finite(online_draws(run).summary()) if compared and "online" in tables else None,
+        pairs=_rows(run, "pairs") if named else None,
+        ranks=_rows(run, "ranks") if named else None,
+        scenarios=_rows(run, "scenarios") if compared and scenarios else None,
         is_worst=bool(scenarios) and scenarios["criterion"] == "worst",
     )
 
 
-def _results(run: "Run") -> dict[str, SetResult]:
+def _rows(run: StoredRun, table: str) -> list[Row]:
+    """Rows of a table, as JSON can hold them."""
+    rows: list[Row] = finite(run.table(table).to_dict("records"))
+    return rows
+
+
+def _results(run: StoredRun) -> dict[str, SetResult]:
     """The result of each set by name, the reference first."""
-    results = _compared(run) if run.has("comparison") else _before_the_comparison(run)
-    proofs = last_bounds(run.bounds()) if run.has("bound") else {}
+    results = _compared(run) if "comparison" in run.tables else _before_the_comparison(run)
+    proofs = last_bounds(run)
     for name, columns in proofs.items():
         results[name]["lower_bound"] = columns
     exact = exact_costs(run)
@@ -260,26 +272,26 @@ def _results(run: "Run") -> dict[str, SetResult]:
     return {name: SetResult(**finite(columns)) for name, columns in results.items()}
 
 
-def _compared(run: "Run") -> dict[str, Row]:
+def _compared(run: StoredRun) -> dict[str, Row]:
     """Costs of each set, facts about it, and its gains over its reference."""
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    results, statistics = dict[str, Row](), run.statistics()
-    for row in run.budget(statistics).to_dict("records"):
+    results, statistics = dict[str, Row](), statistics_of(run)
+    for row in budget_of(run, statistics).to_dict("records"):
         result: Row = {str(key): value for key, value in row.items()}
         name, worse_than = result.pop("name"), result["worse_than"]
         result["worse_than"] = None if pd.isna(worse_than) else worse_than
         if result["kind"] == FOUND:
             result |= belief_of(run, without_number(name, run.job), result)
-        elif not run.has_budget:
+        elif "budget" not in run.job:
             result |= described(run.job, name, tuple(result["measurement_times"]))
         if name in statistics.gains:
             result |= statistics.gains[name].summary().columns()
         else:
             result |= _gain_over_itself(run)
         results[name] = result
-    losses = run.particle_losses(statistics)
-    unmeasured = float(run.filter_variance()["unmeasured"].mean()) if losses else math.nan
+    losses = particle_losses_of(run, statistics)
+    unmeasured = float(run.table("filter_variance")["unmeasured"].mean()) if losses else math.nan
     for name, loss in losses.items():
         hardly = hardly_measured(results[name]["expected_mse"], unmeasured)
         warnings = [loss.warning, hardly if name in statistics.gains else ""]
@@ -288,13 +300,13 @@ def _compared(run: "Run") -> dict[str, Row]:
     return results
 
 
-def _gain_over_itself(run: "Run") -> Row:
+def _gain_over_itself(run: StoredRun) -> Row:
     """The effect of filter noise alone on a gain, if the reference was filtered twice."""
-    if not run.has("repeated"):
+    if "repeated" not in run.tables:
         return {}
-    again = run.repeated()
+    again = run.table("repeated")
     last = int(again["draw"].max()) + 1
-    both = again.merge(run.comparison(last), on="draw")
+    both = again.merge(run.table("comparison", last), on="draw")
     gain = gain_over_itself(both[f"mse_{run.names[0]}"].to_numpy(), both["mse"].to_numpy())
     return {
         "gain_over_itself": gain.mean,
@@ -303,7 +315,7 @@ def _gain_over_itself(run: "Run") -> Row:
     }
 
 
-def _before_the_comparison(run: "Run") -> dict[str, Row]:
+def _before_the_comparison(run: StoredRun) -> dict[str, Row]:
     """Times of each set, and the cost that its search believed."""
     return {
         str(entry["name"]): {
@@ -312,5 +324,5 @@ def _before_the_comparison(run: "Run") -> dict[str, Row]:
             "search_cost": float(entry["search_cost"]),
             "search_standard_error": float(entry["search_standard_error"]),
         }
-        for entry in run.compared().to_dict("records")
+        for entry in run.table("compared").to_dict("records")
     }

@@ -8,6 +8,7 @@ from typing import Any
 import tomli_w
 
 from pfdist.analysis import read_recorded
+from pfdist.analysis.stored_run import problem_of, version_of
 from pfdist.answers.subject import Subject, number_of, without_folder
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.documents.parts import Code, Facts, Section, Text
@@ -21,12 +22,13 @@ _WHAT = (
     "simulated system with its measurements. The errors are averages over draws that were "
     "simulated afresh, after the times had been chosen."
 )
+_MOST_VALUES = 8  # of a parameter that are shown
 _LOAD = """\
 import pfdist
 
 run = pfdist.open_run({name})  # the folder of the run
 run.summary()
-run.gains().describe()           # a row for each draw
+run.table("gains").describe()           # a row for each draw
 
 # The tables are plain Parquet, so pandas alone reads them, too:
 import pandas as pd
@@ -53,7 +55,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         yield "model of the filter", _model(job["model"]["filter"])
     yield from _named_components(read_recorded(subject.run.path)[0]["model"])
     yield "instants", _instants(subject)
-    yield from _weights(problem, subject.run.problem)
+    yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
     for key, name in (
         ("forbidden", "not measured at"),
@@ -62,7 +64,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         if problem.get(key):
             yield name, formatted_spelling(problem[key], subject.unit)
     if problem.get("minimum_spacing"):
-        what = "time" if subject.run.problem.has_clock else "instants"
+        what = "time" if problem_of(subject.run).has_clock else "instants"
         spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
@@ -76,9 +78,20 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
 
 
 def _model(section: Mapping[str, Any]) -> str:
-    changed = ", ".join(f"{key} = {value}" for key, value in section["parameters"].items())
+    changed = ", ".join(f"{key} = {_values(value)}" for key, value in section["parameters"].items())
     name = without_folder(section["name"])
     return f"{name} ({changed})" if changed else name
+
+
+def _values(value: Any) -> str:
+    """A parameter of a job; the number and the range of many values.
+
+    >>> _values(0.5), _values([0.0, 80.0]), _values([0.0, 80.0, 25.0] * 16)
+    ('0.5', '[0.0, 80.0]', '48 values from 0 to 80')
+    """
+    if not isinstance(value, list | tuple) or len(value) <= _MOST_VALUES:
+        return str(value)
+    return f"{len(value)} values from {min(value):g} to {max(value):g}"
 
 
 def _named_components(meaning: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -98,7 +111,7 @@ def _measurements(job: Mapping[str, Any]) -> str:
 
 
 def _instants(subject: Subject) -> str:
-    clock = subject.run.problem.clock
+    clock = problem_of(subject.run).clock
     ends = (
         f"t = {formatted_time(clock.times[0])} to {formatted_times(clock.times[-1:], clock.unit)}"
     )
@@ -151,7 +164,7 @@ def tables(subject: Subject) -> Section:
 
 def citation(subject: Subject) -> Section:
     """Say how to cite the method and the program."""
-    version = subject.run.version
+    version = version_of(subject.run)
     text = "Please cite the paper whose method pfdist implements, and the program."
     return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])
 
@@ -169,9 +182,9 @@ def _versions(about: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _work(subject: Subject) -> list[tuple[str, str]]:
-    if not subject.run.has("timings"):
+    if "timings" not in subject.run.tables:
         return []
-    rows = subject.run.timings()
+    rows = subject.run.table("timings")
     seconds = rows.groupby("session")["seconds"].sum()
     workers = rows[["node", "worker"]].drop_duplicates()
     facts = [("time of all workers", _seconds(seconds.sum()))]

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
+from pfdist.analysis.budget_curve import reaching
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.subject import Subject, number_of, sets_table
 from pfdist.common.percent import cost, percent
@@ -31,7 +32,7 @@ def budget(subject: Subject) -> Section | None:
         *_target(subject),
         Figures(["budget"]),
         Table("Expected error with its 95 % interval", _HEAD, _rows(results), optional=_HEAD[3:]),
-        *([Text(_BOUND, detail=True)] if subject.run.has("bound") else []),
+        *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(results),
         *_unproved(found_results),
         *_believed(found_results),
@@ -46,7 +47,7 @@ def _answer(subject: Subject) -> list[Text]:
     most = max(regular, key=lambda each: each.measurements)
     if most.expected_mse is None:
         return []
-    reached = subject.run.reaching(most.expected_mse)["found"]
+    reached = reaching(subject.run.table("budget"), most.expected_mse)["found"]
     if reached["measurements"] is None:
         return []
     number, regular_times = reached["measurements"], f"{most.measurements} regular times"
@@ -64,10 +65,11 @@ def _target(subject: Subject) -> Iterator[Text]:
     """How many measurements reach the expected MSE that the user asks for."""
     if subject.target is None:
         return
-    for kind, reached in subject.run.reaching(subject.target).items():
+    for kind, reached in reaching(subject.run.table("budget"), subject.target).items():
         yield Text(_reached(kind, reached, subject.target), prominent=True)
         if reached["measurement_times"] is not None and kind == "found":
-            yield Text(f"Measure at t = {subject.listed(reached['measurement_times'])}.")
+            times = subject.listed(reached["measurement_times"])
+            yield Text(f"To reach {subject.target:g}, measure at t = {times}.")
 
 
 def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:

@@ -1,14 +1,17 @@
 """How the times do in each scenario: a table, and the worst scenario in a sentence."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pfdist.answers.subject import Subject, percent_cell
+from pfdist.answers.subject import Subject, effect, percent_cell
+from pfdist.common.estimate import Estimate
 from pfdist.common.percent import cost, percent
 from pfdist.common.rounding import with_error
 from pfdist.documents.parts import Cell, Section, Table, Text
 
 Row = Mapping[str, Any]
+THE_WORST = "the expected error of the worst scenario"
 
 _MEANING = (
     "The true model of each draw has the parameters of one scenario, with the probability of its "
@@ -62,6 +65,30 @@ def _sentences(subject: Subject, rows: Sequence[Row], best: str) -> Iterator[str
         f"The worst scenario of {best} is {names[0]}, with an expected error of {errors[0]}; "
         f"{reference['name']} has {errors[1]} {where}."
     )
+
+
+def worst_effect(subject: Subject, name: str) -> str | None:
+    """Say what a set does to the error of the worst scenario, if the job asks for the least.
+
+    The worst scenarios of two sets may differ. Then their draws do, too, so the logarithms of the
+    two errors are independent.
+    """
+    rows = subject.summary.scenarios
+    if not (rows and subject.summary.is_worst):
+        return None
+    worst, reference = (worst_of(rows, each) for each in (name, next(iter(subject.results))))
+    if worst is None or reference is None or not worst["expected_mse"] * reference["expected_mse"]:
+        return None
+    ends = [worst["gain_of_means_low"], worst["gain_of_means_high"]]
+    mse, of_reference = (
+        Estimate(each["expected_mse"], each["standard_error"]) for each in (worst, reference)
+    )
+    if worst["scenario"] != reference["scenario"]:
+        errors = (each.standard_error / each.value for each in (mse, of_reference))
+        apart = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
+        ends = [1 - math.exp(end) for end in reversed(apart.interval())]
+    phrase, left_open = effect(1 - mse.value / of_reference.value, ends, THE_WORST)
+    return f"{phrase}, from {of_reference.text} to {mse.text}. {left_open}".rstrip()
 
 
 def worst_of(rows: Sequence[Row], name: str) -> Row | None:

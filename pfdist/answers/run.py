@@ -4,13 +4,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.analysis import Run
+from pfdist.analysis.stored_run import found_sets, problem_of
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.about_run import citation, computed, problem, tables
 from pfdist.answers.bound import proof
 from pfdist.answers.budget import budget
 from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
-from pfdist.answers.robust import scenarios
+from pfdist.answers.robust import THE_WORST, scenarios, worst_effect
 from pfdist.answers.subject import (
     Subject,
     effect,
@@ -90,7 +91,7 @@ def page_of(run: Run, seconds: int = 0) -> Page:
     chapters: Sequence[Chapter] = (
         answer, scenarios, compared, problem, gains, proof, worth, online,
     )  # fmt: skip
-    if run.has_budget:
+    if "budget" in run.job:
         chapters = (budget, problem)
     warnings = _warnings(subject)
     if run.state != "finished":
@@ -117,7 +118,7 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
     """
     subject = Subject(run, target=target)
     chapters: Sequence[Chapter] = (answer, gains, scenarios, compared, online)
-    if run.has_budget:
+    if "budget" in run.job:
         chapters = (budget,)
     summary = subject.summary
     line = (
@@ -131,9 +132,9 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
 def answer_in_a_line(run: Run) -> str:
     """The gain of the best times, and these times; empty if the run has none yet."""
     subject = Subject(run)
-    section = budget(subject) if run.has_budget else answer(subject)
+    section = budget(subject) if "budget" in run.job else answer(subject)
     texts = [block for block in section.blocks if isinstance(block, Text)] if section else []
-    return " ".join(block.text for block in texts if block.prominent or not run.has_budget)
+    return " ".join(block.text for block in texts if block.prominent or "budget" not in run.job)
 
 
 def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
@@ -167,7 +168,7 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
     result = subject.found_results[name]
     times = result.measurement_times
     if subject.is_compared:
-        sentences = [_gain(subject, result), _proof(subject, result), online_sentence(subject)]
+        sentences = [_gain(subject, name), _proof(subject, result), online_sentence(subject)]
         yield Text(" ".join(filter(None, sentences)), prominent=True)
         others = len(subject.found_results) - 1
         if others:
@@ -181,7 +182,8 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
         yield Text(f"{name}: measure at {at}. The search believed an expected error of {believed}.")
 
 
-def _gain(subject: Subject, result: SetResult) -> str:
+def _gain(subject: Subject, name: str) -> str:
+    result = subject.found_results[name]
     gain, positive = result.gain_of_means, result.positive_fraction
     times = result.measurement_times
     if times == subject.reference_times:
@@ -193,8 +195,12 @@ def _gain(subject: Subject, result: SetResult) -> str:
     share = f"{percent(positive, 0)} of {number_of(result.gain_draws or 0, 'draw')}"
     reference = next(iter(subject.results.values())).exact_mse
     if result.exact_mse is not None and reference:
-        lowers = exact_effect(result.exact_mse, reference)
+        what = THE_WORST if subject.summary.is_worst else "the expected error"
+        lowers = exact_effect(result.exact_mse, reference, what)
         return f"{these} {lowers}. In {share}, the error is lower."
+    if (worst := worst_effect(subject, name)) is not None:
+        mean, _ = effect(gain, result.gain_of_means_interval, "the mean over the scenarios")
+        return f"{these} {worst} It {mean}."
     lowers, left_open = effect(gain, result.gain_of_means_interval)
     measured = _MEASURED if subject.is_exact else ""
     sentences = (f"{these} {lowers}.", measured, f"In {share}, the error is lower.", left_open)
@@ -209,7 +215,7 @@ def _proof(subject: Subject, result: SetResult) -> str:
         return f"There is no lower bound: {proof['reason']}."
     constrained = subject.summary.is_constrained
     sentence = gap_sentence(proof, len(result.measurement_times), is_constrained=constrained)
-    return f"{sentence} {NO_LIMITS}" if subject.run.problem.feasible.limits else sentence
+    return f"{sentence} {NO_LIMITS}" if problem_of(subject.run).feasible.limits else sentence
 
 
 # --- all sets -------------------------------------------------------------------------------------
@@ -221,7 +227,7 @@ def gains(subject: Subject) -> Section | None:
         return None
     rows = [_gains_row(name, result) for name, result in subject.results.items()]
     draws = number_of(subject.summary.draws_compared, "draw")
-    fresh = " that took no part in the search" if subject.run.found else ""
+    fresh = " that took no part in the search" if found_sets(subject.run) else ""
     table = Table(
         f"Expected error on {draws}{fresh}", _GAINS_HEAD, rows,
         optional=[_GAINS_HEAD[-1], _GAINS_HEAD[-2]],
@@ -326,9 +332,9 @@ def searches(subject: Subject) -> Section | None:
 
 def _evaluated(subject: Subject) -> dict[str, int]:
     """Number of sets that each search has evaluated, in all its phases."""
-    if not subject.run.has("evaluations"):
+    if "evaluations" not in subject.run.tables:
         return {}
-    rows = subject.run.evaluations()
+    rows = subject.run.table("evaluations")
     names = rows["phase"].astype(str).str.partition(".")[0]
     return {str(name): int(count) for name, count in rows.groupby(names)["copies"].sum().items()}
 

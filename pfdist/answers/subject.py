@@ -9,6 +9,7 @@ from typing import Any
 
 from pfdist.analysis import Run, read_recorded
 from pfdist.analysis.reference import label
+from pfdist.analysis.stored_run import problem_of
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.percent import percent, range_of, times_100
@@ -98,13 +99,12 @@ class Subject:
         others = len(self.others) - len(self.shown)
         if not others:
             return []
-        adjective = "found " * (
-            len(self.found_results) < len(self.others) and bool(self.found_results)
-        )
+        adjective = "found " if self.found_results else ""
+        shown = number_of(len(self.shown), f"{adjective}set")
         return [
             Text(
-                f"Figures are shown of the {len(self.shown)} {adjective}sets with the least "
-                f"expected error. Those of the other {others} are in the folder figures of the run."
+                f"Figures are shown of {shown} with the least expected error. Those of the other "
+                f"{number_of(others, 'set')} are in the folder figures of the run."
             )
         ]
 
@@ -123,14 +123,14 @@ class Subject:
         if len(steps) != 1 or len(sensors) > 1:
             return label(name)
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
-        if self.run.problem.has_clock:
+        if problem_of(self.run).has_clock:
             return f"every {step} {self.unit}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor
 
     @property
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
-        return self.run.problem.clock.unit
+        return problem_of(self.run).clock.unit
 
     def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""
@@ -150,7 +150,9 @@ def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, s
     return f"{value} %", f"{low} to {high} %"
 
 
-def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
+def effect(
+    gain: float, interval: Sequence[float | None], what: str = "the expected error"
+) -> tuple[str, str]:
     """Say what a gain does to the expected error, and what its interval leaves open.
 
     Parameters
@@ -159,6 +161,7 @@ def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
         Relative; negative if the error rises.
     interval : list of float or None
         Lower and upper end, 95 %; None is unknown.
+    what : str
 
     Returns
     -------
@@ -176,22 +179,23 @@ def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
     changes = "lowers" if gain >= 0 else "raises"
     if low is None or high is None:
         value, *_ = with_interval(100 * abs(gain), None, None)
-        phrase = f"{changes} the expected error by {value} %"
+        phrase = f"{changes} {what} by {value} %"
         return phrase, "There are too few draws to say how exact this figure is."
     ends = [low, high] if gain >= 0 else [-high, -low]
     value, low_to_high = percent_and_interval(abs(gain), ends)
-    phrase = f"{changes} the expected error by {value} (95 %: {low_to_high})"
+    phrase = f"{changes} {what} by {value} (95 %: {low_to_high})"
     open_ = "The interval contains 0, so these draws do not tell which times are better."
     return phrase, open_ if low <= 0.0 <= high else ""
 
 
-def exact_effect(mse: float, reference: float) -> str:
+def exact_effect(mse: float, reference: float, what: str = "the expected error") -> str:
     """Say what times do to the expected error, where both expected errors are known exactly.
 
     Parameters
     ----------
     mse, reference : float
         Expected MSE of the times, and that of the reference.
+    what : str
 
     Examples
     --------
@@ -201,7 +205,7 @@ def exact_effect(mse: float, reference: float) -> str:
     changes = "lowers" if mse <= reference else "raises"
     change = percent(abs(1 - mse / reference))
     ends = f"from {rounded(reference)} to {rounded(mse)}"
-    return f"{changes} the expected error by {change}, {ends}: the filter knows both exactly"
+    return f"{changes} {what} by {change}, {ends}: the filter knows both exactly"
 
 
 def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import pfdist
 from pfdist.analysis.listed_run import DAMAGED, FINISHED
+from pfdist.analysis.stored_run import problem_of, version_of
 from pfdist.analysis.studies import (
     SEED,
     SET,
@@ -156,7 +157,7 @@ def computed(subject: SweepSubject) -> Section:
     """Say how many points are finished, how long all took, and with which versions."""
     per_run = subject.frame.drop_duplicates("path")["worker_seconds"]
     states = dict.fromkeys([FINISHED, *(point.state for point in subject.points)])
-    versions = dict.fromkeys(run.version for run in subject.runs)
+    versions = dict.fromkeys(version_of(run) for run in subject.runs)
     facts = [
         ("points", f"{len(subject.points):,}"),
         *((state, f"{subject.count(state):,}") for state in states),
@@ -313,7 +314,7 @@ def _found_times(subject: SweepSubject) -> Picture:
     counts = Counter(t for times in sets for t in times)
     # The most frequent time, and the earliest of several.
     t = min(counts, key=lambda t: (-counts[t], time_and_sensor(t)), default=0)
-    last = max(run.problem.clock.times[-1] for run in subject.runs)
+    last = max(problem_of(run).clock.times[-1] for run in subject.runs)
     plot = Plot(
         times_inches(len(sets)),
         lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),

@@ -206,7 +206,7 @@ class SweepSubject:
             judges = {name: folder / name for name in runs if holds_run(folder / name)}
             opened = {name: open_run(path) for name, path in judges.items()}
             finished = {name: run for name, run in opened.items() if run.state == FINISHED}
-            sets = set(next(iter(finished.values())).sets().values()) if finished else set()
+            sets = set(next(iter(finished.values())).sets.values()) if finished else set()
             if (len(found_sets & sets), len(finished)) > most:
                 best, most = finished, (len(found_sets & sets), len(finished))
         return judged_table(runs, best)

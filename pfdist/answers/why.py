@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pfdist.analysis.sampling_windows import STRICT, WIDE, sentences, windows_of
+from pfdist.analysis.stored_run import found_sets
 from pfdist.answers.subject import Subject, number_of
 from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.common.percent import cost
@@ -27,17 +28,17 @@ Rows = Iterable[Mapping[Any, Any]]
 def worth(subject: Subject) -> Section | None:
     """The worth of each measurement of a run's sets, where ``pfdist why`` has run."""
     run = subject.run
-    if not run.has("worth"):
+    if "worth" not in run.tables:
         return None
-    rises = run.worth()
-    has_windows = run.has("sampling_windows") and run.has("jitter")
-    windows = run.sampling_windows() if has_windows else rises.iloc[:0]
-    jitter = run.jitter() if has_windows else rises.iloc[:0]
+    rises = run.table("worth")
+    has_windows = "sampling_windows" in run.tables and "jitter" in run.tables
+    windows = run.table("sampling_windows") if has_windows else rises.iloc[:0]
+    jitter = run.table("jitter") if has_windows else rises.iloc[:0]
     tables = list[Block]()
     for name, group in rises.groupby("name", sort=False):
         parts = (group, windows[windows["name"] == name], jitter[jitter["name"] == name])
         records = (part.to_dict("records") for part in parts)
-        tables += _of_set(str(name), *records, is_found=name in run.found, detail=True)
+        tables += _of_set(str(name), *records, is_found=name in found_sets(run), detail=True)
     figures = Figures(["why", "sampling_windows", "filters"], subject.shown)
     draws = int(rises["draws"].max())
     return Section(

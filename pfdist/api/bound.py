@@ -7,6 +7,7 @@ from typing import Any, Unpack
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
+from pfdist.analysis.stored_run import particle_losses_of
 from pfdist.answers.bound import bound_page
 from pfdist.api.at_work import at_work, noted
 from pfdist.api.following import following
@@ -170,7 +171,7 @@ def bound(
         prover.confidence,
         None if within is None else look.is_within(within, built.unjudged),
         [_on_clock(gap, built.job.problem.clock) for gap in look.gaps],
-        proved.particle_losses(),
+        particle_losses_of(proved),
         built.job.problem.is_constrained,
         bool(built.feasible.limits),
         built.job.scenarios is not None,

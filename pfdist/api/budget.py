@@ -51,7 +51,7 @@ def budget(
     target : float, optional
         An expected MSE. A second figure, ``budget-target-<target>``, shows the target, the least
         number of measurements that reaches it, and the largest number that is proved not to reach
-        it, as `Run.reaching` gives them.
+        it, as `pfdist.analysis.reaching` gives them.
     bound_draws : int
         Number of draws of the lower bound for each number of measurements; 0 for no bound. See
         `pfdist.bound`.
@@ -65,8 +65,8 @@ def budget(
     Returns
     -------
     Run
-        `Run.budget` has a row for each number of measurements and each kind of times, with the
-        lower bound beside the found times.
+        Its table ``budget`` has a row for each number of measurements and each kind of times, with
+        the lower bound beside the found times.
 
     Raises
     ------

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from pfdist.analysis import Run, read_recorded
+from pfdist.analysis.stored_run import check_one_number, problem_of
 from pfdist.api.following import following
 from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.run import Ending, run_built
@@ -73,10 +74,10 @@ class SetsToCompare:
         JobError
             The run has another clock or a longer horizon than the problem.
         """
-        sets = run.sets_of_one_number()
+        check_one_number(run)
         self._check_clock(run)
         self.differences += _differences(run, self._job.problem)
-        for position, (name, times) in enumerate(sets.items()):
+        for position, (name, times) in enumerate(run.sets.items()):
             instants = self._clock.measurements(times)
             is_known = self._instants.get(name) == instants
             if is_known or (position == 0 and instants in self._instants.values()):
@@ -179,7 +180,7 @@ class SetsToCompare:
         return free_name
 
     def _check_clock(self, run: Run) -> None:
-        own, first = run.problem.clock, self._clock
+        own, first = problem_of(run).clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
         if own.sensors != first.sensors:
             raise JobError(
@@ -204,7 +205,7 @@ class SetsToCompare:
 
 def _differences(run: Run, first: ProblemSection) -> list[str]:
     """Say how the problem of a run differs from the first, of the same clock."""
-    own, differences = run.problem, []
+    own, differences = problem_of(run), []
     if own.clock.horizon != first.clock.horizon:
         ends = [each.clock.formatted(each.clock.horizon) for each in (own, first)]
         differences.append(f"its horizon is {ends[0]}, not {ends[1]}")
@@ -245,7 +246,7 @@ def compare(
 ) -> Run:
     """Compare sets of times pairwise on common fresh draws, or resume their comparison.
 
-    The comparison is a run of its own, without a search. `Run.pairs` and `Run.ranks` are its
+    The comparison is a run of its own, without a search. Its tables ``pairs`` and ``ranks`` are the
     answers. All sets filter the same draws of the job's problem. The first set is the reference of
     the gains.
 

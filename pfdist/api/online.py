@@ -46,7 +46,7 @@ def online(
     Returns
     -------
     Run
-        `Run.online` has a row for each draw, and `Run.summary` the key ``online``.
+        Its table ``online`` has a row for each draw, and `Run.summary` the key ``online``.
 
     Raises
     ------

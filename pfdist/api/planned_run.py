@@ -79,7 +79,7 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
     JobError
         The run has no set of this name, or sets of several numbers of measurements and no name.
     """
-    sets = run.sets()
+    sets = run.sets
     if name in sets:
         return name, sets[name]
     if name:
@@ -88,7 +88,7 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
             f"{did_you_mean(name, sets)}",
             argument="planned",
         )
-    if run.has_budget:
+    if "budget" in run.job:
         raise JobError(
             f"{run.path} has times of several numbers of measurements: planned must say which, "
             f"for instance {list(sets)[-1]}",

@@ -96,9 +96,8 @@ class PointsAtWork:
     def points(self) -> Points:
         """The points when all drivers have ended."""
         left = self._failed | self._busy
-        runs = {name: open_run(self._path / name) for name in self._sweep.jobs if name not in left}
-        for name, run in runs.items():
-            run.made_from = self._sweep.jobs[name]
+        jobs = {name: job for name, job in self._sweep.jobs.items() if name not in left}
+        runs = {name: Run(self._path / name, job) for name, job in jobs.items()}
         failed = {name: one_line(why) for name, why in self._failed.items()}
         return Points(runs, failed, [*self._busy])
 

@@ -128,11 +128,11 @@ def run_built(
     """
     if is_sealed(path, built):
         say(f"{path} cannot be written: its figures and its report stay as they are")
-        return _run_of(built, path)
+        return Run(path, built.job)
     lenders = [lender(open_run(other).path, built) for other in reuse]
 
     def draw() -> Run:
-        run = _run_of(built, path)
+        run = Run(path, built.job)
         if ending.figures:
             _draw_missing_figures(run)
         return run
@@ -156,12 +156,6 @@ def run_built(
 
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
         run: Run = complete(driver(), pool, lenders).result()
-    return run
-
-
-def _run_of(built: Built, path: Path) -> Run:
-    run = open_run(path)
-    run.made_from = built.job
     return run
 
 
@@ -206,7 +200,7 @@ def compute(
             run = open_run(path)
             if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search
-            if not run.has_budget:
+            if "budget" not in run.job:
                 compared()
             try:
                 yield from prover.prove(session, open_run(path))
@@ -221,7 +215,7 @@ def bound_settings(draws: int) -> BoundSettings | None:
     try:
         return None if draws == 0 else BoundSettings(draws)
     except JobError as error:
-        raise JobError(f"bound_{error}", argument="bound_draws") from error
+        raise JobError(f"bound_{error} (0 for no bound)", argument="bound_draws") from error
 
 
 def _prover(built: Built, settings: BoundSettings | None, say: Say) -> Prover | None:
@@ -249,7 +243,7 @@ def _is_long(prover: Prover, built: Built, path: Path, say: Say) -> bool:
 def _seconds_a_step(built: Built, path: Path) -> float:
     """Seconds that a particle-step of the comparison has taken; a guess if there was none."""
     run = open_run(path)
-    timings = run.timings() if run.has("timings") else None
+    timings = run.table("timings") if "timings" in run.tables else None
     steps = comparison_steps(built) * run.draws_compared / built.job.comparison.draws
     if timings is None or not steps:
         return built.evaluator.seconds_a_step

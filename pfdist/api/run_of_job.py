@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pfdist.analysis import Run, open_run
+from pfdist.analysis.stored_run import job_of
 from pfdist.api.following import Say
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, StoreError
@@ -98,13 +99,14 @@ def run_and_job(
         A model cannot be loaded.
     """
     if isinstance(source, Run):
-        if source.made_from is None:
+        made_from = job_of(source)
+        if made_from is None:
             raise ArgumentError(
                 f"a run that was opened from its folder holds no model, got {source.path}: give "
                 f"the job, for instance {str(source.path / 'job.toml')!r}",
                 argument="job",
             )
-        results, source = source.path if results is None else results, source.made_from
+        results, source = source.path if results is None else results, made_from
     job = as_job(source)
     path, sections = folder_of(job, results), _AS_DEFAULT
     if not holds_run(path):

@@ -14,6 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.analysis import Run, finite, open_run
+from pfdist.analysis.stored_run import check_one_number, found_sets
 from pfdist.answers.why import why_page
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
@@ -113,7 +114,7 @@ class Why(Shown):
         return answer
 
     def _page(self) -> Page:
-        return why_page(self.as_json(), open_run(self.run).found)
+        return why_page(self.as_json(), found_sets(open_run(self.run)))
 
 
 def why(
@@ -167,7 +168,8 @@ def why(
     draws = whole_argument("draws", draws, 2, MOST_DRAWS)
     with following(progress, say) as (show, tell):
         opened, built = run_and_job(job, results, changes, tell)
-        sets = opened.sets_of_one_number()
+        check_one_number(opened)
+        sets = opened.sets
         if built.job.scenarios is not None:
             raise JobError(f"why needs a job without scenarios, got scenarios ({built.job.path})")
         with own_store(opened, built, tell, must_be=False) as store:
@@ -227,7 +229,7 @@ def _by_sensor(row: dict[str, Any], part: str, clock: Clock) -> dict[str, Any]:
 
 def _measured(run: Run, times: Times, model: StateSpaceModel) -> list[NDArray[np.float64]]:
     """The measurements at N instants of each draw that has a trajectory, (N, m) each."""
-    rows = run.trajectories()
+    rows = run.table("trajectories")
     columns = [f"y_{component.suffix}" for component in components_in(rows, "y_")]
     return [
         seen_at_instants(model, draw[columns].to_numpy(), times) for _, draw in rows.groupby("draw")

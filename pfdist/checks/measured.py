@@ -36,7 +36,7 @@ _NARROWER = 0.7  # deviation of the test density, over that of the measurements
 
 
 class NoIntegralError(Exception):
-    """The measurements have no density, and their values are no whole numbers; the reason."""
+    """Values have no density, and are no whole numbers; the reason, which names no variable."""
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,14 @@ def integral(likelihood: Likelihood, y: Array) -> Estimate:
     counts = whole(y)
     for component in np.flatnonzero(~counts):
         if np.unique(y[component]).size < (1 - _TIES) * y.shape[1]:
-            raise NoIntegralError(f"y[{component}] has few values, which are not whole numbers")
+            raise NoIntegralError(
+                f"component {component} has few values, which are not whole numbers"
+            )
     fitted, others = y[:, ::2], y[:, 1::2]  # the region must not depend on what is counted in it
     if len(y) <= MOST_ON_A_GRID:
         return _on_a_grid(likelihood, fitted, others, counts)
     if counts.any():
-        raise NoIntegralError("y has more than two components, and whole numbers among them")
+        raise NoIntegralError("there are more than two components, and whole numbers among them")
     return _sampled(likelihood, fitted, others)
 
 
@@ -88,7 +90,7 @@ def _on_a_grid(
         for values, is_whole in zip(np.linalg.solve(along, fitted), counts, strict=True)
     ]
     if counts.any() and math.prod(axis.nodes.size for axis in axes) > _MOST_SUMMED:
-        raise NoIntegralError("y has too many whole numbers as values")
+        raise NoIntegralError("there are too many whole numbers")
     nodes = np.meshgrid(*(axis.nodes for axis in axes), indexing="ij")
     weights = np.meshgrid(*(axis.weights for axis in axes), indexing="ij")
     points = along @ np.stack([part.ravel() for part in nodes])
@@ -121,14 +123,14 @@ def _moments(y: Array) -> tuple[Array, Array]:
     deviation = np.sqrt(np.diag(covariance))
     correlation = covariance / deviation / deviation[:, None]
     if np.linalg.eigvalsh(correlation)[0] < _DEPENDENT:
-        raise NoIntegralError("a component of y follows from the others")
+        raise NoIntegralError("a component follows from the others")
     return central.mean(axis=1), np.asarray(np.linalg.cholesky(covariance), np.float64)
 
 
 def _summed(values: Array) -> _Axis:
     low, high = np.round(np.quantile(values, _INSIDE))
     if high - low > _MOST_SUMMED:
-        raise NoIntegralError("y has too many whole numbers as values")
+        raise NoIntegralError("there are too many whole numbers")
     nodes = np.arange(low, high + 1)
     return _Axis(nodes, np.ones(nodes.size), low, high)
 
@@ -165,7 +167,7 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             try:
                 total = integral(density, y)
             except NoIntegralError as reason:
-                return "note", f"it cannot be checked: {reason}"
+                return "note", f"the integral over y cannot be checked: {reason}"
             states, summed = states + 1, summed or bool(whole(y).all())
             if not abs(total.value - 1) < _LARGEST_Z * total.standard_error + _INTEGRATION:
                 return "wrong", (
@@ -204,7 +206,7 @@ def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             try:
                 total = integral(lambda points: np.exp(log_density(points)), w)
             except NoIntegralError as reason:
-                return "note", f"it cannot be checked: {str(reason).replace('y', 'w', 1)}"
+                return "note", f"the integral over w cannot be checked: {reason}"
             if not abs(total.value - 1) < _LARGEST_Z * total.standard_error + _INTEGRATION:
                 return "wrong", (
                     "exp(proposal_log_density) must have the integral 1 over w near what proposal "

@@ -123,6 +123,11 @@ def check_object(
         yield Check("clock", *_clock(clock, not times))
     try:
         check_lengths(model.parameters, horizon + 1)
+    except ModelError as error:
+        text = f"{error}; give them in the model, or in a job, and check the job"
+        yield Check("simulate", "wrong", text)
+        return
+    try:
         few = few_draws(model, horizon)
     except ModelError as error:
         yield Check("simulate", "wrong", str(error))

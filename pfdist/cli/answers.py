@@ -75,8 +75,11 @@ def print_run(run: "Run", options: Namespace, target: float | None = None) -> No
         An expected MSE: how many measurements reach it.
     """
     if options.json:
-        reached = {} if target is None else {"target": target, "reached": run.reaching(target)}
-        print_json(run.summary().as_json() | reached, options)
+        from pfdist.analysis import reaching  # noqa: PLC0415
+
+        reached = {} if target is None else reaching(run.table("budget"), target)
+        asked = {} if target is None else {"target": target, "reached": reached}
+        print_json(run.summary().as_json() | asked, options)
         return
     # Not above: commands that print no run need none of these libraries.
     from pfdist.answers.run import answer_of  # noqa: PLC0415

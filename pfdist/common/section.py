@@ -74,8 +74,8 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
         section, _, name = key.rpartition(".")
         place = f" in [{section}]" if section else ""
         keys = _allowed_keys(section, model)
-        allowed = f"allowed: {', '.join(keys)}{did_you_mean(name, keys)}"
-        return f"unknown key {shown(name)}{place}, {allowed}"
+        meant = did_you_mean(name, keys) or _did_you_mean_elsewhere(name, model)
+        return f"unknown key {shown(name)}{place}, allowed: {', '.join(keys)}{meant}"
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -107,6 +107,13 @@ def _allowed_keys(section: str, model: type[BaseModel]) -> list[str]:
     kind = _section(section, model)
     is_section = isinstance(kind, type) and issubclass(kind, BaseModel)
     return list(kind.model_fields) if is_section else []
+
+
+def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
+    """The end of an error about a key that other sections have; empty if none has it."""
+    sections = (key for key, field in model.model_fields.items() if not _kinds(field))
+    keys = [f"{section}.{name}" for section in sections if name in _allowed_keys(section, model)]
+    return f"; did you mean {' or '.join(map(repr, keys))}?" if keys else ""
 
 
 def _section(section: str, model: type[BaseModel]) -> Any:

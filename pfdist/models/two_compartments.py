@@ -4,8 +4,8 @@ The dose enters the central compartment (the blood) at time 0. The drug is elimi
 and goes to and fro between it and the peripheral compartment (the tissue). All rates are
 proportional to amounts, so the amounts after any time follow in closed form from the exponential of
 a 2x2 matrix. The share of the dose that arrives differs between patients, and white noise of both
-amounts stands for what two compartments leave out. An assay measures the concentration in the blood
-with normal noise.
+amounts stands for what two compartments leave out. Two assays measure the concentration in the
+blood with normal noise: an immunoassay is cheap and noisy, a chromatography is dear and exact.
 
 The clearance is a parameter. It differs between patients by a factor of two and more, so a job
 gives it scenarios: see the page on robust plans. With a known clearance the system is linear and
@@ -26,7 +26,7 @@ import math
 
 import numpy as np
 
-from pfdist.models.base import StateSpaceModel
+from pfdist.models.base import Sensor, StateSpaceModel
 from pfdist.models.pharmacokinetics import after
 
 
@@ -44,12 +44,20 @@ def transition(x, t, w, p):
     return (central + noise * w[0], peripheral + noise * w[1])
 
 
-def measurement(x, t, v, p):
-    return (x[0] / p.central_volume + p.measurement_sd * v[0],)
+def immunoassay(x, t, v, p):
+    return (x[0] / p.central_volume + p.immunoassay_sd * v[0],)
 
 
-def log_likelihood(y, x, t, p):
-    return -0.5 * ((y[0] - x[0] / p.central_volume) / p.measurement_sd) ** 2
+def log_likelihood_of_immunoassay(y, x, t, p):
+    return -0.5 * ((y[0] - x[0] / p.central_volume) / p.immunoassay_sd) ** 2
+
+
+def chromatography(x, t, v, p):
+    return (x[0] / p.central_volume + p.chromatography_sd * v[0],)
+
+
+def log_likelihood_of_chromatography(y, x, t, p):
+    return -0.5 * ((y[0] - x[0] / p.central_volume) / p.chromatography_sd) ** 2
 
 
 def quantity_of_interest(x, t, p):
@@ -63,12 +71,15 @@ model = StateSpaceModel(
     name="two_compartments",
     initial=initial,
     transition=transition,
-    measurement=measurement,
-    log_likelihood=log_likelihood,
     quantity_of_interest=quantity_of_interest,
     initial_noise=("normal",),
     process_noise=("normal", "normal"),
-    measurement_noise=("normal",),
+    sensors={
+        "immunoassay": Sensor(immunoassay, log_likelihood_of_immunoassay, ("normal",), cost=1),
+        "chromatography": Sensor(
+            chromatography, log_likelihood_of_chromatography, ("normal",), cost=2
+        ),
+    },
     parameters={
         "dose": 1000.0,
         "dose_sd": 0.1,
@@ -77,7 +88,8 @@ model = StateSpaceModel(
         "exchange": 6.0,
         "peripheral_volume": 40.0,
         "process_sd": 20.0,
-        "measurement_sd": 1.0,
+        "immunoassay_sd": 2.5,
+        "chromatography_sd": 0.5,
     },
     parameter_ranges={
         "dose": ABOVE_0,
@@ -87,10 +99,11 @@ model = StateSpaceModel(
         "exchange": ABOVE_0,
         "peripheral_volume": ABOVE_0,
         "process_sd": NOT_NEGATIVE,
-        "measurement_sd": ABOVE_0,
+        "immunoassay_sd": ABOVE_0,
+        "chromatography_sd": ABOVE_0,
     },
     linear_gaussian=True,
     x_names=("central amount [mg]", "peripheral amount [mg]"),
-    y_names=("concentration [mg/L]",),
+    y_names=("by immunoassay [mg/L]", "by chromatography [mg/L]"),
     z_names=("concentration [mg/L]",),
 )

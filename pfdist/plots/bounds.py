@@ -30,7 +30,7 @@ _DASHES = ("-", "-.", ":")
 _STYLES = {"regular": set_style(0), "found": set_style(1)}
 
 
-@figure("budget", applies=lambda run: run.has_budget)
+@figure("budget", applies=lambda run: "budget" in run.job)
 def budget_figure(tables: Tables) -> Plot:
     """Expected MSE against the number of measurements, of regular and of found times."""
     return _plot(tables.run)
@@ -55,7 +55,7 @@ def draw_target(run: Run, target: float) -> list[Path]:
 
 
 def _plot(run: Run, target: float | None = None) -> Plot:
-    table = run.budget()
+    table = run.table("budget")
     return Plot(
         2.5, lambda panels: budget(table, target=target, ax=panels[0]), title=_title(table, target)
     )
@@ -91,7 +91,7 @@ def budget(
     Parameters
     ----------
     table : Run or DataFrame
-        A run for several numbers of measurements, or its table `pfdist.analysis.Run.budget`.
+        A run for several numbers of measurements, or its table ``budget``.
     target : float, optional
         An expected MSE, drawn as a line; the least N that reaches it is marked, and the largest N
         that is proved not to reach it.
@@ -154,13 +154,13 @@ def _mark_number(ax: Axes, number: int, top: float, text: str, side: str, colour
     )  # fmt: skip
 
 
-@figure("bound", applies=lambda run: one_number(run) and run.has("bound"))
+@figure("bound", applies=lambda run: one_number(run) and "bound" in run.tables)
 def bound_figure(tables: Tables) -> Plot:
     """The lower bound against the work of its proof, below the expected MSE of the found sets.
 
     If there are several proofs, the figure shows the one with most particle-steps.
     """
-    rows, names = tables.run.bounds(), tables.run.names
+    rows, names = tables.run.table("bound"), tables.run.names
     return Plot(2.5, lambda panels: bound(rows, ax=panels[0]), title=_title_of_proof(rows, names))
 
 
@@ -195,7 +195,7 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     rows : Run or DataFrame
-        A run whose lower bound was proved, or its table `pfdist.analysis.Run.bounds`.
+        A run whose lower bound was proved, or its table ``bound``.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 

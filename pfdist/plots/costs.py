@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.analysis.pairs import formatted_ranks
 from pfdist.analysis.reference import label
+from pfdist.analysis.stored_run import distrust_of, named_sets, own_estimation, statistics_of
 from pfdist.errors import JobError
 from pfdist.plots.figure import Plot, Tables, figure, one_number
 from pfdist.plots.panel import (
@@ -150,7 +151,7 @@ def groups_of(run: Run) -> dict[str, list[str]]:
     """Names of the searches that estimate alike, by how they differ from the comparison."""
     groups: dict[str, list[str]] = {}
     for search in run.job["search"]:
-        own = run.own_estimation(search["name"])
+        own = own_estimation(run, search["name"])
         parts = [str(own.get("estimator", ""))]
         parts += [f"{own[key]} {key}" for key in ("particles", "resampling") if key in own]
         difference = ", ".join(part.replace("_", " ") for part in parts if part)
@@ -160,9 +161,9 @@ def groups_of(run: Run) -> dict[str, list[str]]:
 
 def shown_evaluations(run: Run) -> pd.DataFrame:
     """The table of evaluations; of a search that was repeated, only the repetition."""
-    evaluations = run.evaluations()
+    evaluations = run.table("evaluations")
     names = [search["name"] for search in run.job["search"]]
-    repeated = {f"{name}.again": name for name in names if run.distrust(name)}
+    repeated = {f"{name}.again": name for name in names if distrust_of(run, name)}
     evaluations = evaluations[~evaluations["phase"].isin(repeated.values())]
     return evaluations.assign(phase=evaluations["phase"].replace(repeated))
 
@@ -214,8 +215,8 @@ def cost(
     if isinstance(evaluations, Run):
         run, way, names = evaluations, *_alike(groups_of(evaluations), list(searches))
         searches, title = _methods(run, names), title or _way(way)
-        if not way and run.draws_compared and not run.has_budget:
-            lines = _on_fresh_draws(run, run.statistics())
+        if not way and run.draws_compared and "budget" not in run.job:
+            lines = _on_fresh_draws(run, statistics_of(run))
             reference, best = reference or lines["reference"], best or lines["best"]
         evaluations = shown_evaluations(run)
     methods = searches if isinstance(searches, Mapping) else dict.fromkeys(searches, "")
@@ -290,10 +291,10 @@ def _columns(names: Collection[str]) -> int:
     return 2 if max(map(len, names)) <= _LONGEST_NAME else 1
 
 
-@figure("compared", applies=lambda run: bool(run.named))
+@figure("compared", applies=lambda run: bool(named_sets(run)))
 def compared_figure(tables: Tables) -> Plot:
     """Expected MSE of each compared set, with the 95 % interval of its difference to the best."""
-    ranks = tables.run.ranks()
+    ranks = tables.run.table("ranks")
     best, *others = ranks.to_dict("records")
     rivals = [str(each["name"]) for each in others if each["best_rank"] == 1]
     if best["best_rank"] == best["worst_rank"]:
@@ -319,7 +320,7 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     ranks : Run or DataFrame
-        A run, or its table `pfdist.analysis.Run.ranks`.
+        A run, or its table ``ranks``.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 

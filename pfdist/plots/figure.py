@@ -17,6 +17,7 @@ from matplotlib.figure import Figure as Canvas
 
 from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.analysis.online import OnlineDraws, online_draws
+from pfdist.analysis.stored_run import statistics_of
 from pfdist.common.registry import Registry
 from pfdist.errors import StoreError
 from pfdist.plots.panel import scaled
@@ -71,18 +72,18 @@ class Tables:
     @cached_property
     def statistics(self) -> ComparisonStatistics:
         """Statistics of the comparison."""
-        return self.run.statistics()
+        return statistics_of(self.run)
 
     @cached_property
     def trajectories(self) -> pd.DataFrame:
         """Truth, measurements and estimates of the first draws."""
-        return self.run.trajectories()
+        return self.run.table("trajectories")
 
     @cached_property
     def gains_of_trajectories(self) -> pd.DataFrame:
         """Relative gains of the draws that have trajectories, by draw."""
         draws = int(self.trajectories["draw"].max()) + 1
-        return self.run.gains(draws=draws).set_index("draw")
+        return self.run.table("gains", draws).set_index("draw")
 
     @cached_property
     def online(self) -> OnlineDraws:
@@ -137,12 +138,12 @@ FIGURES: Registry[Figure] = Registry("pfdist.plots")
 
 def one_number(run: Run) -> bool:
     """Whether the sets of a run have one number of measurements."""
-    return not run.has_budget
+    return "budget" not in run.job
 
 
 def has_online(run: Run) -> bool:
     """Whether a run has times that were chosen one after another."""
-    return run.has("online")
+    return "online" in run.tables
 
 
 def figure(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import BIN, EDGES, Gain, GainSummary, Run
 from pfdist.analysis.reference import label
+from pfdist.analysis.stored_run import statistics_of
 from pfdist.common.formatted_times import times_of
 from pfdist.errors import JobError
 from pfdist.plots.figure import Plot, Tables, figure, one_number
@@ -72,7 +73,7 @@ def gain(
     ----------
     source : Run, Gain or DataFrame
         A run; or a gain over the reference; or a table with a column ``mse_<name>`` for each set
-        and a row for each draw, as `pfdist.analysis.Run.comparison`.
+        and a row for each draw, as the table ``comparison``.
     name : str
         Name of the set; by default the first that was found. A `Gain` needs a name.
     reference : str
@@ -102,7 +103,7 @@ def gain(
     if isinstance(source, Gain):
         gains = {name: source}
     elif isinstance(source, Run):
-        gains, reference = source.statistics().gains, label(source.names[0])
+        gains, reference = statistics_of(source).gains, label(source.names[0])
     else:
         gains, reference = _gains_of_table(source, reference)
     name = chosen(name or next(iter(gains)), gains, "name")
@@ -315,7 +316,7 @@ def _of_run(
     tables: Tables, name: str, draw: int | None = None
 ) -> tuple[pd.DataFrame, Sets, int, float]:
     """Trajectories of a run, the reference and another set, a draw, and the gain in this draw."""
-    (reference, *others), sets = tables.run.names, tables.run.sets()
+    (reference, *others), sets = tables.run.names, tables.run.sets
     name = chosen(name or others[0], others, "sets")
     gains = tables.gains_of_trajectories[f"gain_{name}"]
     gains = gains[gains.index.isin(tables.trajectories["draw"])]

@@ -14,6 +14,7 @@ from pfdist.analysis.sampling_windows import (
     sentences,
     windows_of,
 )
+from pfdist.analysis.stored_run import found_sets
 from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
@@ -137,16 +138,16 @@ def _rises(
 
 @figure(
     "sampling_windows",
-    applies=lambda run: run.has("sampling_windows") and run.has("jitter"),
+    applies=lambda run: "sampling_windows" in run.tables and "jitter" in run.tables,
     each_set=True,
 )
 def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
     rows, jitter = (
         table[table["name"] == name]
-        for table in (tables.run.sampling_windows(), tables.run.jitter())
+        for table in (tables.run.table("sampling_windows"), tables.run.table("jitter"))
     )
-    is_found = name in tables.run.found
+    is_found = name in found_sets(tables.run)
     said = sentences(rows.to_dict("records"), jitter.to_dict("records"), is_found=is_found)
     return Plot(
         _height(len(windows_of(rows.to_dict("records"), WIDE))),

@@ -80,7 +80,7 @@ def online_shares(
     ----------
     source : Run, OnlineDraws or DataFrame
         A run with online times; or its draws that have them; or a table with a row for each draw
-        and the column measurement_times, as `pfdist.analysis.Run.online`.
+        and the column measurement_times, as the table ``online``.
     planned : tuple of int
         The times of the plan; a run has them.
     plan : str

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
+from pfdist.analysis.stored_run import problem_of
 from pfdist.common.formatted_times import time_and_sensor
 from pfdist.errors import JobError, shown
 from pfdist.plots.figure import Plot, Tables, figure
@@ -39,6 +40,7 @@ _MOST_LINES = 5  # sets that differ in colours and dashes
 _MOST_COMPONENTS = 3  # of z, each with a panel above the times
 _ROW, _PANEL = 0.17, 1.6  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
+_LONGEST_OF_TWO = 16  # characters of a name with which the legend has two columns
 _MARGIN = 0.03  # part of the axis beside times that are not whole
 _LEADING = 1.25  # distance of two names over the size of their font
 
@@ -46,9 +48,9 @@ _LEADING = 1.25  # distance of two names over the size of their font
 @figure("times")
 def times_figure(tables: Tables) -> Plot:
     """Root mean square error of the estimates over time, and the measurement times of every set."""
-    run, sets = tables.run, tables.run.sets()
+    run, sets = tables.run, tables.run.sets
     rows = times_inches(sum(len(_rows_of(name, at)) for name, at in sets.items()))
-    if run.has_budget or len(sets) < 2 or not run.has("trajectories"):
+    if "budget" in run.job or len(sets) < 2 or "trajectories" not in run.tables:
         numbers = sorted({len(times) for times in sets.values()})
         each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
         title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
@@ -129,7 +131,7 @@ def uncertainty(
         The trajectories are neither a run nor a table.
     """
     check_kind(trajectories, (Run, pd.DataFrame), "trajectories")
-    table = trajectories.trajectories() if isinstance(trajectories, Run) else trajectories
+    table = trajectories.table("trajectories") if isinstance(trajectories, Run) else trajectories
     quantities = components_in(table, "z_")
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
     columns = list(map(str, table.columns))
@@ -164,7 +166,8 @@ def uncertainty(
     cut_outliers(ax, curves, zero=True)
     label_quantity(ax, quantities, component, "root mean square error of {}")
     label_times(ax, table)
-    legend_above(ax, columns=3 if max(map(len, names)) <= 12 else 0)
+    longest = max(map(len, names))
+    legend_above(ax, columns=3 if longest <= 12 else 2 if longest <= _LONGEST_OF_TWO else 1)
     return ax
 
 
@@ -205,9 +208,9 @@ def times(
     check_kind(sets, (Run, Mapping), "sets")
     barred, references, clock = set[float](forbidden), set[str](), None
     if is_of_run := isinstance(sets, Run):
-        run, clock = sets, sets.problem.clock
+        run, clock = sets, problem_of(sets).clock
         barred.update(_forbidden_times(run))
-        sets = run.sets()
+        sets = run.sets
         references = {*run.names} - {*run.references}
     for name, at in sets.items():
         check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
@@ -257,12 +260,22 @@ def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, 
         time, sensor = time_and_sensor(measurement)
         by_sensor.setdefault(sensor, []).append(time)
     rows = sorted(by_sensor.items()) or [("", [])]
-    return [(name, f"{name}, {sensor}" if sensor else name, at) for sensor, at in rows]
+    return [
+        # The name of a sensor alone has the name of the sensor.
+        (
+            name,
+            f"{name}, {sensor}"
+            if sensor and name != f"alone_{sensor}".lower().replace("-", "_")
+            else name,
+            at,
+        )
+        for sensor, at in rows
+    ]
 
 
 def _forbidden_times(run: Run) -> list[float]:
     """The times at which no sensor may measure."""
-    feasible, clock = run.problem.feasible, run.problem.clock
+    feasible, clock = problem_of(run).feasible, problem_of(run).clock
     counts = Counter(time // feasible.sensors for time in feasible.forbidden)
     return clock.times_of(t for t, count in counts.items() if count == feasible.sensors)
 

@@ -35,18 +35,18 @@ _LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
 
 
 def _is_explained(run: Run) -> bool:
-    return run.has("profile") and run.has("worth")
+    return "profile" in run.tables and "worth" in run.tables
 
 
 def _has_particles(run: Run) -> bool:
-    return _is_explained(run) and bool(run.profile()["effective_sample_size"].notna().any())
+    return _is_explained(run) and bool(run.table("profile")["effective_sample_size"].notna().any())
 
 
 @figure("why", applies=_is_explained, each_set=True)
 def why_figure(tables: Tables, name: str) -> Plot:
     """Expected error over time, and its rise if a measurement is removed or shifted."""
     run = tables.run
-    profile, measurements, names = run.profile(), run.worth(), (run.names[0], name)
+    profile, measurements, names = run.table("profile"), run.table("worth"), (run.names[0], name)
     of_both = measurements[measurements["name"].isin(names)]  # a set may measure nothing
 
     def draw(panels: Sequence[Axes]) -> None:
@@ -82,7 +82,7 @@ def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
 def filters_figure(tables: Tables) -> Plot:
     """Effective sample size of the filters over time, and degenerate draws if there are any."""
     run = tables.run
-    profile, particles = run.profile(), run.job["filter"]["particles"]
+    profile, particles = run.table("profile"), run.job["filter"]["particles"]
     sizes = profile.dropna(subset="effective_sample_size")
     names = [name for name in run.names if name in set(sizes["name"])][:_MOST_SETS]
     sizes = sizes[sizes["name"].isin(names)]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run
 from pfdist.analysis.particle_loss import less
+from pfdist.analysis.stored_run import statistics_of
 from pfdist.bounds.proof import UNKNOWN, ZERO, GapParts
 from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_key, stream_of
@@ -94,7 +95,7 @@ def gap_parts(
         errors[name] = yield from _per_draw(session, sets, kind, draws_stream, draws)
     squared, whole = errors.get("squared"), dict[str, Moments]()
     if squared is None:
-        rows, statistics = run.comparison(draws), run.statistics()
+        rows, statistics = run.table("comparison", draws), statistics_of(run)
         squared = {name: rows[f"mse_{name}"].to_numpy(np.float64) for name in sets}
         whole = {
             name: statistics.mse[name]

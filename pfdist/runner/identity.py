@@ -167,7 +167,7 @@ def check_same_models(path: Path, built: Built) -> None:
     """Raise a `RunMismatchError` unless models mean the same as those of a run."""
     changes = changed_fingerprints(read_recorded(path)[0], built)
     if changes:
-        message = f"{path} is of another model than is there now: the run's -> this one's"
+        message = f"{path} is of another model than is there now; in the run -> now"
         raise RunMismatchError(message, tuple(f"{key}: {how}" for key, how in changes.items()))
 
 
@@ -238,7 +238,7 @@ def _mismatch(
     path: Path, differences: list[str], remedy: str = "give results another folder"
 ) -> RunMismatchError:
     return RunMismatchError(
-        f"{path} holds another run ({remedy}): the run's -> this one's", tuple(differences)
+        f"{path} holds another run ({remedy}); in the run -> now", tuple(differences)
     )
 
 

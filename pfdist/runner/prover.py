@@ -117,9 +117,9 @@ class Prover:
 
     def has_proved(self, run: Run) -> bool:
         """Whether the table ``bound`` has this proof, for all draws that the run compares now."""
-        if not run.has("bound"):
+        if "bound" not in run.tables:
             return False
-        rows = run.bounds()
+        rows = run.table("bound")
         enough = rows["draws"] >= self._blocks[-1] * BLOCK
         for key, value in self._columns(run.draws_compared).items():
             enough &= rows[key] == value
@@ -128,7 +128,7 @@ class Prover:
     def _looks(self, session: Session, run: Run) -> Generator[Batch, None, list[Look]]:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
-        sets = self._built.study.proved(self._built.instants(run.sets()))
+        sets = self._built.study.proved(self._built.instants(run.sets))
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         if feasible and self._built.is_worst:
             yield from self._weigh_scenarios(session, feasible.values())
@@ -206,7 +206,7 @@ class Prover:
         if self._built.evaluator.exact:
             costs = self._built.exact_costs([*sets.values()]).tolist()
             return dict(zip(sets, map(Estimate, costs), strict=True))
-        rows = run.scenarios()
+        rows = run.table("scenarios")
         rows = rows.loc[rows.groupby("name")["expected_mse"].idxmax()].set_index("name")
         return {
             name: Estimate(

@@ -246,16 +246,19 @@ def extent(folder: Path) -> Extent:
     return Extent(total, changed)
 
 
-_NUMBER = re.compile("([0-9]+)")
+_NUMBER = re.compile(r"((?:(?<==)-)?[0-9]+(?:\.[0-9]+)?(?:e[-+][0-9]+)?)")
+"""A number in a name. A minus counts after =, as in the names of a sweep's points."""
 
 
-def natural_key(name: str) -> list[tuple[int, str]]:
+def natural_key(name: str) -> list[tuple[float, str]]:
     """A key by which names are sorted, with numbers in them ordered as numbers, and then as text.
 
     >>> sorted(["n10", "n9", "n9b", "m", "n09"], key=natural_key)
     ['m', 'n09', 'n9', 'n9b', 'n10']
+    >>> sorted(["sd=0.1", "sd=-2", "sd=0.05", "sd=1e-05"], key=natural_key)
+    ['sd=-2', 'sd=1e-05', 'sd=0.05', 'sd=0.1']
     """
     parts = _NUMBER.split(name)
-    return [(int(part), "") if index % 2 else (0, part) for index, part in enumerate(parts)] + [
+    return [(float(part), "") if index % 2 else (0, part) for index, part in enumerate(parts)] + [
         (0, name)
     ]

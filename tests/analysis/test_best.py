@@ -15,9 +15,9 @@ def test_the_best_set_has_the_least_mean_error_of_the_compared_draws(
     finished: Callable[..., Path],
 ) -> None:
     run = pfdist.open_run(finished("model.name=random_walk", *SETS))
-    mse = run.comparison()[["mse_early", "mse_late", "mse_regular"]].mean()
+    mse = run.table("comparison")[["mse_early", "mse_late", "mse_regular"]].mean()
     name = mse.idxmin().removeprefix("mse_")
-    assert run.best.measurement_times == list(run.sets()[name])
+    assert run.best.measurement_times == list(run.sets[name])
     assert run.best.expected_mse == pytest.approx(mse.min())
 
 

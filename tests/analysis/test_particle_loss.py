@@ -12,6 +12,7 @@ import pfdist
 from oracles.systems import scalar
 from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, hardly_measured, less, particle_loss
+from pfdist.analysis.stored_run import particle_losses_of
 from pfdist.common.estimate import Estimate
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
@@ -116,9 +117,9 @@ def test_times_that_hardly_beat_no_measurement_are_named() -> None:
 def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[..., Path]) -> None:
     changes = ["model.name=random_walk", "filter.particles=5", "comparison.draws=1500"]
     run = pfdist.open_run(finished(*changes))
-    assert len(run.filter_distance()) == len(run.filter_variance()) == 1000
+    assert len(run.table("filter_distance")) == len(run.table("filter_variance")) == 1000
     nothing = expected_mse(pfdist.load_model("random_walk"), 12, [()])[0]
-    column = run.filter_variance()["unmeasured"]
+    column = run.table("filter_variance")["unmeasured"]
     tolerance = 4 * column.std() / math.sqrt(1000)
     assert column.mean() == pytest.approx(nothing * 4 / 5, abs=tolerance)  # (P - 1) / P of it
     for name in run.names:
@@ -129,5 +130,5 @@ def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[...
 
 def test_exact_engines_lose_nothing_and_say_nothing(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished("model.name=random_walk", "filter.engine=kalman"))
-    assert run.particle_losses() == {}
+    assert particle_losses_of(run) == {}
     assert not any(result.particle_loss for result in run.summary().results.values())

@@ -102,7 +102,7 @@ def test_keys_that_are_lacking_have_their_defaults(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As a version has written them that did not know the keys.
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
+    monkeypatch.setattr("pfdist.analysis.stored_run.check_key", lambda *_: None)
     (run / "job.toml").write_bytes(_job('name = "genetic"\n', ""))
     assert main(["status", str(run)]) == 0
     assert "finished" in capsys.readouterr().out

@@ -15,6 +15,7 @@ import pytest
 
 import pfdist
 from pfdist import Job, Run, load_job
+from pfdist.analysis.stored_run import statistics_of
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.cli.main import main
@@ -173,7 +174,8 @@ CHANGES = {
     [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SHIPPED],
 )
 def test_every_model_that_ships_has_a_bound(name: str, tmp_path: Path) -> None:
-    few = ["problem.measurement_budget=4", "comparison.draws=100", "execution.pool=serial"]
+    budget = "total_cost" if name == "two_compartments" else "measurement_budget"
+    few = [f"problem.{budget}=4", "comparison.draws=100", "execution.pool=serial"]
     few += CHANGES.get(name, ["problem.horizon=12"])
     job = load_job(JOBS / f"{'plan' if name == 'ungm' else name}.toml", few)
     run = pfdist.plan(job, tmp_path / "run", search="random", bound_draws=0, figures=False)
@@ -280,7 +282,9 @@ def test_a_set_with_degenerate_draws_has_no_gap(
     run = run_of(*models, *few, source=CUT)
     for gap in bound(run, LEAST_DRAWS).gaps:
         assert f"a draw is degenerate or infinite{reason}" in gap.reason
-    assert all("degenerate or infinite" in each for each in pfdist.open_run(run).bounds()["reason"])
+    assert all(
+        "degenerate or infinite" in each for each in pfdist.open_run(run).table("bound")["reason"]
+    )
     assert main(["bound", str(run / "job.toml"), "--pool", "serial"]) == 0
 
 
@@ -321,10 +325,10 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
     again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
     with monkeypatch.context() as patched:
         patched.setattr(Run, "timings", slow)
-        assert not pfdist.run(walk / "job.toml", walk, **again, say=said.append).has("bound")
+        assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=said.append).tables
     (line,) = said  # no pool was started
     assert line.startswith("there is no lower bound yet: pfdist bound would take about ")
-    assert pfdist.run(walk / "job.toml", walk, **again).has("bound")
+    assert "bound" in pfdist.run(walk / "job.toml", walk, **again).tables
 
 
 def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
@@ -369,8 +373,8 @@ def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
         bound(walk, 2 * LEAST_DRAWS, progress=stop)
     stopped = pfdist.open_run(walk)
     assert stopped.state == "finished"
-    assert stopped.has("error_sums")
-    assert not stopped.has("bound")
+    assert "error_sums" in stopped.tables
+    assert "bound" not in stopped.tables
     bound(walk, 2 * LEAST_DRAWS)
     bound(other, 2 * LEAST_DRAWS)
     assert _tables(walk) == _tables(other)
@@ -411,13 +415,13 @@ def test_what_is_committed_is_not_computed_again(
 
 def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
     run = pfdist.open_run(run_of(*WALK, f"comparison.draws={SET_DRAWS}"))
-    found, statistics = bound(run.path, LEAST_DRAWS), run.statistics()
+    found, statistics = bound(run.path, LEAST_DRAWS), statistics_of(run)
     for gap in found.gaps:
         mse = statistics.mse[gap.name]
         assert gap.expected_mse.value == mse.mean
         assert gap.expected_mse.standard_error == mse.standard_error
         assert not gap.reason
-    of_bounds = pfdist.open_run(run.path).draws().groupby("evaluation").size()
+    of_bounds = pfdist.open_run(run.path).table("draws").groupby("evaluation").size()
     variances = min(SET_DRAWS, 12 * LEAST_DRAWS)  # 12 draws for each draw of the bound
     assert (of_bounds == variances).sum() == len(found.gaps)  # the variances alone
 
@@ -426,7 +430,7 @@ def test_more_compared_draws_are_proved_again(walk: Path) -> None:
     for draws in (300, 300, 400):
         job = load_job(walk / "job.toml", [f"comparison.draws={draws}", "execution.pool=serial"])
         run = pfdist.run(job, walk, figures=False, bound_draws=LEAST_DRAWS)
-        assert set(run.bounds()["compared_draws"]) == {draws}
+        assert set(run.table("bound")["compared_draws"]) == {draws}
 
 
 def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound(walk: Path) -> None:
@@ -473,7 +477,7 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
     bound(walk, LEAST_DRAWS, window=1)
     run = pfdist.open_run(walk)
-    rows, summary = run.bounds(), run.summary().results
+    rows, summary = run.table("bound"), run.summary().results
     looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
     assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
     assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
@@ -537,9 +541,9 @@ def test_plan_says_how_good_its_times_are(
     assert main([*command, str(tmp_path / "plan")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert re.search(r"No other 4 times can lower .* \(95 %: ", printed)
-    assert len(pfdist.open_run(tmp_path / "plan").bounds()) == 2  # regular and found times
+    assert len(pfdist.open_run(tmp_path / "plan").table("bound")) == 2  # regular and found times
     tables = _tables(tmp_path / "plan")
     assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do
     assert _tables(tmp_path / "plan") == tables
     assert main([*command, str(tmp_path / "bare"), "--bound-draws", "0"]) == 0
-    assert not pfdist.open_run(tmp_path / "bare").has("bound")
+    assert "bound" not in pfdist.open_run(tmp_path / "bare").tables

@@ -12,6 +12,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.analysis import reaching
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.filters.kalman import expected_mse
@@ -41,7 +42,7 @@ def exact(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
 @pytest.fixture
 def found(exact: pfdist.Run) -> pd.DataFrame:
     """The found times of each number of measurements."""
-    table = exact.budget()
+    table = exact.table("budget")
     return table[table["kind"] == "found"].set_index("measurements")
 
 
@@ -55,7 +56,7 @@ def optima() -> "pd.Series[float]":
 def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regular_ones(
     exact: pfdist.Run,
 ) -> None:
-    table = exact.budget()
+    table = exact.table("budget")
     kinds = ("regular", DEFAULT_METHOD)
     assert table["name"].tolist() == [f"{name}_{n:02}" for name in kinds for n in range(2, 7)]
     for row in table.to_dict("records"):
@@ -83,7 +84,7 @@ def test_no_set_costs_less_than_the_bound_and_a_set_that_costs_as_much_is_optima
     optimal = found["bound"] >= found["search_cost"] * (1 - 1e-11)
     assert optimal.all()  # windows have grown until the gap is 0
     assert found["search_cost"].tolist() == pytest.approx(optima.tolist(), rel=1e-9)
-    regular = exact.budget().query("kind == 'regular'")
+    regular = exact.table("budget").query("kind == 'regular'")
     assert regular[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
 
 
@@ -92,7 +93,7 @@ def test_a_number_is_impossible_if_no_set_of_so_many_times_reaches_the_target(
 ) -> None:
     for target in (1.0, 1.5, 1.8, 2.2, 2.6):
         cannot = optima.index[optima > target]
-        reached = exact.reaching(target)["found"]
+        reached = reaching(exact.table("budget"), target)["found"]
         assert reached["impossible"] == (max(cannot) if len(cannot) else None)
         assert reached["measurements"] is None or reached["measurements"] not in cannot
 
@@ -124,14 +125,14 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
             pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, progress=stop, figures=False)
         stopped = pfdist.open_run(tmp_path / phase)
         assert (stopped.state == "finished") is ("bound" in phase)
-        assert not stopped.has("bound")
+        assert "bound" not in stopped.tables
         other = few.with_changes(["problem.measurement_budget=3"])  # is left aside
         pfdist.budget(other, (2, 4), tmp_path / phase, draws=60, figures=False)
         assert hashes(tmp_path / phase) == hashes(tmp_path / "whole")
     assert whole.state == "finished"
     assert whole.names[0] == "regular_2"
-    assert whole.bounds()["draws"].tolist() == [LEAST_DRAWS] * 3
-    found = whole.budget().tail(3)
+    assert whole.table("bound")["draws"].tolist() == [LEAST_DRAWS] * 3
+    found = whole.table("budget").tail(3)
     assert (found["bound_low"] < found["bound"]).all()
 
 
@@ -160,6 +161,7 @@ def test_the_command_says_how_many_are_enough(
     text = capsys.readouterr().out
     assert f"\ntarget {target:g}: 4 found times reach it (95 %: " in text
     assert "; no 3 times can (95 %)" in " ".join(text.split())
+    assert f"\nTo reach {target:g}, measure at t = " in text
     row = rf"^5  .*\(.* to .*\) +{costs[5]:.3f} \(.* to .*\) +{bounds[5]:.4f}$"
     assert re.search(row, text, re.MULTILINE)
     assert main(["status", str(run)]) == 0
@@ -179,9 +181,9 @@ def test_without_draws_there_is_no_bound(
     assert "bound" not in text
     assert "times can" not in text
     run = pfdist.open_run(tmp_path / "run")
-    assert not run.has("bound")
-    assert run.budget()["bound_low"].isna().all()
-    assert run.reaching(0.1)["found"]["impossible"] is None
+    assert "bound" not in run.tables
+    assert run.table("budget")["bound_low"].isna().all()
+    assert reaching(run.table("budget"), 0.1)["found"]["impossible"] is None
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -190,8 +192,8 @@ def test_numbers_with_gaps_have_the_times_that_they_have_without_gaps(
 ) -> None:
     words = ["--draws", "300", "--set", *EXACT, "--measurements", "2", "4,6"]
     assert main(["budget", str(exact_job.path), *words, "--results", str(tmp_path / "run")]) == 0
-    whole = exact.budget().set_index("name")
-    few = pfdist.open_run(tmp_path / "run").budget().set_index("name")
+    whole = exact.table("budget").set_index("name")
+    few = pfdist.open_run(tmp_path / "run").table("budget").set_index("name")
     assert few["measurements"].tolist() == [2, 4, 6] * 2
     for column in ("measurement_times", "expected_mse", "search_cost", "bound"):
         pd.testing.assert_series_equal(few[column], whole[column][few.index])

@@ -156,7 +156,7 @@ def test_a_clock_of_one_step_an_instant_changes_no_figure(small_job: pfdist.Job)
 def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
     """Summary, tables and the sets of a run have times in hours; nothing has instants."""
     run = pfdist.run(job, tmp_path / "run")
-    (regular, exhaustive), allowed = run.sets().values(), set(TIMES) - {2.0, 3.0}
+    (regular, exhaustive), allowed = run.sets.values(), set(TIMES) - {2.0, 3.0}
     assert set(regular) | set(exhaustive) <= allowed
     summary = run.summary()
     assert summary.time_unit == "h"
@@ -166,22 +166,22 @@ def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
     assert "weights of instants in the MSE" in page
     assert "by the trapezoidal rule, because the steps differ, from 0.1667 to 2.333" in page
     assert summary.results["exhaustive"].measurement_times == list(exhaustive)
-    rows = run.trajectories()
+    rows = run.table("trajectories")
     assert rows["t"].tolist()[: len(TIMES)] == list(TIMES)
     assert rows.attrs["time_unit"] == "h"
     table = pd.read_parquet(run.path / "tables" / "evaluations")
     assert {time for times in table["measurement_times"] for time in times} <= allowed
     again = pfdist.run(job, tmp_path / "run")  # a finished run is read, not computed
-    assert again.sets() == run.sets()
+    assert again.sets == run.sets
     more = pfdist.run(pfdist.load_job(job, ["comparison.draws=300"]), tmp_path / "run")
-    assert (more.sets(), more.draws_compared) == (run.sets(), 300)
+    assert (more.sets, more.draws_compared) == (run.sets, 300)
 
 
 def _profile(run: pfdist.Run, found: Why) -> tuple[pd.DataFrame, float, NDArray[np.float64]]:
     """Errors of the best set at each instant, its expected MSE, and its exact errors."""
     profile = found.profile[found.profile["name"] == "exhaustive"]
     cost = found.sets.set_index("name").loc["exhaustive", "expected_mse"]
-    measured = tuple(TIMES.index(time) for time in run.sets()["exhaustive"])
+    measured = tuple(TIMES.index(time) for time in run.sets["exhaustive"])
     return profile, cost, exact_errors(np.array(TIMES), measured)
 
 
@@ -243,7 +243,7 @@ def test_the_bound_holds_on_an_irregular_grid(job: Path, tmp_path: Path) -> None
         times: weighted(exact_errors(np.array(TIMES), times))
         for times in spaced.problem.feasible.every()
     }
-    assert run.sets()["exhaustive"] == tuple(TIMES[t] for t in min(errors, key=lambda t: errors[t]))
+    assert run.sets["exhaustive"] == tuple(TIMES[t] for t in min(errors, key=lambda t: errors[t]))
     assert gap.bound.value <= min(errors.values()) * (1 + 1e-12)
     assert gap.gap < 0.05
 
@@ -253,7 +253,7 @@ def test_commands_read_and_write_hours(
 ) -> None:
     assert main(["run", str(job), "--results", str(tmp_path / "run")]) == 0
     text = capsys.readouterr().out
-    times = pfdist.open_run(tmp_path / "run").sets()["exhaustive"]
+    times = pfdist.open_run(tmp_path / "run").sets["exhaustive"]
     assert f"Measure at t = {', '.join(f'{time:g}' for time in times)} h." in text
     assert main(["evaluate", str(job), "--times", "0.5:8", "--json"]) == 0
     broken = json.loads(capsys.readouterr().out)["broken_constraints"]
@@ -309,7 +309,7 @@ def test_measurements_and_the_next_time_speak_of_the_clock(
 ) -> None:
     """`filter`, `next` and a planner read and write hours; a planner repeats what `next` says."""
     run = pfdist.run(job, tmp_path / "run")
-    planned = run.sets()["exhaustive"]
+    planned = run.sets["exhaustive"]
     measured = pd.DataFrame({"t": [planned[0], 12.0], "y0": [0.3, -1.0]})
     found = pfdist.filter_measurements(run, measured, out=tmp_path, report=False)
     assert found.table["t"].tolist() == list(TIMES)

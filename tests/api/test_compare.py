@@ -12,6 +12,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Run
+from pfdist.analysis.stored_run import found_sets, named_sets
 from pfdist.cli.main import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
 
@@ -75,11 +76,11 @@ def _bytes(run: Path) -> dict[str, bytes]:
 def test_an_exact_engine_gives_the_exact_differences_and_ranks(job: Job, exact: Run) -> None:
     kalman = job.with_changes(["filter.engine=kalman"])
     known = {name: each.exact for name, each in pfdist.evaluate(kalman, SETS).items()}
-    for pair in exact.pairs().to_dict("records"):
+    for pair in exact.table("pairs").to_dict("records"):
         difference = known[pair["first"]] - known[pair["second"]]
         assert pair["difference"] == pair["low"] == pair["high"] == pytest.approx(difference)
         assert pair["clear"]
-    ranks = exact.ranks()
+    ranks = exact.table("ranks")
     assert ranks["name"].to_list() == sorted(known, key=lambda name: known[name])
     assert ranks["best_rank"].to_list() == ranks["worst_rank"].to_list() == [1, 2, 3]
     assert (ranks["standard_error"] == 0.0).all()
@@ -89,11 +90,11 @@ def test_an_exact_engine_gives_the_exact_differences_and_ranks(job: Job, exact: 
 def test_differences_of_a_particle_filter_agree_with_the_exact_ones(
     compared: Run, exact: Run
 ) -> None:
-    pairs, known = compared.pairs(), exact.pairs()
+    pairs, known = compared.table("pairs"), exact.table("pairs")
     error = (pairs["high"] - pairs["low"]) / 2 / 1.9615  # Student's t of 1500 draws
     assert (np.abs(pairs["difference"] - known["difference"]) < 4 * error).all()
     assert pairs["clear"].any()
-    assert compared.ranks()["name"].to_list() == exact.ranks()["name"].to_list()
+    assert compared.table("ranks")["name"].to_list() == exact.table("ranks")["name"].to_list()
 
 
 def test_one_command_gives_the_numbers_of_three_lines_of_python(
@@ -102,8 +103,8 @@ def test_one_command_gives_the_numbers_of_three_lines_of_python(
     words = ["compare", str(folder / "walk.toml"), *WORDS, "--results", str(folder / "command")]
     assert main([*words, "--no-report", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert answer["pairs"] == compared.pairs().to_dict("records")
-    assert answer["ranks"] == compared.ranks().to_dict("records")
+    assert answer["pairs"] == compared.table("pairs").to_dict("records")
+    assert answer["ranks"] == compared.table("ranks").to_dict("records")
     assert _bytes(folder / "command") == _bytes(compared.path)
     few = answer["results"]["few"]
     assert few["broken_constraints"] == ["problem.measurement_budget is 4, got 2 times"]
@@ -158,8 +159,10 @@ def test_times_are_times_on_the_clock(job: Job, tmp_path: Path, compared: Run) -
     clock = {"problem": {"time_unit": "h", "time_step": 0.5, "horizon": 6}}
     times = {"clinic": [0, 1.5, 3, 6], "late": "3:6:1", "few": [2, 4.5]}
     run = compare(job.with_changes(settings=clock), times=times, results=tmp_path / "clock")
-    assert run.sets() == {"clinic": (0.0, 1.5, 3.0, 6.0), "late": (3, 4, 5, 6), "few": (2, 4.5)}
-    np.testing.assert_array_equal(run.pairs()["difference"], compared.pairs()["difference"])
+    assert run.sets == {"clinic": (0.0, 1.5, 3.0, 6.0), "late": (3, 4, 5, 6), "few": (2, 4.5)}
+    np.testing.assert_array_equal(
+        run.table("pairs")["difference"], compared.table("pairs")["difference"]
+    )
 
 
 def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
@@ -172,12 +175,12 @@ def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
     kalman = job.with_changes(KALMAN)
     both = compare(kalman, first, second.path, exact, results=tmp_path / "both")
     named = ["regular", "random", "second_reference", "second_random", "clinic", "late", "few"]
-    assert [*both.sets()] == named
-    assert both.sets()["second_random"] == second.sets()["random"]
+    assert [*both.sets] == named
+    assert both.sets["second_random"] == second.sets["random"]
     assert both.job["search"] == []
     more = {"mine": [0, 12]}
     again = compare(kalman, first.path, first, times=more, results=tmp_path / "again")
-    assert [*again.sets()] == ["regular", "random", "mine"]
+    assert [*again.sets] == ["regular", "random", "mine"]
 
 
 def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(
@@ -201,7 +204,7 @@ def test_the_model_of_a_run_whose_sets_are_compared_is_not_run(job: Job, tmp_pat
     first = compare(tmp_path / "mine.toml", times=SETS, results=tmp_path / "a", draws=20)
     (tmp_path / "mine.py").write_text("raise SystemExit\n")
     found = compare(job, first.path, times={"more": [1]}, results=tmp_path / "b", draws=20)
-    assert [*found.sets()] == [*SETS, "more"]
+    assert [*found.sets] == [*SETS, "more"]
 
 
 @pytest.mark.parametrize(
@@ -241,7 +244,7 @@ def test_each_difference_of_the_problem_of_a_run_is_said(few: Job, tmp_path: Pat
 def test_a_reference_that_the_job_lists_is_compared(few: Job, tmp_path: Path) -> None:
     listed = few.with_changes(["comparison.reference=[0, 3, 6]"])
     run = compare(listed, times={"a": [0]}, results=tmp_path / "listed")
-    assert run.sets() == {"reference": (0, 3, 6), "a": (0,)}
+    assert run.sets == {"reference": (0, 3, 6), "a": (0,)}
 
 
 def test_the_name_of_a_set_fits_a_column_however_long_its_parts_are(
@@ -251,7 +254,7 @@ def test_the_name_of_a_set_fits_a_column_however_long_its_parts_are(
         compare(few, times={"s" * 64: [t], "b": [1]}, results=tmp_path / f"{'a_long_name' * 3}{t}")
         for t in (2, 3, 4)
     ]
-    names = [*compare(few, *runs, results=tmp_path / "cut").sets()]
+    names = [*compare(few, *runs, results=tmp_path / "cut").sets]
     assert len({*names}) == len(names) == 4
     assert max(map(len, names)) == 64
 
@@ -261,7 +264,7 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     changes += ["comparison.sets.mine=[0, 1, 2]", "comparison.sets.every='0:12'"]
     run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
     assert run.names == ["regular", "mine", "every", "random"]
-    assert (run.named, run.found) == (["mine", "every"], ["random"])
+    assert (named_sets(run), found_sets(run)) == (["mine", "every"], ["random"])
     results = run.summary().results
     assert results["random"].search_cause
     assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]

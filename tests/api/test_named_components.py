@@ -96,7 +96,7 @@ def test_columns_of_trajectories_have_the_names_and_the_numbers_of_the_run_witho
     assert list(named) == columns(Z, ("marker", "weight"))
     assert list(numbered) == columns(("0", "1"), ("0", "1"))
     np.testing.assert_array_equal(named.to_numpy(), numbered.to_numpy())
-    assert run.sets() == plain.sets()
+    assert run.sets == plain.sets
 
 
 def test_units_and_labels_are_in_the_metadata_and_in_attributes(
@@ -107,9 +107,9 @@ def test_units_and_labels_are_in_the_metadata_and_in_attributes(
     assert metadata["z_tumour_mass"][b"unit"] == b"mg"
     assert metadata["estimate_mine_too_tumour_mass"][b"label"] == b"Tumour mass [mg]"
     assert metadata["z_change_of_mass"][b"unit"] == b"z"  # no unit is given
-    labels = run.trajectories().attrs["labels"]
+    labels = run.table("trajectories").attrs["labels"]
     assert (labels["y_marker"], labels["z_change_of_mass"]) == ("marker [U/ml]", "change of mass")
-    assert "labels" not in plain.trajectories().attrs
+    assert "labels" not in plain.table("trajectories").attrs
 
 
 def test_axes_have_names_and_units(run: pfdist.Run, plain: pfdist.Run) -> None:
@@ -118,7 +118,7 @@ def test_axes_have_names_and_units(run: pfdist.Run, plain: pfdist.Run) -> None:
     assert plots.one_draw(plain, component=1).get_ylabel() == "$z_{1}$"
     table = pd.read_parquet(run.path / "tables" / "trajectories")
     table.attrs.clear()  # as after a CSV file: the column's own name is left
-    ax = plots.one_draw(table, run.sets(), component=1)
+    ax = plots.one_draw(table, run.sets, component=1)
     assert ax.get_ylabel() == "change_of_mass"
 
 

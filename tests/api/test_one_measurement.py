@@ -24,8 +24,8 @@ def test_every_search_finds_the_best_time_of_all(
     run = pfdist.run(job, tmp_path / "run", figures=False)
     evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
     exact = evaluator.expected_mse([(t,) for t in range(13)])
-    assert run.sets()["regular"] == (6,)
-    (found,) = run.sets()[method]
+    assert run.sets["regular"] == (6,)
+    (found,) = run.sets[method]
     # Removing the worst measurement, one after another, need not lead to the best.
     assert exact[found] <= exact.min() * (1.05 if method == "greedy_backward" else 1.0)
     assert exact[found] < exact[6]
@@ -45,7 +45,7 @@ def test_one_measurement_is_planned_explained_and_chosen_online(
     assert main(["why", str(path), "--results", run, "--draws", "20", *quick]) == 0
     online = ["online", str(path), "--results", str(tmp_path / "online"), "--draws", "3", *quick]
     assert main(online) == 0
-    online_times = pfdist.open_run(tmp_path / "online").online()["measurement_times"]
+    online_times = pfdist.open_run(tmp_path / "online").table("online")["measurement_times"]
     assert [len(times) for times in online_times] == [1, 1, 1]
 
 
@@ -56,5 +56,5 @@ def test_a_budget_curve_begins_at_one_measurement(
     options = ["--measurements", "1:3", "--draws", "40", "--target", "1000"]
     assert main([*command, *options, "--bound-draws", "0"]) == 0
     assert "1 found time reaches it" in capsys.readouterr().out
-    table = pfdist.open_run(tmp_path / "budget").budget()
+    table = pfdist.open_run(tmp_path / "budget").table("budget")
     assert sorted(set(table["measurements"])) == [1, 2, 3]

@@ -47,7 +47,7 @@ def test_any_method_may_search_and_the_jobs_own_are_left_aside(
         small_job, tmp_path / "run", method, changes=[*EXACT, "comparison.draws=2"], figures=False
     )
     assert run.names == ["regular", method]
-    phases = set(run.evaluations()["phase"])
+    phases = set(run.table("evaluations")["phase"])
     assert method in phases <= {method, f"{method}.polish", f"{method}.shortlist"}
 
 
@@ -102,7 +102,7 @@ def test_where_the_race_ends_with_degenerate_draws_alone_that_is_said(
     changes = ["search.survivors.evaluation.draws=20", "search.survivors.polish=false"]
     with pytest.raises(SearchError, match="every set of times that it ended with had a degenerate"):
         pfdist.plan(job, tmp_path / "run", "survivors", changes, figures=False)
-    rows = pfdist.open_run(tmp_path / "run").evaluations()
+    rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     of_search, of_race = (
         rows[rows["phase"] == name] for name in ("survivors", "survivors.shortlist")
     )

@@ -183,7 +183,7 @@ def table(path: Path, times: tuple[Any, ...], missed: tuple[Any, ...] = ()) -> P
 
 
 def planned_in(kept: Path) -> tuple[Any, ...]:
-    return pfdist.open_run(kept.parent).sets()["survivors"]
+    return pfdist.open_run(kept.parent).sets["survivors"]
 
 
 def test_next_says_what_a_planner_says(kept: Path, tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_next_says_what_a_planner_says(kept: Path, tmp_path: Path) -> None:
 
 def test_before_anything_is_measured_next_is_the_plan(kept: Path, tmp_path: Path) -> None:
     found = pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="regular")
-    assert found.plan == found.planned_before == pfdist.open_run(kept.parent).sets()["regular"]
+    assert found.plan == found.planned_before == pfdist.open_run(kept.parent).sets["regular"]
     assert found.expected.expected_mse == found.expected_before.expected_mse
     with pytest.raises(PfdistError, match="planned must be a compared set"):
         pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="nothing")

@@ -341,12 +341,12 @@ def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file_and_resumes_its_run(
     )
     of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", pool="serial", figures=False)
     of_script = pfdist.open_run(tmp_path / "serial")
-    pd.testing.assert_frame_equal(of_file.comparison(), of_script.comparison())
+    pd.testing.assert_frame_equal(of_file.table("comparison"), of_script.table("comparison"))
 
     more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
     done = script(tmp_path, more, "serial", "serial")
     assert done.stdout == "finished\n", done.stderr
-    assert len(pfdist.open_run(tmp_path / "serial").comparison()) == 60
+    assert len(pfdist.open_run(tmp_path / "serial").table("comparison")) == 60
     assert before.keys() == hashes(tmp_path / "serial").keys()
     changed = ROBOT.format(slope=0.9) + RUN.replace("40", "60")
     done = script(tmp_path, changed, "serial", "serial")

@@ -40,7 +40,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) -> None:
-    evaluations, draws = small_run.evaluations(), small_run.draws()
+    evaluations, draws = small_run.table("evaluations"), small_run.table("draws")
     populations = evaluations.groupby(["phase", "generation"])["copies"].sum()
     assert populations["genetic"].tolist() == [6, 6, 6, 6]
     assert populations["random"].tolist() == [10]
@@ -50,10 +50,10 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) 
     np.testing.assert_allclose(evaluations["expected_mse"], per_draw.mean()[evaluations.index])
     np.testing.assert_allclose(evaluations["standard_error"], per_draw.sem()[evaluations.index])
     assert (per_draw.size() == 30).all()
-    comparison = small_run.comparison()
+    comparison = small_run.table("comparison")
     assert comparison.columns.tolist() == ["draw", "mse_regular", "mse_genetic", "mse_random"]
     assert comparison["draw"].tolist() == list(range(250))
-    gains = small_run.gains()
+    gains = small_run.table("gains")
     expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
     np.testing.assert_allclose(gains["gain_genetic"], expected)
     assert not list((small_run.path / "parts").rglob("*.parquet"))
@@ -63,7 +63,7 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) 
 
 
 def test_a_search_reports_what_its_own_evaluation_got(small_run: pfdist.Run) -> None:
-    evaluations, results = small_run.evaluations(), small_run.summary().results
+    evaluations, results = small_run.table("evaluations"), small_run.summary().results
     last = evaluations[(evaluations["phase"] == "genetic") & (evaluations["generation"] == 3)]
     best = last.loc[last["expected_mse"].idxmin()]
     assert results["genetic"].search_cost == best["expected_mse"]
@@ -73,7 +73,10 @@ def test_a_search_reports_what_its_own_evaluation_got(small_run: pfdist.Run) -> 
 
 
 def test_the_first_trajectories_belong_to_the_comparison(small_run: pfdist.Run) -> None:
-    rows, comparison = small_run.trajectories(), small_run.comparison().set_index("draw")
+    rows, comparison = (
+        small_run.table("trajectories"),
+        small_run.table("comparison").set_index("draw"),
+    )
     assert rows["draw"].nunique() == 100
     for name in small_run.names:
         error = (rows["z_0"] - rows[f"estimate_{name}_0"]) ** 2
@@ -91,8 +94,8 @@ def test_copies_of_a_set_are_evaluated_afresh_unless_they_share(
             f"search.genetic.{how}_probability=0.0" for how in ("crossover", "mutation")
         ]
         run = pfdist.open_run(finished(*parents_survive, *changes))
-        found = run.evaluations()
-        assert len(run.draws()) == 30 * found["evaluation"].nunique()
+        found = run.table("evaluations")
+        assert len(run.table("draws")) == 30 * found["evaluation"].nunique()
         found = found[found["phase"] == "genetic"]
         return found.assign(times=found["measurement_times"].map(tuple))
 
@@ -122,7 +125,7 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
     changes = ['model.name="hopeless.py:hopeless"', "filter.engine=numpy", "evaluation.draws=3"]
     with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
         pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
-    rows = pfdist.open_run(tmp_path / "run").evaluations()
+    rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     assert (rows["degenerate_draws"] == rows["draws"]).all()
     assert np.isinf(rows["expected_mse"]).all()
 
@@ -190,7 +193,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
         with pytest.raises(TaskError, match="the cluster is on fire") as failure:
             pfdist.run(small_job, tmp_path / "again", figures=False)
     assert "Traceback" in failure.value.traceback
-    timings = pfdist.open_run(tmp_path / "again").timings()
+    timings = pfdist.open_run(tmp_path / "again").table("timings")
     assert timings["failures"].sum() == 1
     assert timings.loc[timings["failures"] == 1, "error"].str.contains("on fire").all()
     failed = counted.pop()  # counted, and not done
@@ -238,7 +241,7 @@ def test_trajectories_committed_out_of_order_are_completed(
         with pytest.raises(KeyboardInterrupt):
             pfdist.run(small_job, tmp_path / "run", figures=False)
     again = pfdist.run(small_job, tmp_path / "run", figures=False)
-    assert again.trajectories()["draw"].nunique() == 100
+    assert again.table("trajectories")["draw"].nunique() == 100
     assert hashes(again.path) == hashes(finished())
 
 
@@ -371,7 +374,11 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
 def test_the_papers_run_of_fewer_particles_holds_fewer_than_60_files(tmp_path: Path) -> None:
     job = load_job(ROOT / "jobs" / "paper.toml", ["filter.particles=2"])  # as many rows
     run = pfdist.run(job, tmp_path / "run", pool="serial")
-    assert len(run.draws()) == 1000 * run.evaluations()["evaluation"].nunique() > 2_000_000
+    assert (
+        len(run.table("draws"))
+        == 1000 * run.table("evaluations")["evaluation"].nunique()
+        > 2_000_000
+    )
     assert run.draws_compared == 100_000
     assert len([path for path in run.path.rglob("*") if path.is_file()]) < 60
     assert list(verify_run(run.path)) == []

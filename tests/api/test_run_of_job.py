@@ -94,7 +94,7 @@ def test_another_job_than_that_of_the_run_is_refused(
     words = [command, "jobs/small.toml", *ASK[command], "--set", *QUICK, "filter.particles=7"]
     line = error(*words)
     assert "results/small holds another run (give results another folder, or name the run's" in line
-    assert line.endswith("filter.particles: 40 -> 7")
+    assert line.endswith("; in the run -> now: filter.particles: 40 -> 7")
 
 
 def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None:
@@ -108,7 +108,7 @@ def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None
 def test_a_run_computes_if_this_process_has_made_it(there: Path) -> None:
     made = pfdist.run("jobs/small.toml", changes=QUICK, figures=False)
     opened = pfdist.open_run(made.path)
-    pd.testing.assert_frame_equal(why(made, changes=()).worth, opened.worth())
+    pd.testing.assert_frame_equal(why(made, changes=()).worth, opened.table("worth"))
     with pytest.raises(
         ArgumentError, match=r"give the job, for instance 'results/small/job\.toml'"
     ):
@@ -144,7 +144,9 @@ def hostile(there: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (run / "job.toml").write_text(job)
     about = json.loads((run / "run.json").read_text())
     about["provenance"]["folder"] = str(run)
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)  # all is signed anew
+    monkeypatch.setattr(
+        "pfdist.analysis.stored_run.check_key", lambda *_: None
+    )  # all is signed anew
     (run / "run.json").write_text(json.dumps(about))
     return flag
 
@@ -158,7 +160,7 @@ def test_a_command_that_reads_runs_no_model(command: str, hostile: Path) -> None
 
 
 def test_a_run_that_is_compared_has_no_model_run(hostile: Path) -> None:
-    pfdist.compare("jobs/small.toml", "results/small", draws=20, figures=False).pairs()
+    pfdist.compare("jobs/small.toml", "results/small", draws=20, figures=False).table("pairs")
     assert not hostile.exists()
 
 
@@ -175,7 +177,7 @@ def test_an_object_of_python_is_asked_for_in_python(
     there: Path, error: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = Path("results/small/job.toml")
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
+    monkeypatch.setattr("pfdist.analysis.stored_run.check_key", lambda *_: None)
     job.write_text(job.read_text().replace('name = "ungm"', 'name = "python:mine"'))
     line = error("why", str(job))
     assert line.startswith("model.name: the model 'python:mine' was given as an object in Python")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from oracles.walks import (
     costs,
     expected_mse,
 )
+from pfdist.answers.robust import worst_effect
 from pfdist.bounds.programme import Programme
 from pfdist.bounds.proof import best_shares
 from pfdist.bounds.relaxation import relaxation_with
@@ -149,9 +151,9 @@ def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
         figures=False,
         report=False,
     )
-    found = combined(costs([run.sets()[method]], told=True), criterion)
+    found = combined(costs([run.sets[method]], told=True), criterion)
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
-    believed = run.compared().set_index("name")["search_cost"][method]
+    believed = run.table("compared").set_index("name")["search_cost"][method]
     assert believed == pytest.approx(exact.min(), rel=1e-9)
 
 
@@ -174,8 +176,8 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
         figures=False,
         report=False,
     )
-    times = run.sets()["exhaustive"]
-    rows = run.scenarios()
+    times = run.sets["exhaustive"]
+    rows = run.table("scenarios")
     own = rows[rows["name"] == "exhaustive"].set_index("scenario")
     exact = costs([times], told=False)[0]
     # 100 particles cost about 1 / 100 more than the Kalman filter
@@ -310,3 +312,26 @@ def test_other_questions_are_refused(section: str) -> None:
 def test_a_planner_and_a_told_filter_are_refused() -> None:
     with pytest.raises(ModelError, match="only without scenarios"):
         pfdist.Planner(problem(), times=[0, 3, 6, 9])
+
+
+@pytest.mark.parametrize(
+    ("scenario", "says"),
+    [
+        (1, "lowers the expected error of the worst scenario by 50.0 % (95 %: 49.0 to 51.0 %)"),
+        # Independent draws: 1 - exp(log(2 / 4) -+ 1.96 * hypot(0.01, 0.01))
+        (0, "lowers the expected error of the worst scenario by 50.0 % (95 %: 48.6 to 51.4 %)"),
+    ],
+)
+def test_the_answer_for_the_worst_names_its_error_and_its_gain(scenario: int, says: str) -> None:
+    ends = {"gain_of_means_low": 0.49, "gain_of_means_high": 0.51}
+    rows = [
+        {"name": name, "scenario": number, "expected_mse": mse, "standard_error": 0.01 * mse} | ends
+        for name, errors in (("found", (1.0, 2.0)), ("regular", (3.0, 3.0)))
+        for number, mse in enumerate(errors)
+    ]
+    rows[2 + scenario] |= {"expected_mse": 4.0, "standard_error": 0.04}
+    subject = SimpleNamespace(
+        summary=SimpleNamespace(scenarios=rows, is_worst=True), results={"regular": None}
+    )
+    said = f"{says}, from 4.000 ± 0.040 to 2.000 ± 0.020."
+    assert worst_effect(subject, "found") == said

@@ -10,12 +10,11 @@ import pytest
 import pfdist
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
+from pfdist.analysis.stored_run import found_sets
 from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.models import load_model
-from pfdist.models.checks import formula_of_each_sensor
 from pfdist.sequential.one_filter import begin
 from pfdist.sequential.work import seen
 
@@ -104,8 +103,8 @@ def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
         if sum(time % 3 == 2 for time in times) < 2
         and not (times[0] % 3 == times[1] % 3 == 1 and times[1] // 3 - times[0] // 3 < 9)
     ]
-    (name,) = run.found
-    assert _numbers(run.sets()[name]) == min(within, key=mse.__getitem__)
+    (name,) = found_sets(run)
+    assert _numbers(run.sets[name]) == min(within, key=mse.__getitem__)
     bound = run.summary().results[name].lower_bound
     assert bound["bound"] == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
     assert pfdist.bound(problem, results=run.path, report=False).as_json()["leaves_out_limits"]
@@ -115,7 +114,7 @@ def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
     planned: tuple[pfdist.Problem, pfdist.Run],
 ) -> None:
     _, run = planned
-    sets = {name: list(times) for name, times in run.sets().items()}
+    sets = {name: list(times) for name, times in run.sets.items()}
     assert sets["regular"] == ["0 near", "12 near"]
     assert sets["alone_far"] == ["0 far", "12 far"]
     assert sets["rotation"] == ["0 near", "12 far"]
@@ -127,8 +126,8 @@ def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(
 ) -> None:
     problem, run = planned
     worth = pfdist.why(problem, results=run.path, figures=False).worth
-    (name,), system = run.found, SYSTEMS[3]
-    times = _numbers(run.sets()[name])
+    (name,), system = found_sets(run), SYSTEMS[3]
+    times = _numbers(run.sets[name])
     rows = worth[worth["name"] == name]
     assert _numbers(f"{row.t} {row.sensor}" for row in rows.itertuples()) == times
     for time, removed in zip(times, rows["removed"], strict=True):
@@ -187,41 +186,6 @@ def test_a_model_with_sensors_has_no_proposal() -> None:
         replace(SYSTEMS[0].as_model(), proposal=lambda x, y, t, u, p: u)
 
 
-def test_scenarios_and_sensors_together(tmp_path: Path) -> None:
-    """The exact error is the mean over scenarios, each filtered by the oracle-tested engine."""
-    system = load_model("two_compartments")
-    assays = {
-        name: pfdist.Sensor(
-            lambda x, t, v, p, sd=sd: (x[0] / p.central_volume + sd * v[0],),
-            lambda y, x, t, p, sd=sd: -0.5 * ((y[0] - x[0] / p.central_volume) / sd) ** 2,
-            ("normal",),
-            cost,
-        )
-        for name, sd, cost in (("cheap", 2.0, 1), ("dear", 0.5, 3))
-    }
-    alone = {"measurement": formula_of_each_sensor, "log_likelihood": formula_of_each_sensor}
-    model = replace(system, sensors=assays, measurement_noise=(), y_names=(), **alone)
-    clearances = (3.0, 6.0)
-    keys = {"horizon": 6, "time_step": 1.0, "total_cost": 5, "engine": "kalman"}
-    told = {"parameters": [{"clearance": each} for each in clearances], "filter": "told"}
-    problem = pfdist.Problem(model, scenarios=told, **keys)
-    times = ["1 cheap", "2 dear"]
-    costs = [
-        pfdist.evaluate(
-            pfdist.Problem(model.with_parameters({"clearance": clearance}), **keys), times
-        ).expected_mse
-        for clearance in clearances
-    ]
-    mse = pfdist.evaluate(problem, times).expected_mse
-    assert mse == pytest.approx(sum(costs) / 2, rel=1e-12)
-    run = pfdist.plan(
-        problem, results=tmp_path / "run", pool="serial", changes=("comparison.draws=50",),
-        figures=False, report=False,
-    )  # fmt: skip
-    (name,) = run.found
-    assert run.summary().results[name].lower_bound["gap"] >= -1e-9
-
-
 def test_sets_of_pairs_are_evaluated_as_the_oracle_does() -> None:
     written = {"a": "0 3 near, 12 both", "b": ["0 far", "5 near"]}
     found = pfdist.evaluate(_problem(SYSTEMS[2]), written)
@@ -243,8 +207,8 @@ def test_the_plan_is_the_optimum_of_brute_force_and_its_gap_is_0(
         _problem(system), results=tmp_path / "run", pool="serial", changes=few, figures=False,
         report=False,
     )  # fmt: skip
-    (name,) = run.found
-    times = _numbers(run.sets()[name])
+    (name,) = found_sets(run)
+    times = _numbers(run.sets[name])
     assert system.expected_mse(times) == pytest.approx(least, rel=1e-9)
     assert times == best
     bound = run.summary().results[name].lower_bound
@@ -263,7 +227,7 @@ def test_two_platforms_leave_little_room_to_the_relaxation(tmp_path: Path) -> No
         problem, results=tmp_path / "run", pool="serial", changes=("comparison.draws=2000",),
         figures=False, report=False,
     )  # fmt: skip
-    (name,) = run.found
-    assert {str(each).split()[1] for each in run.sets()[name]} == {"moving", "still"}
+    (name,) = found_sets(run)
+    assert {str(each).split()[1] for each in run.sets[name]} == {"moving", "still"}
     result = run.summary().results[name]
     assert result.lower_bound["relaxation"] < 0.03 * result.expected_mse

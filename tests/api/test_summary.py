@@ -9,7 +9,8 @@ import pytest
 
 import pfdist
 from pfdist import Job, Problem, StateSpaceModel
-from pfdist.analysis import Run
+from pfdist.analysis import Run, reaching
+from pfdist.analysis.stored_run import check_one_number
 from pfdist.answers.run import answer_of, page_of, searches
 from pfdist.answers.subject import Subject
 from pfdist.common.rounding import with_error, with_interval
@@ -44,7 +45,7 @@ def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ru
 def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     raced: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result, rows = raced.summary().results["survivors"], raced.evaluations()
+    result, rows = raced.summary().results["survivors"], raced.table("evaluations")
     times = rows["measurement_times"].map(tuple) == tuple(result.measurement_times)
     own = rows[times & rows["phase"].isin(["survivors", "survivors.polish"]) & (rows["end"] == 12)]
     race = rows[rows["phase"] == "survivors.shortlist"]
@@ -54,7 +55,7 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     believed = chosen.loc[chosen["draws"].idxmax()]
     assert result.search_cost == believed["expected_mse"]
     assert result.search_standard_error == believed["standard_error"]
-    fresh = raced.comparison()["mse_survivors"].mean()
+    fresh = raced.table("comparison")["mse_survivors"].mean()
     assert result.expected_mse == pytest.approx(fresh)
     assert result.search_excess == pytest.approx(result.search_cost / fresh - 1)
     differs = {"particles": 20, "resampling": "systematic", "estimator": "filter_variance"}
@@ -83,7 +84,7 @@ def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
 ) -> None:
     monkeypatch.setattr("pfdist.runner.comparison_phase.REPEATED", 100)
     run = pfdist.run(small_job, tmp_path / "run", figures=False)
-    again, once = run.repeated(), run.comparison()[:100]
+    again, once = run.table("repeated"), run.table("comparison")[:100]
     assert again["draw"].tolist() == list(range(100))
     a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
     assert (a != b).all()  # other noise,
@@ -163,7 +164,7 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     sets = {"early": [0, 1], "late": [2, 3]}
     run = pfdist.compare(problem, times=sets, results=tmp_path / "run", draws=400, figures=False)
     for name, result in run.summary().results.items():
-        mse = np.sort(run.comparison()[f"mse_{name}"])
+        mse = np.sort(run.table("comparison")[f"mse_{name}"])
         assert result.top_percent_share == pytest.approx(mse[-4:].sum() / mse.sum())
         assert result.top_percent_share > 0.5
     told = _all_that_is_said(run)
@@ -198,21 +199,21 @@ def budget(small_job: Job, tmp_path: Path) -> Run:
 
 def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished(*EXACT))
-    sets, table = run.sets_of_one_number(), run.budget()
+    sets, table = run.sets, run.table("budget")
     assert list(sets) == run.names
     assert all(len(measurement_times) == 4 for measurement_times in sets.values())
     assert table["kind"].tolist() == ["regular", "found", "found"]
     assert table["measurements"].tolist() == [4, 4, 4]
     check_results(run)
     least = table[table["kind"] == "found"]["expected_mse"].min()
-    assert run.reaching(least)["found"]["measurements"] == 4
-    below = run.reaching(least * 0.999)
+    assert reaching(run.table("budget"), least)["found"]["measurements"] == 4
+    below = reaching(run.table("budget"), least * 0.999)
     assert (below["found"]["measurements"], below["regular"]["measurements"]) == (None, None)
 
 
 def check_results(run: Run) -> None:
     """Check that there is a result for each row of the curve."""
-    results, table = run.summary().results, run.budget().set_index("name")
+    results, table = run.summary().results, run.table("budget").set_index("name")
     assert list(results) == run.names == table.index.tolist()
     for name, result in results.items():
         assert result.expected_mse == table.loc[name, "expected_mse"]
@@ -221,7 +222,7 @@ def check_results(run: Run) -> None:
 
 def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
     check_results(budget)
-    results, gains = budget.summary().results, budget.gains()
+    results, gains = budget.summary().results, budget.table("gains")
     assert len(budget.references) == 3
     assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
     for name, reference in budget.references.items():
@@ -229,4 +230,4 @@ def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run
         assert results[name].measurements == results[reference].measurements
         assert results[name].gain_of_means == pytest.approx(1 - cost / other)
     with pytest.raises(StoreError, match="times of several numbers of measurements"):
-        budget.sets_of_one_number()
+        check_one_number(budget)

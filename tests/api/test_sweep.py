@@ -418,10 +418,10 @@ def test_times_found_at_each_point_are_judged_at_every_point(
         results=tmp_path / "compared",
         figures=False,
     )
-    expected = {sets[name]: compared.comparison()[f"mse_{name}"].mean() for name in sets}
-    own = expected[sweep.runs[point].sets()["greedy_forward"]]
+    expected = {sets[name]: compared.table("comparison")[f"mse_{name}"].mean() for name in sets}
+    own = expected[sweep.runs[point].sets["greedy_forward"]]
     for row in judged[judged["run"] == point].itertuples():
-        assert row.measurement_times == sweep.runs[row.found_at].sets()["greedy_forward"]
+        assert row.measurement_times == sweep.runs[row.found_at].sets["greedy_forward"]
         mse = expected[row.measurement_times]
         assert row.expected_mse == pytest.approx(mse, rel=1e-12)
         assert row.loss == pytest.approx(mse / own - 1, rel=1e-9, abs=1e-12)
@@ -433,8 +433,8 @@ def test_times_found_at_several_points_are_judged_once(swept: Sweeping) -> None:
     """Points that differ in their comparison alone find the same times."""
     sweep = swept(ALIKE, judge=True)
     for name, judge in sweep.judges.items():
-        assert list(judge.sets()) == ["regular", "point_1_genetic", "point_1_random"]
-        assert judge.sets()["point_1_genetic"] == sweep.runs[name].sets()["genetic"]
+        assert list(judge.sets) == ["regular", "point_1_genetic", "point_1_random"]
+        assert judge.sets["point_1_genetic"] == sweep.runs[name].sets["genetic"]
     judged = sweep.judged()
     assert len(judged) == 18
     best, other = sorted(judged.groupby("set")["loss"].min())

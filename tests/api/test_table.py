@@ -51,7 +51,7 @@ def test_each_row_has_the_numbers_of_the_summary(folder: Path) -> None:
         for key in ("state", "evaluations"):
             assert row[key] == getattr(summary, key)
         assert row["draws"] == summary.draws_compared == 60
-        assert row["worker_seconds"] == run.timings()["seconds"].sum()
+        assert row["worker_seconds"] == run.table("timings")["seconds"].sum()
         assert np.isnan([row["bound"], row["bound_gap"], row["bound_gap_at_most"]]).all()
 
 
@@ -66,7 +66,7 @@ def test_the_keys_that_differ_are_columns_and_no_others(
     alone = pfdist.table(folder / "kalman")
     assert alone.columns.tolist()[:2] == ["run", "set"]
     # and so are versions
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
+    monkeypatch.setattr("pfdist.analysis.stored_run.check_key", lambda *_: None)
     other = shutil.copytree(folder / "kalman", folder / "other")
     about = json.loads((other / "run.json").read_text())
     (other / "run.json").write_text(json.dumps({**about, "pfdist": "0.3.1"}))
@@ -130,7 +130,7 @@ def test_found_times_of_several_numbers_are_compared_with_regular_times_of_the_s
 ) -> None:
     job = small_job.with_changes(["filter.particles=10"])
     run = pfdist.budget(job, (3, 4), tmp_path / "curve", 50, bound_draws=0, figures=False)
-    frame, mse = pfdist.table(run), run.comparison()
+    frame, mse = pfdist.table(run), run.table("comparison")
     assert frame["measurements"].tolist() == [3, 4]
     for row in frame.to_dict("records"):
         found, regular = (mse[f"mse_{row[name]}"] for name in ("set", "reference"))

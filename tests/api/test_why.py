@@ -177,11 +177,15 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     }
     assert after == before
     assert run.state == "finished"
-    assert run.profile()["error"].tolist()[:13] == [row["error"] for row in regular["profile"]]
-    assert run.worth()["removed"].tolist()[:4] == [row["removed"] for row in regular["worth"]]
-    stored = run.sampling_windows()
+    assert run.table("profile")["error"].tolist()[:13] == [
+        row["error"] for row in regular["profile"]
+    ]
+    assert run.table("worth")["removed"].tolist()[:4] == [
+        row["removed"] for row in regular["worth"]
+    ]
+    stored = run.table("sampling_windows")
     assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
-    assert run.jitter()["loss"].tolist()[:2] == [row["loss"] for row in jitter]
+    assert run.table("jitter")["loss"].tolist()[:2] == [row["loss"] for row in jitter]
     assert not list(verify_run(run.path))
     again = hashes(run.path)
     assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0

@@ -60,7 +60,7 @@ def best_sets(tmp_path_factory: pytest.TempPathFactory) -> list[Times]:
     folder: Path = tmp_path_factory.mktemp("best")
     (folder / "job.toml").write_text(JOB)
     run = pfdist.run(load_job(folder / "job.toml"), folder / "run", figures=False)
-    rows = run.evaluations()
+    rows = run.table("evaluations")
     rows = rows[(rows["end"] == HORIZON) & (rows["estimator"] == "filter_variance")]
     rows = rows.assign(times=[tuple(map(int, times)) for times in rows["measurement_times"]])
     means = rows.groupby("times")["expected_mse"].mean().sort_values()

@@ -69,6 +69,12 @@ def sentence(data: dict[str, Any]) -> str:
             "unknown key 'cont' in [inner], allowed: count; did you mean 'count'?",
         ),
         ("kind", "comon", "kind must be 'fresh' or 'common', got 'comon'; did you mean 'common'?"),
+        (
+            "count",
+            3,
+            f"unknown key 'count', allowed: {', '.join(Section.model_fields)}; "
+            "did you mean 'inner.count'?",
+        ),
         ("zzz", 3, f"unknown key 'zzz', allowed: {', '.join(Section.model_fields)}"),
     ],
 )

@@ -95,11 +95,11 @@ def test_a_job_is_evaluated_and_runs(
         for search in job.search
         for key in small.keys() & search.settings.keys()
     )
-    times = [job.problem.clock.times[t] for t in job.problem.feasible.regular()]
+    times = job.problem.clock.written_of(job.problem.feasible.regular())
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf
     run = pfdist.run(job, tmp_path / "run", pool="serial")
     assert run.state == "finished"
-    assert np.isfinite(run.comparison()).all(axis=None)
+    assert np.isfinite(run.table("comparison")).all(axis=None)
 
 
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)

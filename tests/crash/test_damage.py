@@ -365,7 +365,10 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     wrong = ["tables/draws/random-00000.parquet", "tables/comparison/comparison-00001.parquet"]
     lost = {
         str(id_)
-        for id_ in pfdist.open_run(run).evaluations().query("phase == 'random'").evaluation[:3]
+        for id_ in pfdist.open_run(run)
+        .table("evaluations")
+        .query("phase == 'random'")
+        .evaluation[:3]
     }
     assert len(lost) == 3
     damaged = {name: _flip(run / name, 77) for name in wrong}

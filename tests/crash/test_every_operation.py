@@ -230,8 +230,8 @@ def test_the_worth_of_measurements_that_goes_wrong_at_any_file_operation_has_the
 
     def look(path: Path) -> None:
         assert pfdist.open_run(path).state == "finished"
-        assert set(pfdist.open_run(path).worth()["draws"]) <= {5, 10}
-        assert set(pfdist.open_run(path).sampling_windows()["draws"]) <= {5, 10}
+        assert set(pfdist.open_run(path).table("worth")["draws"]) <= {5, 10}
+        assert set(pfdist.open_run(path).table("sampling_windows")["draws"]) <= {5, 10}
 
     faults = go_wrong(ask, begun, layer, step, fault, look, may_succeed=True)
     record_property("faults", f"{PROMISE}: {faults}")

@@ -104,7 +104,7 @@ def pool(request: pytest.FixtureRequest) -> str:
 
 
 def _failures(run: Path) -> list[str]:
-    rows = pfdist.open_run(run).timings()
+    rows = pfdist.open_run(run).table("timings")
     assert rows["failures"].equals(rows["error"].notna().astype(rows["failures"].dtype))
     return rows["error"].dropna().tolist()
 
@@ -219,7 +219,7 @@ def test_a_thread_that_never_ends_ends_the_run_after_a_commit_and_the_command_so
             assert driver.wait() == 75
             assert "a thread has not answered for" in driver.said[-1]
             assert "--pool ray isolates the model" in driver.said[-1]
-    assert "comparison" in set(pfdist.open_run(run).timings()["phase"])
+    assert "comparison" in set(pfdist.open_run(run).table("timings")["phase"])
     assert not (run / ".begun").exists()
     record_property("faults", f"{HANGS}: 1")
 

@@ -12,6 +12,7 @@ from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW
 from oracles.manifest_lines import change, said_of
 from pfdist import Job, load_job
+from pfdist.analysis.stored_run import statistics_of
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.runner import door
@@ -120,7 +121,7 @@ def test_a_reader_refuses_rows_of_another_run_and_repair_moves_them(
     shutil.copy(runs[2, "finished"] / file, run / file)
     change(run, file, said_of(runs[2, "finished"], file))
     with pytest.raises(StoreError, match=r"comparison-00000\.parquet belongs to another run"):
-        pfdist.open_run(run).statistics()
+        statistics_of(pfdist.open_run(run))
     assert main(["status", str(run)]) == 1
     assert capsys.readouterr().err.count("\n") == 1
     assert any("belongs to another run" in line for line in repair_run(run))
@@ -243,4 +244,4 @@ def test_a_run_that_reuses_another_signs_what_it_takes(
     new = pfdist.run(longer, tmp_path / "new", reuse=runs[1, "finished"], figures=False)
     assert not list(verify_run(new.path))
     assert hashes(new.path) == hashes(pfdist.run(longer, tmp_path / "alone", figures=False).path)
-    assert len(Store(new.path).read("draws")) == len(pfdist.open_run(new.path).draws())
+    assert len(Store(new.path).read("draws")) == len(pfdist.open_run(new.path).table("draws"))

@@ -64,7 +64,8 @@ def say(line):
 
 
 done = pfdist.run(job, run, pool="ray", workers=2, address=address, say=say, figures=False)
-print(len(nodes), done.timings()["worker"].nunique(), done.timings()["error"].isna().all())
+timings = done.table("timings")
+print(len(nodes), timings["worker"].nunique(), timings["error"].isna().all())
 """
 
 

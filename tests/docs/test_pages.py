@@ -205,15 +205,15 @@ def test_the_example_of_the_page_about_python_runs_and_its_run_goes_on(
     run: Any = scope["run"]
     assert isinstance(run, pfdist.Run)
     assert run.path == Path("results/robot")
-    for times in run.sets().values():
+    for times in run.sets.values():
         assert len(times) == 5
         assert not set(times) & set(range(8, 12))
-    gains = run.gains()
+    gains = run.table("gains")
     assert isinstance(gains, pd.DataFrame)
     assert len(gains) == 2000
     changes = ["comparison.draws=2000"]
     found_worth = pfdist.why(scope["problem"], 500, changes=changes, figures=False).worth
-    pd.testing.assert_frame_equal(found_worth, run.worth())
+    pd.testing.assert_frame_equal(found_worth, run.table("worth"))
 
 
 @pytest.mark.slow

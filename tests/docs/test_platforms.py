@@ -32,7 +32,7 @@ def _not_linux(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_plan_on_threads_needs_nothing_of_linux(small_job: Job, tmp_path: Path) -> None:
     run = pfdist.plan(small_job, tmp_path / "run", pool="threads", bound_draws=0, figures=False)
     assert run.state == "finished"
-    assert len(run.sets()["relaxation"]) == len(run.sets()["regular"])
+    assert len(run.sets["relaxation"]) == len(run.sets["regular"])
 
 
 def test_every_file_and_extra_that_the_page_names_exists() -> None:

@@ -219,7 +219,7 @@ def test_the_trajectories_of_a_run_have_estimates_near_the_truth(tmp_path: Any) 
     problem = Problem(HEADING, horizon=5, measurement_budget=2, particles=50)
     job = problem.job(search=[{"method": "random", "evaluations": 3}], comparison={"draws": 200})
     run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
-    rows = run.trajectories()
+    rows = run.table("trajectories")
     estimates = [name for name in rows.columns if name.startswith("estimate_")]
     assert rows["z_heading"].max() > np.pi
     for name in estimates:

@@ -125,11 +125,11 @@ def test_engine_kalman_evaluates_and_searches_exactly(
     evaluation = pfdist.evaluate(job, (0, 4, 8))
     assert evaluation.expected_mse == kalman.expected_mse(WALK, 12, [(0, 4, 8)])[0]
     assert (evaluation.standard_error, evaluation.draws) == (0.0, 0)
-    rows = run.evaluations()
+    rows = run.table("evaluations")
     exact = kalman.expected_mse(WALK, 12, [tuple(times) for times in rows["measurement_times"]])
     np.testing.assert_array_equal(rows["expected_mse"], exact)
     assert (rows["standard_error"] == 0).all()
-    assert len(run.comparison()) == job.comparison.draws
+    assert len(run.table("comparison")) == job.comparison.draws
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,10 @@ def test_a_check_and_a_filter_say_how_many_numbers_a_parameter_needs(tmp_path: P
     (tmp_path / "model.py").write_text(SOURCE.replace("COUNT", "4"))
     *_, last = check_model("model.py:model", 30, 50, tmp_path)
     assert last.state == "wrong"
-    assert last.text == "parameter rate needs 31 values, one for each instant, got 4"
+    assert last.text == (
+        "parameter rate needs 31 values, one for each instant, got 4; "
+        "give them in the model, or in a job, and check the job"
+    )
     model = pfdist.load_model(f"{tmp_path / 'model.py'}:model")
     for engine in ("compiled", "numpy", "kalman"):
         filtering = pfdist.Filter(model, particles=20, engine=engine)

@@ -30,7 +30,7 @@ CLOCKS = {
         ("epidemic", 80, regular(80, 12), 1000, 500),
         ("epidemic_counts", 80, regular(80, 12), 1000, 500),
         ("pharmacokinetics", 17, (2, 5, 9, 13), 1000, 1000),
-        ("two_compartments", 17, (2, 5, 9, 13), 1000, 1000),
+        ("two_compartments", 17, (4, 11, 18, 27), 1000, 1000),
         ("robot", 40, regular(40, 6), 1000, 1000),
     ],
 )
@@ -55,7 +55,7 @@ OUTSIDE = {
     "pharmacokinetics": {"clearance": 0.0, "volume_sd": -0.1, "measurement_sd": 0.0},
     "robot": {"concentration": -1.0, "slip": -0.1},
     "stochastic_volatility": {"phi": 1.0, "sigma": -0.1},
-    "two_compartments": {"clearance": 0.0, "dose_sd": -0.1, "measurement_sd": 0.0},
+    "two_compartments": {"clearance": 0.0, "dose_sd": -0.1, "immunoassay_sd": 0.0},
     "tumour": {"frequency_sd": -0.1, "measurement_sd": 0.0},
     "ungm": {"initial_sd": -1.0, "process_sd": -1.0, "measurement_sd": 0.0},
     "ungm_gordon": {"process_sd": -1.0, "measurement_sd": 0.0},

@@ -12,6 +12,7 @@ from matplotlib.patches import StepPatch
 import pfdist
 from pfdist.analysis import Gain, Run
 from pfdist.analysis.online import OnlineDraws
+from pfdist.analysis.stored_run import found_sets, statistics_of
 from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
 from pfdist.plots import (
     budget,
@@ -96,8 +97,10 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
     [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
     comparable, other = drawn(plot).axes
     curves = {"genetic, average", "genetic, minimum"}
-    mse = {name: each.mean for name, each in plain.statistics().mse.items()}
-    names = {"regular": "regular times"} | {name: f"the times of {name}" for name in plain.found}
+    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
+    names = {"regular": "regular times"} | {
+        name: f"the times of {name}" for name in found_sets(plain)
+    }
     on_fresh_draws = {
         f"{names[name]}: {mse[name]:.4g}" for name in ("regular", min(mse, key=mse.get))
     }
@@ -171,9 +174,9 @@ def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -
     assert typical_draw(gains) == 7
     assert typical_draw(gains.drop(4)) == 7  # the lower of two
     told = one_draw(plain, ax=_axes()).get_legend().get_title().get_text()
-    median = typical_draw(plain.gains().set_index("draw")["gain_genetic"])
+    median = typical_draw(plain.table("gains").set_index("draw")["gain_genetic"])
     assert told.startswith(f"draw {median}, relative gain ")
-    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
+    z = plain.table("trajectories").query("draw == 7")["z_0"].tolist()
     assert _lines(one_draw(plain, draw=7, ax=_axes()))["$z(t)$"][1] == z
 
 
@@ -215,12 +218,12 @@ def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
     above, below = drawn(plot).axes
     assert [*_lines(above)] == plain.names
     rows = [line for line in below.get_lines() if line.get_marker() != "None"]
-    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets().values()]
+    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets.values()]
     colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
     assert colours[0] == colours[1]
     assert above.get_xlim() == below.get_xlim()
-    table, (reference, *others) = plain.trajectories(), plain.names
-    mse = {name: each.mean for name, each in plain.statistics().mse.items()}
+    table, (reference, *others) = plain.table("trajectories"), plain.names
+    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
     best = min(others, key=mse.get)
     errors = [
         table.eval(f"(estimate_{name}_0 - z_0) ** 2").groupby(table["t"]).mean()

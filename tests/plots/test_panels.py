@@ -97,7 +97,12 @@ def test_only_a_found_set_is_called_an_optimum_in_a_title() -> None:
     windows = windows.assign(within_1="inside", within_5="inside")
     jitter = pd.DataFrame({"name": ["given", "found"], "percent": 1, "draws": 9})
     jitter = jitter.assign(loss=0.0, low=0.0, high=0.001)
-    run = SimpleNamespace(sampling_windows=lambda: windows, jitter=lambda: jitter, found=["found"])
+    run = SimpleNamespace(
+        table={"sampling_windows": windows, "jitter": jitter}.__getitem__,
+        job={"comparison": {"sets": {"given": [3]}}},
+        sets={"given": (3,), "found": (3,)},
+        references={"found": "given"},
+    )
     tables = SimpleNamespace(run=run)
     titles = [FIGURES["sampling_windows"].plot(tables, name).title for name in ("given", "found")]
     assert ["optimum is flat" in title for title in titles] == [False, True]
@@ -145,13 +150,13 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
             call(SimpleNamespace(table=lambda: MINE), group="set"),
         ],
         "belief": [call(_filtered(), component=1), call(filtered)],
-        "bound": [call(proved), call(proved.bounds())],
-        "budget": [call(several), call(several.budget())],
-        "comparison": [call(plain), call(proved.ranks())],
+        "bound": [call(proved), call(proved.table("bound"))],
+        "budget": [call(several), call(several.table("budget"))],
+        "comparison": [call(plain), call(proved.table("ranks"))],
         "cost": [
             call(plain),
             call(plain, ["survivors"]),
-            call(proved.evaluations().assign(end=12)),
+            call(proved.table("evaluations").assign(end=12)),
         ],
         "degenerate_draws": [call(PROFILE), call(WHY, ["mine"])],
         "effective_sample_size": [call(WHY, particles=50), call(filtered)],
@@ -160,13 +165,13 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "gain": [
             call(plain, "survivors"),
             call(plain, beside="survivors"),
-            call(plain.comparison(), "genetic", reference="survivors"),
+            call(plain.table("comparison"), "genetic", reference="survivors"),
         ],
         "heat_map": [call(MINE), call(MINE.iloc[1:], value="expected_mse")],
         "one_draw": [call(plain), call(plain, "survivors", draw=4), call(_trajectory(), sets)],
         "online_gain": [call(proved)],
-        "online_raster": [call(proved), call(proved.online())],
-        "online_shares": [call(proved), call(proved.online(), planned=(0, 3), plan="it")],
+        "online_raster": [call(proved), call(proved.table("online"))],
+        "online_shares": [call(proved), call(proved.table("online"), planned=(0, 3), plan="it")],
         "particle_losses": [call(LOSSES), call(LOSSES.iloc[::-1])],
         "shifts": [call(WORTH), call(WHY)],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
@@ -273,9 +278,9 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
 ) -> None:
     axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == list(proved.sets()) == ["regular", "genetic", "random"]
+    assert names == list(proved.sets) == ["regular", "genetic", "random"]
     rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
-    assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets().values()]
+    assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets.values()]
     assert [line.get_markerfacecolor() == "white" for line in rows] == [True, False, False]
     assert len({line.get_color() for line in rows}) == 3
     shaded = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in axes.patches]

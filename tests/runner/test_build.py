@@ -72,13 +72,13 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
     sections = {"problem": constraints, "model": truth, "search": search}
     run = pfdist.run(small_job.with_changes(sections=sections), tmp_path / "run", figures=False)
-    evaluated = run.evaluations().query("phase == 'exhaustive'")
+    evaluated = run.table("evaluations").query("phase == 'exhaustive'")
     costs = {tuple(row.measurement_times): row.expected_mse for row in evaluated.itertuples()}
     maximal = every_set(**constraints)
     assert sorted(costs) == every_set(**constraints, smaller=smaller)
     assert (min(costs, key=lambda times: costs[times]) in maximal) != smaller
-    assert (run.sets()["exhaustive"] in maximal) != smaller
-    assert run.sets()["regular"] in maximal
+    assert (run.sets["exhaustive"] in maximal) != smaller
+    assert run.sets["regular"] in maximal
 
 
 @pytest.mark.slow
@@ -158,12 +158,14 @@ def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
 ) -> None:
     changed = finished("evaluation.estimator=two_filters")
     paper, other = map(pfdist.open_run, (finished(), changed))
-    regular = [run.comparison()["mse_regular"] for run in (paper, other)]
+    regular = [run.table("comparison")["mse_regular"] for run in (paper, other)]
     np.testing.assert_array_equal(*regular)
     # On the same draws, two filters leave out the truth's own chance.
-    first, second = (run.evaluations()["standard_error"].mean() for run in (paper, other))
+    first, second = (run.table("evaluations")["standard_error"].mean() for run in (paper, other))
     assert second < 0.8 * first
-    assert not {*paper.evaluations()["evaluation"]} & {*other.evaluations()["evaluation"]}
+    assert not {*paper.table("evaluations")["evaluation"]} & {
+        *other.table("evaluations")["evaluation"]
+    }
 
 
 NEEDS_NUMPY = {"formula": "np.reshape(np.clip(0.5 * x[0], -9, 9), np.shape(x[0]))"}
@@ -180,10 +182,10 @@ def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_pat
     assert len(caught) == 1
     job = job.with_changes(["filter.engine=numpy"])
     knowing = pfdist.run(job, tmp_path / "known", figures=False)  # a warning would be an error
-    assert run.comparison().equals(knowing.comparison())
+    assert run.table("comparison").equals(knowing.table("comparison"))
     job = job_with(tmp_path, *OWN, formula="np.minimum(np.maximum(0.5 * x[0], -9), 9)")
     compiled = pfdist.run(job.with_changes(few), tmp_path / "compiled", figures=False)
-    np.testing.assert_allclose(run.comparison(), compiled.comparison(), rtol=1e-9)
+    np.testing.assert_allclose(run.table("comparison"), compiled.table("comparison"), rtol=1e-9)
 
 
 def test_a_job_may_insist_on_compiling(tmp_path: Path) -> None:

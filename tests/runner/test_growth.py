@@ -40,7 +40,7 @@ def _small_blocks(
 
 def _half_widths(run: pfdist.Run) -> dict[int, float]:
     """The larger half width of the two gains after so many draws, as a textbook has it."""
-    gains = run.gains().drop(columns="draw")
+    gains = run.table("gains").drop(columns="draw")
     return {
         draws: max(stats.sem(gains[name][:draws]) * stats.t.ppf(0.975, draws - 1) for name in gains)
         for draws in (*range(BLOCK, MOST, BLOCK), MOST)
@@ -62,7 +62,7 @@ def test_a_comparison_stops_at_the_first_block_after_which_it_is_narrow_enough(
         first = min(draws for draws, width in widths.items() if width <= half_width)
         run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}", figures=False)
         assert run.state == "finished"
-        assert run.comparison().equals(all_draws.comparison()[:first])
+        assert run.table("comparison").equals(all_draws.table("comparison")[:first])
     never = pfdist.run(_until(small_job, 1e-9), tmp_path / "never", figures=False)
     assert never.draws_compared == MOST
 
@@ -74,7 +74,7 @@ def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
     changes = ["model.name=random_walk", "filter.engine=kalman", "problem.measurement_budget=13"]
     job = small_job.with_changes([*changes, "search.random.evaluations=1"])
     run = pfdist.run(job, tmp_path / "run", figures=False)
-    assert (run.gains().drop(columns="draw") == 0).all(axis=None)
+    assert (run.table("gains").drop(columns="draw") == 0).all(axis=None)
     assert run.draws_compared == 250
     until = job.with_changes(["comparison.until.half_width=0.001"])
     assert pfdist.run(until, tmp_path / "until", figures=False).draws_compared == BLOCK
@@ -135,7 +135,7 @@ def test_narrower_or_more_draws_go_on_with_only_new_draws_and_wider_is_refused(
     with pytest.raises(RunMismatchError, match=r"comparison\.until\.half_width: \S+ -> \S+$"):
         pfdist.run(_until(small_job, wide), run.path, figures=False)
     never = pfdist.run(_until(small_job, 0.0), run.path, figures=False)
-    assert never.comparison().equals(all_draws.comparison())
+    assert never.table("comparison").equals(all_draws.table("comparison"))
 
 
 @pytest.mark.parametrize("half_width", [0.0, 0.1])
@@ -183,7 +183,7 @@ def test_a_run_that_reuses_another_computes_only_what_is_new_and_ends_as_a_run_f
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     old, new = small_run.path, tmp_path / "new"
-    known = set(small_run.evaluations()["evaluation"])
+    known = set(small_run.table("evaluations")["evaluation"])
     counted = count_draws(monkeypatch)
     longer = small_job.with_changes(["search.genetic.generations=6"])
     nothing = pfdist.run(longer, tmp_path / "nothing", figures=False)
@@ -193,7 +193,7 @@ def test_a_run_that_reuses_another_computes_only_what_is_new_and_ends_as_a_run_f
     if killed:
         stopped(longer, new, "random", 0, reuse=old)
     run = pfdist.run(longer, new, reuse=[old], figures=False)
-    same = known & set(run.evaluations()["evaluation"])
+    same = known & set(run.table("evaluations")["evaluation"])
     assert len(same) == len(known) >= 10  # earlier generations, and all random trials
     assert sum(counted) == from_nothing - len(same) * small_job.evaluation.draws
     assert hashes(new) == hashes(nothing.path)
@@ -239,6 +239,6 @@ def test_the_command_line_reuses_runs(
     change = ["--set", "search.genetic.generations=5"]
     assert main([*command, old, *change]) == 1
     assert main([*command, new, *change, "--reuse", old]) == 0
-    rows = pfdist.open_run(new).evaluations().query("phase == 'genetic'")
+    rows = pfdist.open_run(new).table("evaluations").query("phase == 'genetic'")
     assert rows["generation"].nunique() == 5
     assert main([*command, str(tmp_path / "b"), "--reuse", str(tmp_path / "no")]) == 1

@@ -16,6 +16,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job, load_job
 from pfdist.analysis import Run
 from pfdist.analysis.online import online_draws
+from pfdist.analysis.stored_run import problem_of
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
@@ -88,10 +89,10 @@ def _work(times: tuple[int, ...], draw: int) -> Work:
 
 
 def test_a_row_has_the_error_of_the_filter_with_these_times_and_keys(job: Job, run: Run) -> None:
-    evaluator, rows = build(job).evaluator, run.online()
+    evaluator, rows = build(job).evaluator, run.table("online")
     assert rows.columns.tolist() == ["draw", "mse", "measurement_times", "estimate"]
     assert rows["draw"].tolist() == list(range(6))
-    trajectories = run.trajectories().set_index("draw")
+    trajectories = run.table("trajectories").set_index("draw")
     for row in rows.to_dict("records"):
         times = tuple(row["measurement_times"])
         assert evaluator(_work(times, row["draw"])).mse.item() == row["mse"]
@@ -100,8 +101,8 @@ def test_a_row_has_the_error_of_the_filter_with_these_times_and_keys(job: Job, r
 
 
 def test_times_depend_on_the_draw_and_the_first_is_that_of_the_plan(run: Run) -> None:
-    chosen = [tuple(times) for times in run.online()["measurement_times"]]
-    plan = run.sets()["survivors"]
+    chosen = [tuple(times) for times in run.table("online")["measurement_times"]]
+    plan = run.sets["survivors"]
     assert {times[0] for times in chosen} == {plan[0]}
     assert len(set(chosen)) > 1
 
@@ -112,7 +113,7 @@ def test_the_times_of_each_draw_keep_to_the_constraints(
 ) -> None:
     """With costs, they spend as much as they may."""
     constrained = job.with_changes([*CONSTRAINTS[constraint], "online.draws=3"])
-    rows = pfdist.run(constrained, tmp_path / "run", figures=False).online()
+    rows = pfdist.run(constrained, tmp_path / "run", figures=False).table("online")
     feasible = constrained.problem.feasible
     assert all(feasible.accepts(tuple(times)) for times in rows["measurement_times"])
     if constraint == "costs":
@@ -128,7 +129,7 @@ def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
     assert run.names == ["regular", "mine", "survivors"]
     summary, draws = run.summary().online, online_draws(run)
     assert (summary["reference"]["name"], summary["plan"]["name"]) == ("regular", "survivors")
-    assert draws.planned_times == run.sets()["survivors"] != run.sets()["mine"]
+    assert draws.planned_times == run.sets["survivors"] != run.sets["mine"]
     kept = draws.rows[~draws.differ]
     assert 0 < len(kept) < len(draws.rows)
     assert (kept["mse_online"] == kept["mse_survivors"]).all()
@@ -145,12 +146,14 @@ def test_a_job_with_a_clock_has_the_figure_of_online_times(clock: str, tmp_path:
     run = pfdist.run(path, tmp_path / "run", figures=False)
     (plot,) = (plot for _, plot in FIGURES["online_times"].plots(Tables(run)))
     shares, _ = drawn(plot).axes
-    times = run.problem.clock.times
+    times = problem_of(run).clock.times
     middles = [bar.get_x() + bar.get_width() / 2 for bar in shares.patches]  # type: ignore[attr-defined]
     np.testing.assert_allclose(middles, times)
-    counts = [sum(time in chosen for chosen in run.online()["measurement_times"]) for time in times]
+    counts = [
+        sum(time in chosen for chosen in run.table("online")["measurement_times"]) for time in times
+    ]
     heights = [bar.get_height() for bar in shares.patches]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(heights, 100 * np.array(counts) / len(run.online()))
+    np.testing.assert_allclose(heights, 100 * np.array(counts) / len(run.table("online")))
 
 
 @pytest.mark.slow
@@ -168,7 +171,7 @@ def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
 ) -> None:
     stopped(job, tmp_path / "run", "online", 2)
     part = pfdist.open_run(tmp_path / "run")
-    assert (part.state, len(part.online())) == ("comparing", 2)
+    assert (part.state, len(part.table("online"))) == ("comparing", 2)
     assert part.summary().online["draws"] == 2
     handed.clear()
     assert pfdist.run(job, tmp_path / "run", figures=False).state == "finished"
@@ -182,10 +185,10 @@ def test_more_draws_leave_the_first_rows_and_give_the_same_bytes_as_at_once(
     job: Job, tmp_path: Path
 ) -> None:
     few, many = (job.with_changes([f"online.draws={draws}"]) for draws in (4, 8))
-    first = pfdist.run(few, tmp_path / "run", figures=False).online()
+    first = pfdist.run(few, tmp_path / "run", figures=False).table("online")
     assert pfdist.open_run(tmp_path / "run").state == "finished"
     grown = pfdist.run(many, tmp_path / "run", figures=False)
-    pd.testing.assert_frame_equal(grown.online()[:4], first)
+    pd.testing.assert_frame_equal(grown.table("online")[:4], first)
     at_once = pfdist.run(many, tmp_path / "at once", figures=False)
     assert hashes(grown.path) == hashes(at_once.path)
     assert main(["verify", str(grown.path)]) == 0
@@ -220,7 +223,7 @@ def test_degenerate_draws_are_left_out_and_counted(job: Job, tmp_path: Path) -> 
     changes = ["model.name=rare.py:model", "evaluation.degenerate_draws=leave_out"]
     changes += ["online.draws=30"]
     run = pfdist.run(tmp_path / "rare.toml", tmp_path / "run", changes=changes, figures=False)
-    rows, compared = run.online(), run.comparison()
+    rows, compared = run.table("online"), run.table("comparison")
     assert rows["mse"].isna().any()
     assert rows["mse"].notna().any()
     assert all(len(times) == 4 for times in rows["measurement_times"])
@@ -234,9 +237,9 @@ def test_degenerate_draws_are_left_out_and_counted(job: Job, tmp_path: Path) -> 
 
 def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Run) -> None:
     online = run.summary().online
-    mse = run.online()["mse"].to_numpy()
+    mse = run.table("online")["mse"].to_numpy()
     for key, name in (("plan", "survivors"), ("reference", "regular")):
-        told, other = online[key], run.comparison()[f"mse_{name}"][:6].to_numpy()
+        told, other = online[key], run.table("comparison")[f"mse_{name}"][:6].to_numpy()
         assert told["name"] == name
         assert told["expected_mse"] == pytest.approx(other.mean())
         assert told["difference"] == pytest.approx(np.mean(mse - other))
@@ -247,14 +250,14 @@ def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Ru
         assert told["mean_relative_gain"] == pytest.approx(np.mean(1 - mse / other))
         assert told["positive_fraction"] == pytest.approx(np.mean(mse < other))
     assert online["standard_error"] == pytest.approx(stats.sem(mse))
-    plan = run.sets()["survivors"]
-    differ = [tuple(times) != plan for times in run.online()["measurement_times"]]
+    plan = run.sets["survivors"]
+    differ = [tuple(times) != plan for times in run.table("online")["measurement_times"]]
     assert online["differs_from_plan"] == np.mean(differ)
 
 
 def test_a_run_without_the_section_has_none() -> None:
     run = pfdist.open_run(ASSETS / "schema-3")
-    assert run.online().empty
+    assert "online" not in run.tables
     assert run.summary().online is None
 
 
@@ -283,7 +286,7 @@ def test_a_job_without_the_section_gets_its_defaults_and_a_folder_of_its_own(
     path.write_text(head + rest[rest.index("[execution]") :])
     run = pfdist.online(path, draws=2, figures=False)
     assert run.path == Path("results/plain-online")
-    assert len(run.online()) == 2
+    assert len(run.table("online")) == 2
     assert run.job["online"]["search"]["method"] == "corridor"
     with pytest.raises(JobError, match=r"comparison\.draws = 30, got 1000"):
         pfdist.online(path, figures=False)
@@ -343,6 +346,6 @@ def test_where_measurements_say_nothing_about_times_the_plan_is_kept(
     path = tmp_path / "exact.toml"
     path.write_text(EXACT)
     run = pfdist.run(path, tmp_path / "run", figures=False)
-    plan = run.sets()["exhaustive"]
-    assert [tuple(times) for times in run.online()["measurement_times"]] == [plan] * 4
+    plan = run.sets["exhaustive"]
+    assert [tuple(times) for times in run.table("online")["measurement_times"]] == [plan] * 4
     assert run.summary().online["differs_from_plan"] == 0.0

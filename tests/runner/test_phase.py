@@ -73,7 +73,7 @@ def test_what_the_build_has_checked_no_task_checks_again(
         job = small_job.with_changes([f"comparison.draws={draws}"])
         run = pfdist.run(job, tmp_path / f"{draws}", figures=False)
         counts.append(len(calls))
-        tasks.append(len(run.timings()))
+        tasks.append(len(run.table("timings")))
     assert tasks[1] > tasks[0] + 100
     assert counts[0] == counts[1]
 
@@ -150,4 +150,4 @@ def test_a_search_may_end_where_the_last_instant_is_required(
     run = pfdist.plan(
         small_job, tmp_path / "run", "survivors", changes=changes, bound_draws=0, figures=False
     )
-    assert {0, 12} < set(run.sets()["survivors"])
+    assert {0, 12} < set(run.sets["survivors"])

@@ -59,7 +59,7 @@ def test_what_is_reported_comes_from_draws_that_chose_nothing(
     for keys, other_keys in combinations(streams.values(), 2):
         assert keys
         assert not keys & other_keys
-    assert pfdist.evaluate(small_job, run.sets()["genetic"], draws=20).purpose in PROVING
+    assert pfdist.evaluate(small_job, run.sets["genetic"], draws=20).purpose in PROVING
 
 
 @pytest.mark.parametrize("purpose", PROVING)

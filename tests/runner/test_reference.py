@@ -55,10 +55,10 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     job = small_job.with_changes([*SHORT, f"comparison.reference={[*reversed(times)]}"])
     run = pfdist.run(job, tmp_path / "run")
     assert run.names == ["reference", "genetic", "random"]
-    rows = run.comparison()
+    rows = run.table("comparison")
     assert list(rows) == ["draw", "mse_reference", "mse_genetic", "mse_random"]
     expected = 1 - rows["mse_random"] / rows["mse_reference"]
-    np.testing.assert_allclose(run.gains()["gain_random"], expected)
+    np.testing.assert_allclose(run.table("gains")["gain_random"], expected)
     reference = run.summary().results["reference"]
     assert tuple(reference.measurement_times) == times
     broken = [f"problem.measurement_budget is 4, got {len(times)} times"]
@@ -83,7 +83,7 @@ def test_with_another_reference_it_is_another_run_of_the_same_searches(
         job = few.with_changes([f"comparison.reference={reference}"])
         runs.append(pfdist.run(job, tmp_path / f"{number}", figures=False))
     for name in ("genetic", "random"):
-        np.testing.assert_array_equal(*[run.comparison()[f"mse_{name}"] for run in runs])
+        np.testing.assert_array_equal(*[run.table("comparison")[f"mse_{name}"] for run in runs])
     other = few.with_changes(["comparison.reference=[0, 3, 8]"])
     with pytest.raises(RunMismatchError, match=r"comparison.reference: \[0, 3, 9\] -> \[0, 3, 8"):
         pfdist.run(other, runs[-1].path)

@@ -61,7 +61,7 @@ def test_the_phases_of_a_search_with_a_wrong_filter_take_these_estimators(
     monkeypatch.setattr("pfdist.runner.searches._POLISH_DRAWS", 64)  # several sets are left to race
     changes = [*WRONG_FILTER, f"search.{DEFAULT_METHOD}.evaluation.draws=100"]
     run = pfdist.plan(small_job, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
-    rows = run.evaluations()
+    rows = run.table("evaluations")
     taken = rows.groupby("phase")["estimator"].agg(set)
     assert taken[DEFAULT_METHOD] == {"own_variance"}
     assert taken[f"{DEFAULT_METHOD}.probe"] == {"own_variance", "squared_error"}
@@ -83,4 +83,4 @@ def test_a_default_search_that_was_cut_short_ends_with_the_same_bytes(
     assert pfdist.open_run(tmp_path / "run").state == "searching"
     again = pfdist.plan(small_job, tmp_path / "run", **options)
     assert hashes(again.path) == hashes(whole.path)
-    assert again.sets() == whole.sets()
+    assert again.sets == whole.sets

@@ -57,7 +57,7 @@ def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Planned:
 
 
 def _rows(run: Run, phase: str) -> pd.DataFrame:
-    rows = run.evaluations()
+    rows = run.table("evaluations")
     return rows[rows["phase"] == phase]
 
 
@@ -66,7 +66,7 @@ def test_a_plan_ends_near_the_best_set_though_the_filters_variance_prefers_anoth
     planned: Planned, job: Job
 ) -> None:
     """Its own particles' variance says 0.1 for {0, 1, 3, 9}, whose error is 6."""
-    assert _is_near_the_best(planned[0].sets()["survivors"], job)
+    assert _is_near_the_best(planned[0].sets["survivors"], job)
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_so_does_the_default_search(job: Job, tmp_path: Path) -> None:
     (line,) = [line for line in said if "cannot be believed" in line]
     assert line.startswith(f"search {DEFAULT_METHOD}: filter_variance of 100 particles cannot be")
     assert set(_rows(run, f"{DEFAULT_METHOD}.again")["estimator"]) == {"squared_error"}
-    assert _is_near_the_best(run.sets()[DEFAULT_METHOD], job)
+    assert _is_near_the_best(run.sets[DEFAULT_METHOD], job)
 
 
 def _is_near_the_best(times: tuple[int, ...], job: Job) -> bool:
@@ -151,7 +151,7 @@ def test_a_search_by_the_squared_error_needs_no_probe(job: Job, tmp_path: Path) 
     changes = [*SMALL, "search.survivors.evaluation.estimator=squared_error"]
     run = pfdist.plan(job, tmp_path / "run", "survivors", changes, figures=False)
     phases = {"survivors", "survivors.polish", "survivors.shortlist"}
-    assert set(run.evaluations()["phase"]) == phases
+    assert set(run.table("evaluations")["phase"]) == phases
     assert run.summary().results["survivors"].search_distrust is None
 
 

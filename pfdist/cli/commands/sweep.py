@@ -23,7 +23,7 @@ def _add_sweep(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUES",
-        help="a key of the job with its values, as seed=1:10 or problem.measurement_budget=10,15; "
+        help="a key of the job with its values, as seed=1:10 or model.parameters.NAME=0.5,1; "
         "give --over once for each key: every combination is a point",
     )
     parser.add_argument(
