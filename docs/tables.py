@@ -49,8 +49,6 @@ from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.store.schema import (
     KEYS,
-    bound_schema,
-    compared_schema,
     comparison_schema,
     distance_schema,
     filtered_schema,
@@ -151,8 +149,8 @@ def sweep_keys() -> str:
 def columns() -> str:
     """Give the tables of all columns of the tables of a run."""
     schemas = {
-        "compared": compared_schema(with_exact=True),
-        "bound": bound_schema(with_shares=True),
+        "compared": schema("compared", "exact_mse"),
+        "bound": schema("bound", "shares"),
         "comparison": comparison_schema(["SET"], with_scenarios=True),
         "filter_distance": distance_schema(["SET"]),
         "filter_variance": variance_schema(["SET"]),

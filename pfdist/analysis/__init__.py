@@ -4,7 +4,6 @@ Reads tables alone: no Ray, no model, no kernel.
 """
 
 from pfdist.analysis.budget_curve import reaching
-from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import (
     BIN,
     BLOCK,
@@ -18,6 +17,7 @@ from pfdist.analysis.gains import (
 from pfdist.analysis.run import Run, open_run
 from pfdist.analysis.stored_run import read_recorded
 from pfdist.analysis.streaming_moments import Moments
+from pfdist.analysis.summary import finite
 
 __all__ = [
     "BIN",

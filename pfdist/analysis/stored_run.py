@@ -38,7 +38,7 @@ _OF_THE_SET = ["position", "name", "measurement_times"]
 
 
 class StoredRun:
-    """What the folder of a run holds."""
+    """The tables of a run, read from its folder."""
 
     def __init__(self, path: Path, made_from: Job | None = None) -> None:
         check_entries(path)

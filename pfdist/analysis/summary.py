@@ -6,7 +6,6 @@ from typing import Any
 
 from pfdist.analysis.belief import belief_of
 from pfdist.analysis.budget_curve import FOUND
-from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import gain_over_itself
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.particle_loss import hardly_measured
@@ -326,3 +325,12 @@ def _before_the_comparison(run: StoredRun) -> dict[str, Row]:
         }
         for entry in run.table("compared").to_dict("records")
     }
+
+
+def finite(value: Any) -> Any:
+    """The same value with None for floats that are not finite, and with lists for tuples."""
+    if isinstance(value, dict):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
-from pfdist.analysis.budget_curve import reaching
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.subject import Subject, number_of, sets_table
 from pfdist.common.percent import cost, percent
@@ -47,7 +46,7 @@ def _answer(subject: Subject) -> list[Text]:
     most = max(regular, key=lambda each: each.measurements)
     if most.expected_mse is None:
         return []
-    reached = reaching(subject.run.table("budget"), most.expected_mse)["found"]
+    reached = subject.reaching(most.expected_mse)["found"]
     if reached["measurements"] is None:
         return []
     number, regular_times = reached["measurements"], f"{most.measurements} regular times"
@@ -65,7 +64,7 @@ def _target(subject: Subject) -> Iterator[Text]:
     """How many measurements reach the expected MSE that the user asks for."""
     if subject.target is None:
         return
-    for kind, reached in reaching(subject.run.table("budget"), subject.target).items():
+    for kind, reached in subject.reaching(subject.target).items():
         yield Text(_reached(kind, reached, subject.target), prominent=True)
         if reached["measurement_times"] is not None and kind == "found":
             times = subject.listed(reached["measurement_times"])

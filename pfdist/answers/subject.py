@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from pfdist.analysis import Run, read_recorded
+from pfdist.analysis import Run, reaching, read_recorded
 from pfdist.analysis.reference import label
 from pfdist.analysis.stored_run import problem_of
 from pfdist.analysis.summary import SetResult, Summary
@@ -107,6 +107,10 @@ class Subject:
                 f"{number_of(others, 'set')} are in the folder figures of the run."
             )
         ]
+
+    def reaching(self, target: float) -> dict[str, dict[str, Any]]:
+        """How many measurements reach an expected MSE; see `pfdist.analysis.reaching`."""
+        return reaching(self.run.table("budget"), target)
 
     @property
     def reference_times(self) -> Sequence[float | str]:

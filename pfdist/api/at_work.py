@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Iterator
 from time import perf_counter
 
-from pfdist.api.following import Say
+from pfdist.api.options import Say
 from pfdist.errors import SilenceError
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.job.sections import Execution

@@ -10,11 +10,9 @@ from pfdist.analysis.particle_loss import ParticleLoss
 from pfdist.analysis.stored_run import particle_losses_of
 from pfdist.answers.bound import bound_page
 from pfdist.api.at_work import at_work, noted
-from pfdist.api.following import following
-from pfdist.api.options import Chosen, Options, with_options
-from pfdist.api.own_store import own_store
+from pfdist.api.options import Chosen, Options, following, with_options
 from pfdist.api.report import renew_report
-from pfdist.api.run_of_job import finished_run, run_and_job
+from pfdist.api.run_of_job import finished_run, own_store, run_and_job
 from pfdist.bounds.proof import Gap
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page

@@ -8,8 +8,7 @@ from typing import Any, Unpack
 
 from pfdist.analysis import Run, read_recorded
 from pfdist.analysis.stored_run import check_one_number, problem_of
-from pfdist.api.following import following
-from pfdist.api.options import Chosen, Options, with_options
+from pfdist.api.options import Chosen, Options, following, with_options
 from pfdist.api.run import Ending, run_built
 from pfdist.api.run_of_job import finished_run, folder_of
 from pfdist.errors import JobError, MeasurementTimesError, shown

@@ -13,11 +13,9 @@ from numpy.typing import ArrayLike
 
 from pfdist.analysis import Run, finite
 from pfdist.answers.filtered import filtered_answer, filtered_page
-from pfdist.answers.pages import write_page
-from pfdist.api.filter_of import filter_of
-from pfdist.api.planned_run import planned_run
+from pfdist.api.planned_run import Table, filter_of, planned_run, table_argument
+from pfdist.api.report import write_page
 from pfdist.api.run_of_job import run_and_job
-from pfdist.api.user_table import Table, table_argument
 from pfdist.common.arguments import path_argument
 from pfdist.common.component_names import Component
 from pfdist.documents.notebook import Shown

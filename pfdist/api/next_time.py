@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 from pfdist.analysis import Run, finite
 from pfdist.answers.filtered import next_page
 from pfdist.api.filter_measurements import IMPROBABLE
-from pfdist.api.planned_run import planned_run
+from pfdist.api.planned_run import Table, planned_run, table_argument
 from pfdist.api.planner import Planner
 from pfdist.api.run_of_job import run_and_job
-from pfdist.api.user_table import Table, table_argument
 from pfdist.common.formatted_times import formatted_time
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page

@@ -1,16 +1,50 @@
 """How a computation is done and what it shows: options that all functions that compute share."""
 
+import contextlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import wraps
 from textwrap import indent
 from typing import Any, ParamSpec, TypedDict, TypeVar
 
-from pfdist.api.following import Say, silent
+from pfdist.common.arguments import called_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ArgumentError
 from pfdist.runner.progress import Show
+
+Say = Callable[[str], Any]
+
+
+def silent(line: str) -> None:
+    """Print nothing."""
+
+
+@contextlib.contextmanager
+def following(progress: Show | bool, say: Say) -> Iterator[tuple[Show, Say]]:
+    """The functions that receive the progress and the messages of a computation.
+
+    Parameters
+    ----------
+    progress : callable or bool
+        True shows progress and messages: a bar in a terminal, a line in a notebook, else a line
+        every few seconds. False shows nothing. A callable receives each
+        `pfdist.runner.progress.Progress`.
+    say : callable
+        Receives the messages, line by line.
+    """
+    called_argument("say", say)
+    if not isinstance(progress, bool):
+        called_argument("progress", progress)
+        yield progress, say
+    elif not progress:
+        yield lambda state: None, say
+    else:
+        from pfdist.api.display import Display  # noqa: PLC0415  rich takes long to load
+
+        with Display() as display:
+            yield display.show, display.say if say is silent else say
+
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -99,8 +133,10 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
         for name in named:
             if name not in names:
                 nearest = did_you_mean(name, names)
+                keys = " (changes=['KEY=VALUE'] changes a key of the job)"
                 raise ArgumentError(
                     f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
+                    f"{keys if 'changes' in names else ''}"
                 )
         return function(*arguments, **named)
 

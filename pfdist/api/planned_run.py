@@ -1,15 +1,27 @@
-"""A finished run whose times a user has planned to measure."""
+"""Real measurements: the run that planned them, the tables of a user, and the filter."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pandas as pd
+
 from pfdist.analysis import Run
+from pfdist.common.arguments import path_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.runner.build import Built
+from pfdist.sequential.filter import Filter
 from pfdist.sequential.user_prior import as_prior, read_prior
 from pfdist.times.measurement_times import Times
+
+Table = str | Path | pd.DataFrame
+"""The path of a table in CSV or Parquet, or a table in memory."""
+
+
+def table_argument(name: str, value: Any) -> Path | pd.DataFrame:
+    """An argument as a path or a DataFrame; an `ArgumentError` if it is neither."""
+    return value if isinstance(value, pd.DataFrame) else path_argument(name, value)
 
 
 class PlannedRun(NamedTuple):
@@ -96,3 +108,38 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
         )
     best = run.summary().by_error[0]
     return best, sets[best]
+
+
+def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter:
+    """The filter of a job for one system, with the job's [model.filter], [filter] and seed.
+
+    Parameters
+    ----------
+    built : Built
+    prior : Cloud or Gaussian, optional
+        The knowledge of x(s), in the place of the model's `initial`.
+    draw : int
+        Number of the system, which keys the noise.
+
+    Raises
+    ------
+    PriorError
+        The prior does not fit the model.
+    """
+    job = built.job
+    if built.evaluator.told:
+        raise JobError(
+            "a filter of real measurements cannot be told the scenario, got scenarios.filter = "
+            f"'told' ({job.path}): 'nominal' gives it the parameters of the model"
+        )
+    return Filter(
+        built.evaluator.believed,
+        job.filter.particles,
+        job.seed,
+        resampling=job.filter.resampling,
+        resample=job.filter.resample or "always",
+        engine=built.evaluator.engine,
+        prior=prior,
+        draw=draw,
+        horizon=job.problem.feasible.horizon,
+    )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.api.filter_of import filter_of
+from pfdist.api.planned_run import filter_of
 from pfdist.common.arguments import whole_argument
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.streams import stream_of

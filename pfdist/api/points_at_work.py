@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.listed_run import FINISHED
-from pfdist.api.following import Say
+from pfdist.api.options import Say
 from pfdist.api.run import compute
 from pfdist.errors import BusyError, PfdistError, StoreError, one_line
 from pfdist.job.sweep import SweepJob

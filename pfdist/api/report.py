@@ -1,17 +1,16 @@
-"""The report of a run or a sweep, once or again and again while a run goes on."""
+"""Pages as files; the report of a run or a sweep, once or again while a run goes on."""
 
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
-from pfdist.answers.pages import write_page
 from pfdist.answers.run import page_of
-from pfdist.api.following import Say, silent
+from pfdist.api.options import Say, silent
 from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, PfdistError, StoreError, one_line, shown_text
-from pfdist.store import check_not_held, holds_run
+from pfdist.store import check_not_held, holds_run, remove_file, write_file
 from pfdist.store.folder import REPORT, check_page_replaceable, runs_below
 
 SECONDS = 5.0
@@ -169,3 +168,47 @@ def renew_report(path: Path, say: Say) -> None:
     """
     if (path / REPORT).exists():
         try_report(open_run(path), say)
+
+
+def write_page(page: Page, path: Path) -> None:
+    """Write a page to an HTML file, atomically.
+
+    Parameters
+    ----------
+    page : Page
+    path : Path
+        The file. An earlier page of pfdist is replaced, and nothing else.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written, or a file of another kind has this name.
+    """
+    from pfdist.documents.html import as_html  # noqa: PLC0415  Jinja loads if a page is made
+
+    check_page_replaceable(path)
+    html = as_html(page)
+    write_file(path, lambda file: file.write_text(html, encoding="utf-8", errors="replace"))
+
+
+def remove_report(path: Path) -> None:
+    """Remove the report of the run in a folder, if there is one.
+
+    A run writes its report only if the folder has none. So an old report must be removed before
+    the run goes on; otherwise it would stay for ever.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run. A file of the user with the report's name is not touched.
+
+    Raises
+    ------
+    StoreError
+        The report cannot be removed.
+    """
+    try:
+        check_page_replaceable(path / REPORT)
+    except StoreError:  # it is the user's own file
+        return
+    remove_file(path / REPORT)

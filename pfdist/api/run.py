@@ -4,16 +4,15 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Unpack
 
 from pfdist.analysis import Run, open_run
-from pfdist.answers.pages import remove_report
 from pfdist.answers.run import answer_in_a_line
 from pfdist.api.at_work import at_work, noted
-from pfdist.api.following import Say, following
-from pfdist.api.options import Chosen, Options, with_options
-from pfdist.api.report import try_report
+from pfdist.api.options import Chosen, Options, Say, following, with_options
+from pfdist.api.report import remove_report, try_report
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import paths_argument
 from pfdist.errors import JobError, ModelError, TaskError
@@ -150,6 +149,8 @@ def run_built(
     with opened(path, built, say) as store, ThreadPoolExecutor(1) as beside:
 
         def driver() -> Generator[Batch, None, Future[Run]]:
+            if (ending.figures or ending.report) and open_run(path).state != "finished":
+                beside.submit(_load_libraries_of_figures)
             session = Session(built, store, show, say)
             is_new = yield from compute(session, ending.bound, partial(beside.submit, draw))
             return beside.submit(finish, is_new=is_new)
@@ -157,6 +158,12 @@ def run_built(
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
         run: Run = complete(driver(), pool, lenders).result()
     return run
+
+
+def _load_libraries_of_figures() -> None:
+    """Import Matplotlib and Jinja beside the search, which would otherwise be waited for later."""
+    for module in ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special"):
+        import_module(module)
 
 
 def _draw_missing_figures(run: Run) -> None:

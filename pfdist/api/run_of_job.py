@@ -1,21 +1,24 @@
 """The run of a job: its folder, and a finished run about which somebody asks a question."""
 
-from collections.abc import Iterable, Mapping
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.stored_run import job_of
-from pfdist.api.following import Say
+from pfdist.api.options import Say
 from pfdist.common.arguments import path_argument
-from pfdist.errors import ArgumentError, StoreError
+from pfdist.errors import ArgumentError, RunMismatchError, StoreError
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, say_model_files
-from pfdist.runner.identity import check_same_job, check_same_models
+from pfdist.runner.identity import check_same_job, check_same_models, opened, store_of
+from pfdist.runner.provenance import note_processor
 from pfdist.search.methods import DEFAULT_METHOD
-from pfdist.store import folder_of_run, holds_run
+from pfdist.store import Store, folder_of_run, holds_run
 
 _AS_DEFAULT: Mapping[str, Any] = MappingProxyType({})
 PLANNED = "-plan"
@@ -130,3 +133,43 @@ def _no_run(job: Job, results: str | Path | None) -> StoreError:
     option = "" if results is None else f" --results {results}"
     call = f"`pfdist {command} {job.path}{option}`" if job.is_file else f"pfdist.{command}(problem)"
     return StoreError(f"there is no run of this job in {' or '.join(sought)}: {call} makes it")
+
+
+@contextlib.contextmanager
+def own_store(
+    run: Run, built: Built, say: Callable[[str], Any], *, must_be: bool = True
+) -> Iterator[Store]:
+    """The run's own store, or a temporary store if another version computed the run.
+
+    Parameters
+    ----------
+    run : Run
+    built : Built
+    say : callable
+        Receives a line for each damaged file, and if nothing is stored in the run's folder.
+    must_be : bool
+        Whether the folder must be fit for writing; otherwise a temporary store takes its place.
+
+    Raises
+    ------
+    StoreError
+        Another process computes the run, or the folder cannot be read or written.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            store = stack.enter_context(opened(run.path, built, say))
+            note_processor(run.path, built, say)
+        except RunMismatchError as error:
+            difference, *_ = error.differences
+            say(f"{run.path} is of another program ({difference}): the answer is not stored there")
+            store = _elsewhere(stack, built)
+        except StoreError as error:
+            if must_be:
+                raise
+            say(f"the answer is not stored in the run: {error}")
+            store = _elsewhere(stack, built)
+        yield store
+
+
+def _elsewhere(stack: contextlib.ExitStack, built: Built) -> Store:
+    return store_of(built, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-"))))

@@ -3,13 +3,14 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Unpack
 
 import pandas as pd
 
 from pfdist.analysis import Run, open_run, read_recorded
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import at_work
-from pfdist.api.following import Say, following, silent
+from pfdist.api.options import Chosen, Options, Say, following, with_options
 from pfdist.api.points_at_work import Points, PointsAtWork
 from pfdist.api.report import try_report, try_sweep_report
 from pfdist.api.run import bound_settings
@@ -25,7 +26,6 @@ from pfdist.runner.build import build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import Driver, Loop
 from pfdist.runner.driver import foreseen_steps
-from pfdist.runner.progress import Show
 from pfdist.store import holds_run
 from pfdist.store.folder import has_report
 
@@ -82,6 +82,7 @@ class Sweep:
         return judged_table(self.runs, self.judges)
 
 
+@with_options
 def sweep(
     job: JobSource,
     over: Values = _NOTHING,
@@ -89,17 +90,11 @@ def sweep(
     parallel: Sequence[Values] = (),
     points: Sequence[Values] = (),
     results: str | Path | None = None,
-    pool: str | None = None,
-    workers: int | None = None,
-    address: str | None = None,
-    wait_for_cores: int | None = None,
     changes: Iterable[str] = (),
     bound_draws: int = 0,
     judge: bool | None = None,
     part: tuple[int, int] | None = None,
-    report: bool = True,
-    progress: Show | bool = False,
-    say: Say = silent,
+    **options: Unpack[Options],
 ) -> Sweep:
     """Run a job at every point of a sweep, or resume the sweep where it stopped.
 
@@ -107,6 +102,8 @@ def sweep(
     All points share the workers, so that no worker idles while the last tasks of a point are done.
     The first points go first. Evaluations that several points need are computed once. Points that
     another process computes are left out, so several processes may share the points of a sweep.
+    With `report`, every run has a report, and the sweep has one with links to them. A sweep draws
+    no other figures.
 
     Parameters
     ----------
@@ -121,11 +118,6 @@ def sweep(
     results : str or Path, optional
         The folder of the sweep; by default ``results/<the sweep file's stem>``, or
         ``results/<the job file's stem>-sweep``.
-    pool : str, optional
-        As for `pfdist.run`, and so are the next four; all points share the workers.
-    workers : int, optional
-    address : str, optional
-    wait_for_cores : int, optional
     changes : iterable of str, optional
     bound_draws : int
         Number of draws of the lower bound that is proved at each point; 0 for no bound.
@@ -135,12 +127,8 @@ def sweep(
     part : tuple of two int, optional
         ``(k, n)`` computes every n-th point, from the k-th, and looks at no other. Neither judges
         nor reports the sweep: that needs all points.
-    report : bool
-        Whether every run has a report, and the sweep has one with links to them.
-    progress : callable or bool
-        As for `pfdist.run`; the progress is that of the whole sweep.
-    say : callable, optional
-        Receives lines: messages of the points, and when a point has finished or failed.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -153,18 +141,14 @@ def sweep(
     PfdistError
         The sweep is wrong, or no worker answers. The same call resumes the sweep.
     """
-    execution = {
-        "pool": pool,
-        "workers": workers,
-        "address": address,
-        "wait_for_cores": wait_for_cores,
-    }
-    sweep_job = sweep_of_job(job, over, parallel, points, changes, execution)
+    chosen = Chosen(**options)
+    execution = {"execution": chosen.execution}
+    sweep_job = read_sweep(job, over, parallel, points, changes, execution)
     path, judges_points = checked_folder(sweep_job, results, judge)
     check_pool(sweep_job.execution)
     bound = bound_settings(bound_draws)
     own = sweep_job.part(part)
-    with following(progress, say) as (show, tell):
+    with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files(own.jobs.values(), tell)
         searched, refused = PointsAtWork(own, path, bound, show, tell), None
         stages = [searched]
@@ -183,7 +167,7 @@ def sweep(
         except JobError as error:  # the points are finished, and get their reports
             refused = error
         searches, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
-        if report:
+        if chosen.has_report:
             _report(searches.runs, tell)
             if part is None:
                 try_sweep_report(path, tell)
@@ -252,18 +236,6 @@ def checked_folder(
     return path, judges
 
 
-def sweep_of_job(
-    job: JobSource,
-    over: Values,
-    parallel: Sequence[Values],
-    points: Sequence[Values],
-    changes: Iterable[str],
-    execution: Mapping[str, object] = _NOTHING,
-) -> SweepJob:
-    """The sweep that somebody asks for; parameters and errors as of `sweep`."""
-    return read_sweep(job, over, parallel, points, changes, {"execution": execution})
-
-
 def foreseen(
     job: JobSource,
     over: Values = _NOTHING,
@@ -294,7 +266,7 @@ def foreseen(
     PfdistError
         The sweep is wrong, or the model of a point.
     """
-    sweep_job = sweep_of_job(job, over, parallel, points, changes)
+    sweep_job = read_sweep(job, over, parallel, points, changes, {})
     path, judges = checked_folder(sweep_job, results, judge)
     rows, steps_a_set, number_of_sets = [], [], 0
     for point in sweep_job.points:

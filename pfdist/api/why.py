@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from pfdist.analysis import Run, finite, open_run
 from pfdist.analysis.stored_run import check_one_number, found_sets
 from pfdist.answers.why import why_page
-from pfdist.api.following import Say, following, silent
-from pfdist.api.own_store import own_store
+from pfdist.api.options import Say, following, silent
 from pfdist.api.report import renew_report
-from pfdist.api.run_of_job import run_and_job
+from pfdist.api.run_of_job import own_store, run_and_job
 from pfdist.common.arguments import whole_argument
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page

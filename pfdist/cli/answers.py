@@ -3,7 +3,8 @@
 import dataclasses
 import json
 from argparse import Namespace
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +52,35 @@ def print_records(
 
 def _plain(value: Any) -> Any:
     return value.isoformat(timespec="seconds") if hasattr(value, "isoformat") else value
+
+
+def computed(
+    function: Callable[..., Any], options: Namespace, *arguments: Any, **chosen: Any
+) -> Any:
+    """What a function of `pfdist.api` computes for a job, while its progress is shown.
+
+    The function gets the job, these arguments, and every option that `pfdist.cli.arguments` has
+    added for it.
+    """
+    from pfdist.api.display import Display  # noqa: PLC0415
+
+    names = ("results", "pool", "workers", "address", "wait_for_cores", "reuse")
+    chosen |= {name: getattr(options, name) for name in names if hasattr(options, name)}
+    if hasattr(options, "no_report"):
+        chosen["report"] = not options.no_report
+    with Display() as display:
+        chosen |= {"changes": options.set, "progress": display.show, "say": display.say}
+        return function(options.job, *arguments, **chosen)
+
+
+def print_answer(answer: Any, options: Namespace, files: Iterable[Path] = ()) -> None:
+    """Print an answer of `pfdist.api`, and the files that were written."""
+    if options.json:
+        print_json(answer.as_json(), options)
+        return
+    print_page(answer._page(), options)
+    if names := [one_line(str(file)) for file in files]:
+        print("\n".join(["", *names]))
 
 
 def print_page(page: "Page", options: Namespace) -> None:

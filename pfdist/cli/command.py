@@ -1,4 +1,4 @@
-"""Commands of the command line. Each is one file of `pfdist.cli.commands` and declares itself."""
+"""Commands of the command line: functions in the chapters of `pfdist.cli.commands`."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping

@@ -13,8 +13,7 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import Any
 
-from pfdist.cli.help import welcome
-from pfdist.cli.parser import make_parser
+from pfdist.cli.parser import make_parser, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
 from pfdist.errors import EngineWarning, PfdistError, SilenceError, TaskError, one_line
 

@@ -2,16 +2,21 @@
 
 import argparse
 import sys
+from collections.abc import Mapping
 from itertools import takewhile
 from typing import Any, NoReturn
 
 import pfdist
 from pfdist.cli.command import COMMANDS, Command, required_words
-from pfdist.cli.help import PROGRAM, HelpFormatter, examples_text, way_in
 from pfdist.cli.words import joined, unknown_option
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import one_line, shown, shown_text
 
+PROGRAM = (
+    "pfdist finds the measurement times at which a particle filter errs least, and proves how good "
+    "they are."
+)
+_BEGIN_WITH = ("plan", "why", "budget")  # commands, in the order in which they are tried
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
     "75 ended by SIGTERM or SIGUSR1, which batch systems send, or because no worker answers."
@@ -88,7 +93,9 @@ class _Parser(argparse.ArgumentParser):
         own = takewhile(_is_option, words) if self._subparsers else words
         options = [option for action in self._actions for option in action.option_strings]
         if unknown := unknown_option(own, options):
-            self.error(f"unknown option {shown_text(unknown)}{did_you_mean(unknown, options)}")
+            meant = did_you_mean(unknown, options)
+            keys = " (--set KEY=VALUE changes a key of the job)" if "--set" in options else ""
+            self.error(f"unknown option {shown_text(unknown)}{keys}{meant}")
         return super().parse_known_args(words, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -115,3 +122,48 @@ class _Parser(argparse.ArgumentParser):
 
 def _is_option(word: str) -> bool:
     return word.startswith("-")
+
+
+# --- the help: a sentence, the arguments, notes, and examples at the end --------------------------
+
+
+class HelpFormatter(argparse.HelpFormatter):
+    """A formatter that fills paragraphs, but keeps those with indented lines as they are."""
+
+    def add_argument(self, action: argparse.Action) -> None:
+        """Add an argument; argparse forgets that commands are indented below COMMAND."""
+        super().add_argument(action)
+        if isinstance(action, argparse._SubParsersAction):
+            self._action_max_length += self._indent_increment
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        paragraphs = []
+        for paragraph in text.split("\n\n"):
+            has_indented_lines = "\n  " in paragraph
+            filled = super()._fill_text(paragraph, width, indent)
+            paragraphs.append(paragraph if has_indented_lines else filled)
+        return "\n\n".join(paragraphs)
+
+
+def examples_text(examples: Mapping[str, str], title: str = "examples:") -> str:
+    """The paragraph that shows examples: each command line below what it does."""
+    return "\n".join([title, *(f"  # {does}\n  {line}" for line, does in examples.items())])
+
+
+def way_in() -> dict[str, str]:
+    """The command lines to begin with: the first examples of some commands."""
+    return dict(next(iter(COMMANDS[name].examples.items())) for name in _BEGIN_WITH)
+
+
+def welcome() -> str:
+    """The text that ``pfdist`` alone prints."""
+    text = "\n\n".join(
+        [
+            PROGRAM,
+            examples_text(way_in(), "Three commands to try:"),
+            "`pfdist --help` lists all commands.",
+        ]
+    )
+    formatter = HelpFormatter("pfdist")
+    formatter.add_text(text)
+    return formatter.format_help()

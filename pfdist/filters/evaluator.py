@@ -286,22 +286,10 @@ class Evaluator:
 
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
         """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
-        return self._id(estimation, times, end, stream)
+        return self.id_of(estimation, times, end, stream)
 
-    def sums_id(
-        self,
-        sets: Sequence[Times],
-        instants: Sequence[tuple[int, int]],
-        stream: int,
-        estimation: Estimation,
-    ) -> str:
-        """Id of sums of errors: a hash of everything on which they depend but their draws.
-
-        `instants` has the first and the last instant at which the errors of each set count.
-        """
-        return self._id(estimation, sets, instants, stream, "sums")
-
-    def _id(self, estimation: Estimation, *parts: Any) -> str:
+    def id_of(self, estimation: Estimation, *parts: Any) -> str:
+        """A hash of the evaluator, an estimation, and other parts, which have JSON values."""
         key = stream_key(
             KERNEL_VERSION,
             *(each.key for each in self.carried),

@@ -27,7 +27,7 @@ module computes them from the recorded means and variances.
 Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -146,12 +146,12 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
         stream: int,
         settings: Estimation,
     ) -> Array:
-        keys, columns = filter_streams(stream, settings.estimator), []
-        for times, end in zip(sets, ends, strict=True):
-            some, estimator = draws.upto(end), ALL_ESTIMATORS[settings.estimator]
-            filters = _filters(filter_checked_draws, model, some, times, keys, settings)
-            share = (end + 1 - draws.start) / draws.z.shape[1]
-            columns.append(_mse(filters, some, estimator) * share)
+        each_set = _each_set(filter_checked_draws, model, draws, sets, ends, stream, settings)
+        estimator, instants = ALL_ESTIMATORS[settings.estimator], draws.z.shape[1]
+        columns = [
+            _mse(filters, some, estimator) * (some.z.shape[1] / instants)
+            for some, filters in each_set
+        ]
         return np.stack(columns, axis=1)
 
     return filter_checked_sets
@@ -171,12 +171,10 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         stream: int,
         settings: Estimation,
     ) -> Array:
+        each_set = _each_set(filter_checked_draws, model, draws, sets, ends, stream, settings)
         estimator = ALL_ESTIMATORS[settings.estimator]
-        keys = filter_streams(stream, settings.estimator)
         sums = np.zeros((len(sets), draws.z.shape[1]))
-        for row, times, end in zip(sums, sets, ends, strict=True):
-            some = draws.upto(end)
-            filters = _filters(filter_checked_draws, model, some, times, keys, settings)
+        for row, (some, filters) in zip(sums, each_set, strict=True):
             with np.errstate(all="ignore"):
                 errors = _errors(filters, some, estimator).sum(axis=0)
             row[: errors.size] = errors
@@ -187,18 +185,20 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
     return sum_errors
 
 
-def _filters(
+def _each_set(
     filter_checked_draws: Callable[..., Filtered],
     model: StateSpaceModel,
     draws: Draws,
-    times: Times,
-    keys: Sequence[int],
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
     settings: Estimation,
-) -> list[Filtered]:
-    """Filter the same draws with one set of times, once with each key of noise."""
-    return [
-        filter_checked_draws(model, draws, times, key, settings, trajectories=True) for key in keys
-    ]
+) -> Iterator[tuple[Draws, list[Filtered]]]:
+    """Yield for each set the draws up to its end, and a filter of them for each key of noise."""
+    keys = filter_streams(stream, settings.estimator)
+    for times, end in zip(sets, ends, strict=True):
+        some = draws.upto(end)
+        yield some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys]
 
 
 def errors_by_variance(

@@ -114,11 +114,6 @@ class _DiskCache:
         return folder / key if folder else None
 
 
-def own_folder() -> Path | None:
-    """The cache's folder; None, with a warning, if the folder is unsafe or cannot be made."""
-    return _folder()
-
-
 def _hash(*parts: Any) -> str:
     return hashlib.blake2b(repr(parts).encode(), digest_size=_DIGEST_BYTES).hexdigest()
 

@@ -203,7 +203,7 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     -------
     matplotlib Axes
     """
-    rows, ax = table_of(rows, "rows", "bounds"), axes_for(ax)
+    rows, ax = table_of(rows, "rows", "bound"), axes_for(ax)
     rows = _last_proof(rows) if len(rows) else rows
     others = rows[rows["position"] > 0]  # than the reference
     proved = others[others["bound"].notna()]

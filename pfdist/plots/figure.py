@@ -14,6 +14,7 @@ import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.analysis.online import OnlineDraws, online_draws
@@ -223,7 +224,6 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
             canvas, files = drawn(plot), _files(run, name)
             for file in files:
                 write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
-                canvas.set_layout_engine("none")  # the next format has the same layout
             saved += files
     return saved
 
@@ -239,13 +239,19 @@ def save_plot(path: Path, plot: Plot, title: str) -> None:
 
 
 def drawn(plot: Plot) -> Canvas:
-    """Draw a plot, as large as the style in use makes it, on a canvas without a window."""
-    width, height = rcParams["figure.figsize"][0], scaled(plot.height)
-    canvas = Canvas(figsize=(width, height), layout="constrained")
+    """Draw a plot, as large as the style in use makes it, on a canvas without a window.
+
+    The layout is made here, once. A canvas with a layout engine would draw everything twice for
+    each format.
+    """
+    size = rcParams["figure.figsize"][0], scaled(plot.height)
+    dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
+    canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots, layout="none")
     panels = canvas.subplots(
         plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
     )
     plot.draw(panels[:, 0].tolist())
+    ConstrainedLayoutEngine().execute(canvas)
     return canvas
 
 

@@ -15,6 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import Formatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.analysis import Run
+from pfdist.analysis.stored_run import TABLES
 from pfdist.common.component_names import Component
 from pfdist.errors import JobError, shown
 from pfdist.plots.style import set_style
@@ -51,9 +53,14 @@ def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
 
 
 def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
-    """A table: the DataFrame itself, or the first of these attributes or methods of an object."""
+    """A table: the DataFrame itself, a run's, or an attribute or a method of another object.
+
+    The first of these names that the object has counts.
+    """
     if isinstance(source, pd.DataFrame):
         return source
+    if isinstance(source, Run) and names[0] in TABLES:
+        return source.table(names[0])
     for name in names:
         attribute = getattr(source, name, None)
         if attribute is not None:

@@ -57,6 +57,7 @@ def styled(
 ) -> AbstractContextManager[Any]:
     """Context in which files are drawn: the defaults of Matplotlib, and a style of pfdist.
 
-    `settings` replace those of the style.
+    `settings` replace those of the style. No figure has a layout engine: it is laid out once.
     """
-    return style.context(["default", name, dict(settings)])
+    once = {"figure.constrained_layout.use": False}
+    return style.context(["default", name, once, dict(settings)])

@@ -201,7 +201,8 @@ def heat_map(
     if not np.isfinite(cells).any():
         return write_instead(ax, "no result is finite")
     mesh = ax.pcolormesh(np.ma.masked_invalid(cells), cmap=_SHADES, edgecolors="face", lw=0.1)
-    ax.figure.colorbar(mesh, ax=ax, label=_label(value)).outline.set_visible(False)
+    bar = ax.figure.colorbar(mesh, ax=ax, label=_label(value), use_gridspec=False)
+    bar.outline.set_visible(False)
     short = short_names(keys_of(frame))
     for axis, name, values in ((ax.xaxis, x, across), (ax.yaxis, y, down)):
         axis.set_label_text(verbatim(short[name]))

@@ -87,7 +87,9 @@ class BlockSums:
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
         evaluator = built.evaluator.truth if knows_truth else built.evaluator
-        self.id = evaluator.sums_id(sets, tuple(zip(since, ends, strict=True)), noise, estimation)
+        instants = tuple(zip(since, ends, strict=True))
+        # A hash of everything on which the sums depend but their draws.
+        self.id = evaluator.id_of(estimation, sets, instants, noise, "sums")
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._counted = counted
         self._work = Work(

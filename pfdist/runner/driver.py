@@ -24,7 +24,7 @@ from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
 from pfdist.sequential.work import OnlineWork
-from pfdist.store import Store, compared_schema, schema
+from pfdist.store import Store, schema
 from pfdist.times.measurement_times import Times
 
 COMPARED = "search"
@@ -96,8 +96,8 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
             )
     for position, row in enumerate(rows):
         row["position"] = position
-    with_exact = any("exact_mse" in row for row in rows)
-    table = pa.Table.from_pylist(rows, schema=compared_schema(with_exact=with_exact))
+    optional = ["exact_mse"] if any("exact_mse" in row for row in rows) else []
+    table = pa.Table.from_pylist(rows, schema=schema("compared", *optional))
     # Written after the tables of the searches: it marks the searches as done.
     session.later(partial(_publish_compared, session.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}

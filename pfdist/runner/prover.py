@@ -31,7 +31,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
-from pfdist.store import BOUND_PHASE, bound_schema
+from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
@@ -321,17 +321,17 @@ class Prover:
         """Rows of the table ``bound``."""
         relaxation = self.relaxation
         sizes = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
+        shares = {"shares": self.shares} if self.shares else {}
         rows = [
             {"position": position, "draws": look.draws, "steps": look.steps}
             | self._columns(compared_draws)
             | sizes
+            | shares
             | gap.columns()
             for look in looks
             for position, gap in enumerate(look.gaps)
         ]
-        if self.shares:
-            rows = [row | {"shares": self.shares} for row in rows]
-        return pa.Table.from_pylist(rows, schema=bound_schema(with_shares=bool(self.shares)))
+        return pa.Table.from_pylist(rows, schema=schema("bound", *shares))
 
 
 def _of_worst(parts: GapParts, worst: Estimate) -> GapParts:

@@ -38,8 +38,6 @@ from pfdist.store.schema import (
     WHY_PHASE,
     WINDOW_PERCENTS,
     ClockColumns,
-    bound_schema,
-    compared_schema,
     comparison_schema,
     distance_schema,
     filtered_schema,

@@ -236,6 +236,21 @@ _SCHEMAS = {
 }
 
 
+_OPTIONAL = {
+    "exact_mse": _column("exact_mse", pa.float64(), _MSE, "of a given set; null: found"),
+    "scenario": _column(
+        "scenario",
+        pa.int16(),
+        "",
+        "number of the draw's scenario, from 0, if the job has scenarios",
+    ),
+    "shares": _column(
+        "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
+    ),
+}
+"""Columns that a table has only for some jobs: if it names sets, or has scenarios."""
+
+
 def check_schema_version(path: Path, version: object) -> None:
     """Raise a `StoreError` if a run or a file has a former or newer schema version.
 
@@ -256,9 +271,9 @@ def check_schema_version(path: Path, version: object) -> None:
         )
 
 
-def schema(table: str) -> pa.Schema:
-    """Schema of a table whose columns do not depend on the job."""
-    return _schema(table, _SCHEMAS[table])
+def schema(table: str, *optional: str) -> pa.Schema:
+    """Schema of a table whose columns have fixed names, with some of its optional columns."""
+    return _schema(table, [*_SCHEMAS[table], *(_OPTIONAL[name] for name in optional)])
 
 
 def with_sensors(schema: pa.Schema) -> pa.Schema:
@@ -275,22 +290,7 @@ def keys_of(table: str, columns: Sequence[str]) -> list[str]:
 def comparison_schema(names: Sequence[str], *, with_scenarios: bool = False) -> pa.Schema:
     """Schema of the comparison of these sets: a row a draw, a column a set, and the scenario."""
     comparison = _of_sets("comparison", "mse", "null: degenerate with this set", names)
-    scenario = _column(
-        "scenario",
-        pa.int16(),
-        "",
-        "number of the draw's scenario, from 0, if the job has scenarios",
-    )
-    return comparison.append(scenario) if with_scenarios else comparison
-
-
-def bound_schema(*, with_shares: bool) -> pa.Schema:
-    """Schema of proofs, with the shares of the scenarios where the worst scenario decides."""
-    shares = _column(
-        "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
-    )
-    bound = schema("bound")
-    return bound.append(shares) if with_shares else bound
+    return comparison.append(_OPTIONAL["scenario"]) if with_scenarios else comparison
 
 
 def distance_schema(names: Sequence[str]) -> pa.Schema:
@@ -310,16 +310,6 @@ def _of_sets(table: str, start: str, description: str, names: Sequence[str]) -> 
     columns = [_column("draw", pa.int64(), "", "index of the draw, as in comparison")]
     columns += [_column(f"{start}_{name}", pa.float64(), _MSE, description) for name in names]
     return _schema(table, columns)
-
-
-def compared_schema(*, with_exact: bool) -> pa.Schema:
-    """Schema of the compared sets, with a column of exact costs if the job names sets.
-
-    A set that the job names has no search, and no cost that a search believed.
-    """
-    exact = _column("exact_mse", pa.float64(), _MSE, "of a given set; null: found")
-    compared = schema("compared")
-    return compared.append(exact) if with_exact else compared
 
 
 def trajectories_schema(

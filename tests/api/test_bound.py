@@ -317,14 +317,15 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
     walk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The speed is that of the run's own comparison, not a guess for all models."""
-    timings, said = Run.timings, list[str]()
+    table, said = Run.table, list[str]()
 
-    def slow(run: Run) -> pd.DataFrame:
-        return timings(run).assign(seconds=lambda rows: 1e7 * rows["seconds"])
+    def slow(run: Run, name: str, draws: int | None = None) -> pd.DataFrame:
+        rows = table(run, name, draws)
+        return rows.assign(seconds=1e7 * rows["seconds"]) if name == "timings" else rows
 
     again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
     with monkeypatch.context() as patched:
-        patched.setattr(Run, "timings", slow)
+        patched.setattr(Run, "table", slow)
         assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=said.append).tables
     (line,) = said  # no pool was started
     assert line.startswith("there is no lower bound yet: pfdist bound would take about ")

@@ -12,6 +12,7 @@ from pfdist.errors import ArgumentError
 
 FUNCTIONS = [
     pfdist.run, pfdist.plan, pfdist.budget, pfdist.online, pfdist.compare, pfdist.bound,
+    pfdist.sweep,
 ]  # fmt: skip
 
 
@@ -28,3 +29,5 @@ def test_an_unknown_option_is_refused_with_the_nearest(function: Callable[..., A
     with pytest.raises(ArgumentError, match="got worker; did you mean 'workers'") as refused:
         function("job.toml", worker=2)
     assert "\n" not in str(refused.value)
+    can_change = "changes" in inspect.signature(function).parameters
+    assert ("changes=['KEY=VALUE'] changes a key of the job" in str(refused.value)) == can_change

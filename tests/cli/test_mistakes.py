@@ -70,6 +70,7 @@ def refused(call: Callable[..., Any]) -> Refused:
         ("evaluate {job} --times 1 --particles 0", 1, "filter.particles .* got 0"),
         ("evaluate {job} --times 1 --seed=-1", 1, "seed must"),
         (f"evaluate {{job}} --times 1 --{LONG}", 2, "unknown option --xxx"),
+        ("plan {job} --draws 9", 2, r"option --draws \(--set KEY=VALUE changes a key of the job"),
         (f"evaluate {{job}} --times 1 --set seed={NINES}", 1, "19 digits"),
         (f"evaluate {{job}} --times 1 --set {'a.' * 99_999}a=1", 1, "16 parts"),
         (f"evaluate {{job}} --times 1 --set seed={LONG}", 1, "seed must be"),

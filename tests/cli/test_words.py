@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from oracles.completed_by_zsh import completed_by_zsh
-from pfdist.cli.completion import script
+from pfdist.cli.commands.completion import script
 from pfdist.cli.parser import make_parser
 from pfdist.cli.words import unknown_option
 from pfdist.common.parsing import whole_numbers

@@ -153,7 +153,8 @@ def test_duckdb_polars_and_xarray_read_what_pandas_reads(monkeypatch: pytest.Mon
     for _, text in _blocks(DOCS / "dataframes.md", "python"):
         exec(text, names)
     assert names["means"]["mse_regular"][0] == pytest.approx(draws["mse_regular"].mean())
-    assert names["error"].sizes == {"t": 61}
+    assert names["error"].sizes == {"time": 61, "set": 3}
+    assert float(names["mean_gain"].sel(set="relaxation")) == pytest.approx(0.2734, abs=1e-4)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The paper's figures show what the tables say."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,13 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 
 import pfdist
-from pfdist.analysis import Gain, Run
+from pfdist.analysis import Gain, Run, open_run
 from pfdist.analysis.online import OnlineDraws
 from pfdist.analysis.stored_run import found_sets, statistics_of
 from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
 from pfdist.plots import (
     budget,
     cost,
+    draw_figures,
     error_profile,
     gain,
     one_draw,
@@ -112,6 +114,17 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
     assert "estimated otherwise" in axes.get_legend().get_title().get_text()
     run = pfdist.open_run(finished("comparison.reference=[0, 3, 9]"))
     assert any(label.startswith("the reference: ") for label in _lines(cost(run, ax=_axes())))
+
+
+def test_a_file_is_laid_out_once_and_drawn_once(
+    plain: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A canvas with a layout engine draws everything once more for each format."""
+    draws, draw = list[Figure](), Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda canvas, to: (draws.append(canvas), draw(canvas, to)))
+    run = open_run(shutil.copytree(plain.path, tmp_path / "run"))
+    files = draw_figures(run, "times")
+    assert len(draws) == len(files) == 2
 
 
 def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:

@@ -1,8 +1,16 @@
-"""The command ``pfdist completion``."""
+"""The command ``pfdist completion``, and the script by which a shell completes command lines.
 
+shtab makes the script from the parser. The shell completes a word without starting Python.
+"""
+
+import argparse
 from argparse import ArgumentParser, Namespace
+from typing import Any
+
+import shtab
 
 from pfdist.cli.command import command
+from pfdist.cli.parser import complete_parser, subparsers_of
 
 _SHELLS = ("bash", "zsh", "fish")
 
@@ -31,6 +39,67 @@ def _add_shell(parser: ArgumentParser) -> None:
 )
 def completion_command(options: Namespace) -> None:
     """Print a script by which a shell completes commands, options, jobs and runs."""
-    from pfdist.cli.completion import script
-
     print(script(options.shell))
+
+
+# In bash, only folders that hold a run, and folders at most two levels above such a folder.
+_RUNS_IN_BASH = """
+_pfdist_run_dirs() {
+  local folder
+  compgen -d -- "$1" | while IFS= read -r folder; do
+    if compgen -G "$folder/run.json" || compgen -G "$folder/*/run.json" ||
+      compgen -G "$folder/*/*/run.json"
+    then printf '%s\\n' "$folder" >&3
+    fi
+  done 3>&1 >/dev/null
+}
+"""
+
+
+def _files(*patterns: str) -> dict[str, Any]:
+    """Completes names of files that match one of some patterns."""
+    one_of = patterns[0] if len(patterns) == 1 else f"({'|'.join(patterns)})"
+    # shtab writes (*.toml), which zsh does not take for a pattern.
+    return {**shtab.glob(*patterns), "zsh": f"_files -g '{one_of}'"}
+
+
+_RUN = {**shtab.DIRECTORY, "bash": "_pfdist_run_dirs", "preamble": {"bash": _RUNS_IN_BASH}}
+_VALUES: dict[str, Any] = {
+    "JOB": _files("*.toml"),
+    "RUN": _RUN,
+    "DIR": shtab.DIRECTORY,
+    "NEW": shtab.DIRECTORY,
+    "FILE": _files("*.parquet", "*.csv"),
+    "TABLE": _files("*.csv", "*.parquet", "*.tex"),
+    "MEASUREMENTS": _files("*.csv", "*.parquet"),
+}
+"""The files and folders that complete a value, by the word that stands for the value in help."""
+
+
+def script(shell: str) -> str:
+    """The completion script of a shell.
+
+    Parameters
+    ----------
+    shell : str
+        A shell that shtab knows, for instance bash.
+    """
+    parser = complete_parser()
+    for added in subparsers_of(parser).values():
+        for argument in added._actions:
+            _complete(argument)
+            if shell == "zsh" and isinstance(argument.metavar, str):
+                # zsh takes what follows a bare colon for a command that completes the value.
+                argument.metavar = argument.metavar.replace(":", r"\:")
+    return shtab.complete(parser, shell)
+
+
+def _complete(argument: argparse.Action) -> None:
+    """Say in the attributes that shtab reads which values an argument can have."""
+    from pfdist.models import installed_models
+
+    value: Any = argument
+    if argument.metavar in _VALUES:
+        value.complete = _VALUES[str(argument.metavar)]
+    elif argument.metavar == "MODEL":
+        value.choices = sorted(installed_models())

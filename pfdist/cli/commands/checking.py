@@ -1,12 +1,14 @@
-"""The command ``pfdist check-model``."""
+"""Commands that need no run: check-model, models, doctor."""
 
 from argparse import ArgumentParser, Namespace
+from importlib import import_module
+from pathlib import Path
 
 from pfdist.cli.answers import print_checks
 from pfdist.cli.arguments import add_json, count
 from pfdist.cli.command import command
 from pfdist.cli.words import time_list
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, PoolError
 
 
 def _add_model(parser: ArgumentParser) -> None:
@@ -59,3 +61,51 @@ def check_model_command(options: Namespace) -> None:
     wrong = print_checks(checks, options)
     if wrong:
         raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")
+
+
+@command("models", examples={"pfdist models": "Show which names a job can give as model.name"})
+def models_command(options: Namespace) -> None:
+    """List the models that a job can name."""
+    from pfdist.models import installed_models
+
+    models = installed_models()
+    width = max(map(len, models))
+    for name in sorted(models):
+        try:
+            description = import_module(models[name][0]).__doc__ or ""
+        except Exception as error:  # a package that was installed beside pfdist
+            description = f"cannot be loaded: {type(error).__name__}: {error}"
+        print(f"{name:{width}}  {description.partition(chr(10))[0]}".rstrip())
+
+
+def _add_machine(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--results",
+        default="results",
+        metavar="DIR",
+        help="folder that will hold runs (default: results)",
+    )
+    parser.add_argument(
+        "--address",
+        default="",
+        metavar="HOST:PORT",
+        help="check the nodes of the Ray cluster at this address, too",
+    )
+
+
+@command(
+    "doctor",
+    _add_machine,
+    add_json,
+    examples={
+        "pfdist doctor": "Check this machine, before the first run",
+        "pfdist doctor --results /tmp": "Check whether another disk can hold runs",
+    },
+)
+def doctor_command(options: Namespace) -> None:
+    """Check whether this machine is fit for a run."""
+    from pfdist.checks.machine import examine
+
+    wrong = print_checks(examine(Path(options.results), options.address), options)
+    if wrong:
+        raise PoolError(f"not fit for a run: {', '.join(wrong)}")

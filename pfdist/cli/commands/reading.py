@@ -1,0 +1,185 @@
+"""Commands that read a run and compute nothing: status, list, table, report, plot and others."""
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from pfdist.cli.answers import print_page, print_records, print_run
+from pfdist.cli.arguments import add_answer, add_json, add_run
+from pfdist.cli.command import command
+from pfdist.errors import StoreError, one_line
+
+
+@command(
+    "status",
+    add_run,
+    add_answer,
+    examples={
+        "pfdist status results/plan": "Show what a run has found so far",
+        "pfdist status results/plan --json": "Give the same to a program",
+    },
+)
+def status_command(options: Namespace) -> None:
+    """Show how far a run is and what it has found."""
+    from pfdist.analysis import open_run
+
+    print_run(open_run(options.run), options)
+
+
+def _add_folder(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "folder",
+        nargs="?",
+        default="results",
+        metavar="DIR",
+        help="folder below which runs are sought, three levels deep; links are not followed "
+        "(default: results)",
+    )
+
+
+@command(
+    "list",
+    _add_folder,
+    add_json,
+    examples={
+        "pfdist list": "Show all runs in the folder results",
+        "pfdist list results --json": "Give the same to a program",
+    },
+)
+def list_command(options: Namespace) -> None:
+    """List the runs in a folder: how far each is, and what it has found."""
+    from pfdist.answers.runs import list_page
+    from pfdist.api.list_runs import list_runs
+
+    frame = list_runs(options.folder)
+    if options.json:
+        print_records("runs", frame, options)
+    else:
+        print_page(list_page(frame, options.folder), options)
+
+
+def _add_runs(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "runs",
+        nargs="+",
+        metavar="RUN",
+        help="folders of runs, finished or not; a folder with runs or sweeps in it stands for all "
+        "these runs",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="TABLE",
+        help="write the table to this file, which ends in .csv, .parquet or .tex (booktabs, for a "
+        "paper); an earlier table of runs is replaced, another file is not",
+    )
+
+
+@command(
+    "table",
+    _add_runs,
+    add_json,
+    examples={
+        "pfdist table results/plan": "Show the results of a run, a row for each found set",
+        "pfdist table results --out runs.csv": "Write all runs in a folder to a file",
+        "pfdist table results --out runs.tex": "Make a table for a paper",
+    },
+)
+def table_command(options: Namespace) -> None:
+    """Put many runs into one table: what differs between them, and what they found."""
+    from pfdist.answers.runs import table_page
+    from pfdist.api.table import table
+
+    frame = table(*options.runs, out=options.out)
+    if options.json:
+        unit = frame.attrs.get("time_unit")
+        print_records("rows", frame, options, {} if unit is None else {"time_unit": unit})
+    elif options.out is None:
+        print_page(table_page(frame), options)
+    else:
+        print(one_line(options.out))
+
+
+def _add_run_or_sweep(parser: ArgumentParser) -> None:
+    parser.add_argument("run", metavar="RUN", help="folder of a run, or of a sweep")
+
+
+def _add_watch(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="write the report again every few seconds while the run goes on; the page reloads "
+        "itself",
+    )
+
+
+@command(
+    "report",
+    _add_run_or_sweep,
+    _add_watch,
+    examples={
+        "pfdist report results/plan": "Write report.html into the folder of the run",
+        "pfdist report results/plan --watch": "Write it again and again while the run goes on",
+        "pfdist report results/budgets": "Write that of a sweep, with links to the points",
+    },
+)
+def report_command(options: Namespace) -> None:
+    """Write the report of a run or a sweep: one HTML file that can be sent to anybody."""
+    from pfdist.api.display import Display
+    from pfdist.api.report import report
+
+    with Display() as display:
+        file = report(options.run, watch=options.watch, say=display.say)
+    print(one_line(str(file)))
+
+
+@command(
+    "plot",
+    add_run,
+    examples={"pfdist plot results/plan": "Draw the figures of a run again"},
+)
+def plot_command(options: Namespace) -> None:
+    """Draw the figures of a run from its tables."""
+    from pfdist.analysis import open_run
+    from pfdist.plots import draw_figures
+
+    for file in draw_figures(open_run(options.run)):
+        print(one_line(str(file)))
+
+
+@command(
+    "verify",
+    add_run,
+    examples={"pfdist verify results/plan": "Check a run after it was copied"},
+)
+def verify_command(options: Namespace) -> None:
+    """Check every byte, row and key of a run."""
+    from pfdist.store.repair import run_again, verify_run
+
+    path = Path(options.run)
+    damages = list(verify_run(path))
+    for damage in damages:
+        print(one_line(f"{path / damage.path} {damage.what}"))
+    if not damages:
+        print(f"{one_line(options.run)}: all files are unchanged, and no row or key is missing")
+        return
+    if all(damage.is_missing for damage in damages):
+        raise StoreError(
+            f"{path}: missing files: {len(damages)}. To recompute them, {run_again(path)}"
+        )
+    raise StoreError(
+        f"{path}: problems found: {len(damages)}. Run `pfdist repair {path}` to move the damaged "
+        "files to quarantine; it says how to recompute them"
+    )
+
+
+@command(
+    "repair",
+    add_run,
+    examples={"pfdist repair results/plan": "Move damaged files away, after `pfdist verify`"},
+)
+def repair_command(options: Namespace) -> None:
+    """Move the damaged files of a run to quarantine."""
+    from pfdist.store.repair import repair_run
+
+    lines = list(repair_run(Path(options.run)))
+    for line in lines or [f"{options.run}: nothing to repair"]:
+        print(one_line(line))
