@@ -18,10 +18,9 @@ from pfdist.api.table import table
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.job import Job
-from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.source import JobSource
-from pfdist.job.sweep import SweepJob, read_sweep
+from pfdist.job.sweep import SweepJob, check_comparable, judging, read_sweep
 from pfdist.runner.build import build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import Driver, Loop

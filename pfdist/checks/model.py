@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
-from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
+from pfdist.checks.formulas import compiled_as_in_numpy, likelihood, speed
 from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.particles import (
     enough_particles,
@@ -18,7 +18,6 @@ from pfdist.checks.particles import (
     mean_effective_sizes,
     measured_loss,
 )
-from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
 from pfdist.errors import CompileError, ModelError

@@ -55,7 +55,11 @@ def _plain(value: Any) -> Any:
 
 
 def computed(
-    function: Callable[..., Any], options: Namespace, *arguments: Any, **chosen: Any
+    function: Callable[..., Any],
+    options: Namespace,
+    *arguments: Any,
+    has_progress: bool = True,
+    **chosen: Any,
 ) -> Any:
     """What a function of `pfdist.api` computes for a job, while its progress is shown.
 
@@ -69,7 +73,9 @@ def computed(
     if hasattr(options, "no_report"):
         chosen["report"] = not options.no_report
     with Display() as display:
-        chosen |= {"changes": options.set, "progress": display.show, "say": display.say}
+        chosen |= {"changes": options.set, "say": display.say}
+        if has_progress:
+            chosen["progress"] = display.show
         return function(options.job, *arguments, **chosen)
 
 

@@ -246,7 +246,8 @@ def drawn(plot: Plot) -> Canvas:
     """
     size = rcParams["figure.figsize"][0], scaled(plot.height)
     dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
-    canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots, layout="none")
+    canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots)
+    canvas.set_layout_engine("none")  # whatever the style says
     panels = canvas.subplots(
         plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
     )

@@ -19,8 +19,7 @@ from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
-from pfdist.job.judging import judged_sets
-from pfdist.job.sweep import START_SECONDS, parts_that_pay
+from pfdist.job.sweep import START_SECONDS, judged_sets, parts_that_pay
 from pfdist.runner.progress import Progress
 from pfdist.store import held
 

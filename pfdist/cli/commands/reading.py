@@ -27,13 +27,10 @@ def status_command(options: Namespace) -> None:
 
 def _add_folder(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "folder",
-        nargs="?",
-        default="results",
-        metavar="DIR",
+        "folder", nargs="?", default="results", metavar="DIR",
         help="folder below which runs are sought, three levels deep; links are not followed "
-        "(default: results)",
-    )
+             "(default: results)",
+    )  # fmt: skip
 
 
 @command(
@@ -59,18 +56,15 @@ def list_command(options: Namespace) -> None:
 
 def _add_runs(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "runs",
-        nargs="+",
-        metavar="RUN",
+        "runs", nargs="+", metavar="RUN",
         help="folders of runs, finished or not; a folder with runs or sweeps in it stands for all "
-        "these runs",
-    )
+             "these runs",
+    )  # fmt: skip
     parser.add_argument(
-        "--out",
-        metavar="TABLE",
+        "--out", metavar="TABLE",
         help="write the table to this file, which ends in .csv, .parquet or .tex (booktabs, for a "
-        "paper); an earlier table of runs is replaced, another file is not",
-    )
+             "paper); an earlier table of runs is replaced, another file is not",
+    )  # fmt: skip
 
 
 @command(
@@ -104,11 +98,10 @@ def _add_run_or_sweep(parser: ArgumentParser) -> None:
 
 def _add_watch(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--watch",
-        action="store_true",
+        "--watch", action="store_true",
         help="write the report again every few seconds while the run goes on; the page reloads "
-        "itself",
-    )
+             "itself",
+    )  # fmt: skip
 
 
 @command(
