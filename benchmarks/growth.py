@@ -193,7 +193,7 @@ def summary(tables: Tables) -> str:
             markdown([*header, "gap, %"], proofs),
             "The paper's problem: the bound of a plan against the particle-steps of windows and "
             "bound. The gap includes the parts that no relaxation causes.",
-            markdown(["", "draws", "steps", "windows", "bound", "gap, %"], bounds),
+            markdown(["kind", "draws", "steps", "windows", "bound", "gap, %"], bounds),
         ]
     )
 

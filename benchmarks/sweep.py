@@ -135,7 +135,7 @@ def summary(tables: Tables) -> str:
         for _, row in tables["sweep"].iterrows()
     ]
     header = [
-        *("", "points", "seconds", "seconds of tasks a worker"),
+        *("way", "points", "seconds", "seconds of tasks a worker"),
         *("first task after, s", "first point after, s"),
     ]
     sweep, alone = tables["sweep"].iloc[0], tables["sweep"].iloc[1]["worker_seconds"] / WORKERS

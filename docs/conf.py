@@ -26,6 +26,7 @@ default_role = "literal"  # docstrings name functions and arguments between sing
 html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 html_logo = html_favicon = "static/logo.svg"
 html_copy_source = False
 html_show_copyright = False

@@ -7,6 +7,7 @@ The command replaces the lines between them. A test fails if a page has an old t
 import argparse
 import inspect
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import UnionType
@@ -57,8 +58,10 @@ from pfdist.store.schema import (
 )
 
 FOLDER = Path(__file__).parent
+BENCHMARKS = FOLDER.parent / "benchmarks" / "results"
 _COMMON = {"name", "method", "evaluation", "polish"}  # keys that every search has
 _BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+_SHARED = 3  # commands that have an option with the same words
 _UNBOUNDED = 2**63  # whole numbers of a job have 64 bits
 _MARKED = re.compile(r"(?s)(<!-- table: (\w+) -->\n).*?(<!-- end -->)")
 _SECTIONS: Mapping[str, type[Section]] = {
@@ -177,18 +180,28 @@ def filtered_columns() -> str:
 
 def usage() -> str:
     """Give all arguments and examples of each command, from its parser."""
-    parts = []
-    for name, parser in subparsers_of(complete_parser()).items():
-        rows = [
-            [_spelling(argument), _escaped(argument.help or "")]
+    arguments = {
+        name: [
+            (_spelling(argument), _escaped(argument.help or ""))
             for argument in parser._actions
             if argument.dest not in ("help", "debug")
         ]
+        for name, parser in subparsers_of(complete_parser()).items()
+    }
+    counts = Counter(row for rows in arguments.values() for row in rows)
+    shared = [row for row, count in counts.items() if count >= _SHARED and row[0].startswith("`--")]
+    head = ["argument", "meaning"]
+    parts = [f"## Options that several commands share\n\n{_table(head, map(list, shared))}"]
+    for name, rows in arguments.items():
+        own = [list(row) for row in rows if row not in shared]
+        also = ", ".join(f"`{row[0].strip('`').split()[0]}`" for row in rows if row in shared)
         examples = "\n".join(
             f"{line}    # {does}" for line, does in COMMANDS[name].examples.items()
         )
         parts.append(
-            f"## {name}\n\n{COMMANDS[name].description}\n\n{_table(['argument', 'meaning'], rows)}"
+            f"## {name}\n\n{COMMANDS[name].description}"
+            + f"\n\n{_table(head, own)}" * bool(own)
+            + f"\n\nAlso {also}." * bool(also)
             + f"\n\n```\n{examples}\n```" * bool(examples)
         )
     return "\n\n".join(parts)
@@ -206,6 +219,39 @@ def gallery() -> str:
         for row in pd.read_csv(FOLDER / "gallery.csv").itertuples()
     ]
     head = ["job", "expected MSE, regular times", "found times", "lower by (95 %)"]
+    return _table(head, rows)
+
+
+def genetic() -> str:
+    """Give the table of the paper's genetic algorithm with fifteen seeds, from its benchmark."""
+    searches = pd.read_csv(BENCHMARKS / "genetic.csv", comment="#").set_index("name")
+    best, regular = searches.loc["best known"], searches.loc["regular"]
+    seeds = searches.drop(["best known", "regular"])
+
+    def over_seeds(values: pd.Series, digits: int) -> str:
+        mean, low, high = (f"{value:.{digits}f}" for value in values.agg(["mean", "min", "max"]))
+        return f"{mean} ({low} to {high})"
+
+    costs = over_seeds(seeds["cost"], 2)
+    shares = [over_seeds(100 * seeds[column], 1) for column in ("gain", "positive")]
+    known = [f"{100 * best[column]:.1f}" for column in ("gain", "positive")]
+    rows = [
+        [
+            "the genetic algorithm, fifteen seeds: mean (range)",
+            f"{regular.cost:.2f}",
+            costs,
+            *shares,
+        ],
+        ["the best set known", f"{regular.cost:.2f}", f"{best.cost:.2f}", *known],
+        ["the paper prints", "31.08", "", "27.7", "87.5"],
+    ]
+    head = [
+        "search",
+        "expected MSE, regular times",
+        "expected MSE, found times",
+        "mean relative gain, %",
+        "draws with a gain, %",
+    ]
     return _table(head, rows)
 
 
@@ -284,8 +330,7 @@ def pools() -> str:
 
 def densities() -> str:
     """Give the table of densities, with the times of the benchmark."""
-    times = pd.read_csv(FOLDER.parent / "benchmarks" / "results" / "densities.csv", comment="#")
-    measured = times.set_index("name")
+    measured = pd.read_csv(BENCHMARKS / "densities.csv", comment="#").set_index("name")
     rows = []
     for name, density in DENSITIES.items():
         nanoseconds = measured.loc[name, ["ns_log_density", "ns_draw"]]
@@ -313,7 +358,7 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, engines, estimators, schemes, commands, figures, panels, pools, densities,
+        gallery, genetic, engines, estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 
@@ -455,5 +500,5 @@ def _table(header: list[str], rows: Iterable[list[str]]) -> str:
 
 
 if __name__ == "__main__":
-    for path in sorted(FOLDER.glob("*.md")):
+    for path in (FOLDER.parent / "README.md", *sorted(FOLDER.glob("*.md"))):
         path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")

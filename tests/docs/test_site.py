@@ -1,6 +1,7 @@
 """The manual as a site: it builds without a warning, its links lead somewhere, it is shown."""
 
 import http.server
+import re
 import subprocess
 import sys
 import threading
@@ -107,6 +108,12 @@ def test_every_page_fits_loads_nothing_from_elsewhere_and_prints_no_error(
             wrong.append(f"{name} is wider than {width} pixels")
         shown = "[...document.images].filter(i => i.complete && !i.naturalWidth).map(i => i.src)"
         wrong += page.evaluate(shown)
+        scrolls = "e => e.scrollWidth > e.clientWidth && e.tabIndex < 0"
+        regions = f"[...document.querySelectorAll('pre, .table-wrapper, .math')].filter({scrolls})"
+        if page.evaluate(f"{regions}.length"):
+            wrong.append(f"{name} has a region that the keyboard cannot scroll")
+        if page.locator("th").filter(has_not_text=re.compile(r"\S")).count():
+            wrong.append(f"{name} has a column without a head")
     context.close()
     assert wrong == []
 

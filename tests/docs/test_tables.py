@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from pfdist.cli.main import main
 from pfdist.cli.parser import complete_parser, subparsers_of
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
@@ -34,7 +35,7 @@ def tables() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*PAGES, DOCS.parent / "README.md"], ids=lambda page: page.stem)
 def test_a_page_has_the_tables_that_the_declarations_make(page: Path, tables: ModuleType) -> None:
     text = page.read_text(encoding="utf-8")
     assert text == tables.with_tables(text), "run `python docs/tables.py`"
@@ -111,6 +112,44 @@ def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> 
         assert f"## {name}\n" in usage
         options = [option for action in parser._actions for option in action.option_strings]
         assert all(f"`{option}" in usage for option in {*options} - {"-h", "--help", "--debug"})
+
+
+def test_a_measured_number_with_an_error_stands_in_a_made_table_or_in_what_a_command_prints() -> (
+    None
+):
+    """`robust.md` has a table that no file holds yet."""
+    made = re.compile(r"(?ms)<!-- table: .*?<!-- end -->|^```.*?^```")
+    number = re.compile(r"\d ± \d|\(95 %: ")
+    texts = {page.name: made.sub("", page.read_text(encoding="utf-8")) for page in PAGES}
+    texts["README.md"] = made.sub("", (DOCS.parent / "README.md").read_text(encoding="utf-8"))
+    assert {name for name, text in texts.items() if number.search(text)} <= {"robust.md"}
+
+
+def test_the_numbers_of_the_readme_are_those_of_the_tables(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The gain and the times of the example run; the bound, online times and the default search."""
+    root = DOCS.parent
+    readme = " ".join((root / "README.md").read_text(encoding="utf-8").split())
+    start = " ".join((DOCS / "start.md").read_text(encoding="utf-8").split())
+    assert main(["status", str(root / "results" / "example")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for pattern in (r"Measuring at these 21 .*? the error is lower\.", r"Measure at t = [\d, ]+\."):
+        answer = re.search(pattern, printed)
+        assert answer is not None
+        assert answer[0] in readme
+        assert answer[0] in start
+    results = root / "benchmarks" / "results"
+    proofs = pd.read_csv(results / "growth_work.csv", comment="#").set_index(["kind", "draws"])
+    limit = 100 * proofs.loc[("windows grow", 480), "gap_at_most"]
+    assert f"another {limit:.1f} % (with 95 % confidence)" in readme
+    online = pd.read_csv(results / "online.csv", comment="#").set_index(["problem", "setting"])
+    errors = online.loc[("paper", "default")]
+    assert f"lower it by {100 * (1 - errors.mse / errors.regular):.0f} %" in readme
+    searches = (results / "README.md").read_text(encoding="utf-8")
+    excess = re.search(r"\| paper \| seeds.*?\| relaxation \| 10 \| \S+ \| (\S+) ", searches, re.S)
+    assert excess is not None
+    assert f"ends {float(excess[1]):.1f} % above the best set known" in readme
 
 
 def test_the_gallery_shows_eight_systems_that_can_be_loaded_quickly() -> None:
