@@ -16,9 +16,10 @@ from matplotlib.lines import Line2D
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
-from pfdist.filters.particle_filter import filter_sets
+from pfdist.filters.particle_filter import filter_checked_sets
 from pfdist.filters.settings import filter_streams
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 
@@ -69,11 +70,13 @@ def measure(quick: bool, say: Say) -> Tables:
         found: dict[Any, Any] = {}
         for estimator in ESTIMATORS:
             for scheme in SCHEMES:
-                filtered = partial(
-                    filter_sets, model, particles=particles, stream=2, resampling=scheme
+                settings, sets = Estimation(particles, scheme, estimator), [GOOD, NEAR]
+                turns[estimator, scheme] = partial(
+                    filter_checked_sets, model, timed, [GOOD], [HORIZON], 2, settings
                 )
-                turns[estimator, scheme] = partial(filtered, timed, [GOOD], estimator=estimator)
-                found[estimator, scheme] = filtered(draws, [GOOD, NEAR], estimator=estimator)
+                found[estimator, scheme] = filter_checked_sets(
+                    model, draws, sets, [HORIZON] * 2, 2, settings
+                )
                 say(f"{particles} particles, {estimator}, {scheme}")
         with one_core():
             timings = take_turns(turns, 2 if quick else REPEATS, say)

@@ -18,8 +18,9 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_job, load_model, run
 from pfdist.filters.draws import Draws
-from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.prefixes import plan
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 from pfdist.times.measurement_times import Times
@@ -68,7 +69,10 @@ def measure(quick: bool, say: Say) -> Tables:
     functions: dict[Any, Callable[[], object]] = {}
     for key, sets in generations.items():
         functions["alone", key] = partial(_one_by_one, draws, sets, particles)
-        functions["together", key] = partial(filter_sets, draws.model, draws, sets, particles, 2)
+        ends, settings = [horizon] * len(sets), Estimation(particles)
+        functions["together", key] = partial(
+            filter_checked_sets, draws.model, draws, sets, ends, 2, settings
+        )
     with one_core():
         timings = take_turns(functions, 2 if quick else REPEATS, say)
     rows = [

@@ -17,11 +17,11 @@ from pfdist.errors import PriorError
 from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking, validated_from
-from pfdist.filters.settings import check_filter, check_start, filter_streams
+from pfdist.filters.interface import Filtered, checking
+from pfdist.filters.settings import filter_streams
 from pfdist.filters.work import Estimation
 from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
-from pfdist.kernels.estimators import ALL_ESTIMATORS, SQUARED_ERROR
+from pfdist.kernels.estimators import ALL_ESTIMATORS
 from pfdist.kernels.formulas import compiled_formulas
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
@@ -79,35 +79,6 @@ def filter_checked_draws(
 filter_draws = checking(filter_checked_draws)
 
 
-def filter_sets(
-    model: StateSpaceModel,
-    draws: Draws,
-    sets: Sequence[Times],
-    particles: int,
-    stream: int,
-    resampling: str = "multinomial",
-    ends: Sequence[int] | None = None,
-    estimator: str = SQUARED_ERROR.name,
-) -> NDArray[np.float64]:
-    """The MSE of draws with several sets of measurement times under the same noise, (D, S).
-
-    A prefix that two sets share is filtered once. This is faster than filtering the sets one by
-    one, and gives the same bits. `ends` are the last instants whose errors count, by default T;
-    their sum is divided by the number of all instants. The draws must start at t = 0. Other
-    arguments and errors are those of `filter_draws`.
-    """
-    check_filter(model, draws.model, particles, resampling, estimator)
-    check_start(model, draws, None)
-    last = [draws.instants[-1]] * len(sets) if ends is None else list(ends)
-    sensors = len(model.parts)
-    valid = [
-        validated_from(draws.start, times, end, sensors)
-        for times, end in zip(sets, last, strict=True)
-    ]
-    settings = Estimation(particles, resampling, estimator)
-    return filter_checked_sets(model, draws, valid, last, stream, settings)
-
-
 def filter_checked_sets(
     model: StateSpaceModel,
     draws: Draws,
@@ -116,10 +87,12 @@ def filter_checked_sets(
     stream: int,
     settings: Estimation,
 ) -> NDArray[np.float64]:
-    """Filter draws as `filter_sets` does, (D, S), with arguments that the caller has checked.
+    """The MSE of draws with several checked sets under the same noise, (D, S).
 
-    Draws may start at a prior. The times are sorted instants of the draws. `check_filter` has
-    accepted the settings for this model and the draws' model.
+    A prefix that two sets share is filtered once. This is faster than filtering the sets one by
+    one, and gives the same bits. `ends` are the last instants whose errors count; their sum is
+    divided by the number of all instants. The times are sorted instants of the draws.
+    `check_filter` has accepted the settings for this model and the draws' model.
     """
     planned, columns, _ = _planned(draws, sets, ends)
     return _filter(model, draws, planned, stream, settings)[:, columns]

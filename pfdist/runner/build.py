@@ -18,13 +18,19 @@ from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
 from pfdist.filters.work import Estimation
 from pfdist.job.job import ONLINE, Job
-from pfdist.job.scenarios_section import Scenarios
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
-from pfdist.runner.searches import NamedSearch, Settings, Study, named_search, planning_of
+from pfdist.runner.searches import (
+    NamedSearch,
+    Settings,
+    Study,
+    comparing_of,
+    named_search,
+    planning_of,
+)
 from pfdist.sequential.planning import check_plannable
 from pfdist.times.clock import Time
 from pfdist.times.feasible import Feasible
@@ -75,7 +81,7 @@ class Built:
     @property
     def comparing(self) -> Estimation:
         """The estimation of the comparison: the squared error of the job's own filter."""
-        return _comparing(self.job)
+        return comparing_of(self.job)
 
     @property
     def names(self) -> list[str]:
@@ -105,12 +111,16 @@ def build(job: Job) -> Built:
         filter_model,
         horizon=job.problem.feasible.horizon,
         engine=job.filter.engine,
-        estimations=(_comparing(job), Settings.from_job(job).estimation),
+        estimations=(comparing_of(job), Settings.from_job(job).estimation),
         clock=job.problem.clock.times if job.problem.has_clock else None,
         weights=job.problem.weights,
     )
     if job.scenarios is not None:
-        evaluator = _with_scenarios(evaluator, job.scenarios)
+        told = job.scenarios.filter == "told"
+        try:
+            evaluator = replace(evaluator, scenarios=job.scenarios.each, told=told)
+        except ModelError as error:
+            raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
@@ -143,13 +153,6 @@ def _check_sensors(job: Job, model: CarriedModel) -> None:
             f"problem.sensors must name the sensors of the model {model.name}, in their order: "
             f"{shown(list(sensors)) if sensors else 'it has none'}, got {shown(list(named))}"
         )
-
-
-def _with_scenarios(evaluator: Evaluator, section: Scenarios) -> Evaluator:
-    try:
-        return replace(evaluator, scenarios=section.each, told=section.filter == "told")
-    except ModelError as error:
-        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
 
 
 def _with_enough_particles(job: Job) -> Job:
@@ -266,11 +269,6 @@ def _checked_formulas(evaluator: Evaluator) -> Draws | None:
 def _ships(model: CarriedModel) -> bool:
     home, _ = installed_models().get(model.name, ("", ""))
     return home.startswith("pfdist.")
-
-
-def _comparing(job: Job) -> Estimation:
-    own = job.filter
-    return Estimation(own.particles, own.resampling, threshold=own.threshold)
 
 
 def _compiled_or_numpy(evaluator: Evaluator) -> str:

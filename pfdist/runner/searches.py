@@ -241,16 +241,20 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
     return replace(search, again=again)
 
 
+def comparing_of(job: Job) -> Estimation:
+    """The estimation of the comparison: the squared error of the job's own filter."""
+    own = job.filter
+    return Estimation(own.particles, own.resampling, threshold=own.threshold)
+
+
 def _with_settings(
     job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
 ) -> NamedSearch:
-    settled = job.filter
-    own = Estimation(settled.particles, settled.resampling, threshold=settled.threshold)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
     if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
         believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
         polishing = replace(polishing, estimation=believed)
-    racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
+    racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=comparing_of(job))
     additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None
     return NamedSearch(name, optimiser, settings, polishing_or_none, racing, additive)

@@ -56,8 +56,8 @@ class OnlineWork(Work):
     def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
         times = self.chosen(evaluator, draw)
         streams = self.filter_streams[0], self.draws_stream
-        settings = (draw, draw + 1), self.estimation
-        filtered = evaluator.work([times], *streams, *settings, trajectories=draw < self.shown)
+        draws, shown = (draw, draw + 1), draw < self.shown
+        filtered = evaluator.work([times], *streams, draws, self.estimation, trajectories=shown)
         return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:

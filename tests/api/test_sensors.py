@@ -41,7 +41,9 @@ def test_the_compiled_filter_is_its_plain_twin(resampling: str) -> None:
     twin = plain.simulate(model, HORIZON, range(20), 7)
     np.testing.assert_allclose(draws.y, twin.y, rtol=1e-12)
     sets = [(0, 1, 2, 10), (0, 1, 2, 11, 12, 14), (5,), (36, 38)]
-    compiled = particle_filter.filter_sets(model, draws, sets, 64, 3, resampling)
+    compiled = particle_filter.filter_checked_sets(
+        model, draws, sets, [HORIZON] * len(sets), 3, Estimation(64, resampling)
+    )
     for column, times in enumerate(sets):
         filtered = plain.filter_draws(model, draws, times, 64, 3, resampling)
         np.testing.assert_allclose(compiled[:, column], filtered.mse, rtol=1e-5)

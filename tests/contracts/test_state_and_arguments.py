@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "pfdist"
 ROOMS = ("kernels", "filters", "store", "pools", "checks", "common", "models")
-MOST_ARGUMENTS = 9  # the public `filter_sets`, and the rounds of a cipher
+MOST_ARGUMENTS = 9  # the public `filter_draws`, and the rounds of a cipher
 
 pytestmark = pytest.mark.quick
 

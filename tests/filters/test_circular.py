@@ -19,7 +19,7 @@ from oracles.moments import assert_mean, assert_positive
 from pfdist import Filter, Problem, StateSpaceModel, densities, load_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
-from pfdist.filters.particle_filter import filter_checked_sets, filter_draws, filter_sets
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
@@ -67,7 +67,8 @@ POINTS = replace(  # an angle between two components that are none
 
 def _mse(draws: int, particles: int, estimator: str, times: Sequence[int] = TIMES) -> Array:
     drawn = simulate(HEADING, HORIZON, range(draws), 3)
-    return filter_sets(HEADING, drawn, [tuple(times)], particles, 5, estimator=estimator)[:, 0]
+    estimation = Estimation(particles, estimator=estimator)
+    return filter_checked_sets(HEADING, drawn, [tuple(times)], [HORIZON], 5, estimation)[:, 0]
 
 
 def _angular(difference: Array) -> Array:

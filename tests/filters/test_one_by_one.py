@@ -14,7 +14,7 @@ from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.settings import filter_streams
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, Work
@@ -41,7 +41,9 @@ def relative_bias(estimator: str, times: Times, particles: int, draws: int) -> t
     """Mean of the paired difference to the squared error, of whose mean; and its standard error."""
     drawn = simulate(UNGM, 60, range(draws), 11)
     error, estimate = (
-        filter_sets(UNGM, drawn, [times], particles, 12, estimator=name)[:, 0]
+        filter_checked_sets(UNGM, drawn, [times], [60], 12, Estimation(particles, estimator=name))[
+            :, 0
+        ]
         for name in ("squared_error", estimator)
     )
     apart = (estimate - error) / error.mean()
@@ -79,7 +81,9 @@ def test_of_a_linear_gaussian_model_the_mean_is_the_riccati_cost(estimator: str)
     model = TRACKING.as_model()
     drawn = simulate(model, horizon, range(draws), 1)
     found, fewer = (
-        filter_sets(model, drawn, sets, count, 2, "systematic", estimator=estimator)
+        filter_checked_sets(
+            model, drawn, sets, [horizon] * 4, 2, Estimation(count, "systematic", estimator)
+        )
         for count in (particles, particles // 2)
     )
     limit = 4 * found.std(axis=0) / math.sqrt(draws)
@@ -110,7 +114,7 @@ def by_hand(draws: Draws, times: Times, end: int, estimator: str) -> Array:
 @others
 def test_only_instants_up_to_the_end_count(estimator: str) -> None:
     draws = simulate(UNGM, HORIZON, range(5), 3)
-    found = filter_sets(UNGM, draws, SETS, 70, 9, ends=ENDS, estimator=estimator)
+    found = filter_checked_sets(UNGM, draws, SETS, ENDS, 9, Estimation(70, estimator=estimator))
     # A later measurement changes nothing before.
     expected = [
         by_hand(draws, times, end, estimator) for times, end in zip(SETS, ENDS, strict=True)
@@ -132,15 +136,14 @@ def test_together_they_are_bit_for_bit_as_one_by_one_and_plain_ones_agree(
 ) -> None:
     draws = simulate(UNGM, HORIZON, range(40), 3)
     draws = Draws(model, draws.index, draws.x, draws.y, draws.z)
-    together = filter_sets(model, draws, SETS, 70, 9, ends=ENDS, estimator=estimator)
+    estimation = Estimation(70, estimator=estimator)
+    together = filter_checked_sets(model, draws, SETS, ENDS, 9, estimation)
     alone = [
-        filter_sets(model, draws, [times], 70, 9, ends=[end], estimator=estimator)
+        filter_checked_sets(model, draws, [times], [end], 9, estimation)
         for times, end in zip(SETS, ENDS, strict=True)
     ]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
-    plainly = ENGINES["numpy"].filters.filter_checked_sets(
-        model, draws, SETS, ENDS, 9, Estimation(70, estimator=estimator)
-    )
+    plainly = ENGINES["numpy"].filters.filter_checked_sets(model, draws, SETS, ENDS, 9, estimation)
     np.testing.assert_allclose(together, plainly, rtol=1e-9)
     assert np.isnan(together).any() == (model is DEGENERATE)
     assert np.isinf(together).any() == (model is INFINITE)
@@ -154,7 +157,7 @@ def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None
     sets = [good, tuple(15 if t == 16 else t for t in good)]
     draws = simulate(UNGM, 60, range(6000), 1)
     plain, in_line = (
-        np.diff(filter_sets(UNGM, draws, sets, 100, 2, scheme))[:, 0]
+        np.diff(filter_checked_sets(UNGM, draws, sets, [60] * 2, 2, Estimation(100, scheme)))[:, 0]
         for scheme in ("systematic", "sorted_systematic")
     )
     rng = np.random.default_rng(1)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from pfdist import StateSpaceModel, load_model, where
-from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
 from pfdist.kernels.prefixes import plan
 
 HORIZON = 12
@@ -52,7 +53,8 @@ def test_together_they_are_bit_for_bit_as_one_by_one(
 ) -> None:
     ends = believed is not model  # a draw that ended has ended for all that share it
     draws = simulate(model, HORIZON, range(60 if ends else 5), 3)
-    together = filter_sets(believed, draws, SETS, 70, 9, resampling)
+    settings = Estimation(70, resampling)
+    together = filter_checked_sets(believed, draws, SETS, [HORIZON] * len(SETS), 9, settings)
     alone = [filter_draws(believed, draws, times, 70, 9, resampling).mse for times in SETS]
     np.testing.assert_array_equal(together, np.stack(alone, axis=1))
     if ends:
@@ -101,7 +103,7 @@ def test_what_is_wanted_up_to_an_end_is_the_sum_of_the_errors_up_to_there() -> N
     assert estimate is not None
     errors = np.cumsum((draws.z - estimate)[:, :, 0] ** 2, axis=1) / (HORIZON + 1)
     sets, ends = ((), (0,), (0,), (0, 3), (0, 3), times, times), (0, 0, 2, 3, 6, 7, 12)
-    upto = filter_sets(model, draws, sets, 70, 9, ends=ends)
+    upto = filter_checked_sets(model, draws, sets, ends, 9, Estimation(70))
     blind = filter_draws(model, draws, (), 70, 9, trajectories=True).estimate
     assert blind is not None
     nothing = (draws.z - blind)[:, 0, 0] ** 2 / (HORIZON + 1)

@@ -11,7 +11,7 @@ import pytest
 
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
-from pfdist.filters.particle_filter import filter_draws, filter_sets, sum_errors
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws, sum_errors
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
@@ -39,9 +39,7 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, est
     found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
     for row, times, end in zip(found, SETS, ENDS, strict=True):
         prefixes = [tuple(time for time in times if time <= t) for t in range(end + 1)]
-        upto = filter_sets(
-            model, draws, prefixes, PARTICLES, STREAM, ends=range(end + 1), estimator=estimator
-        )
+        upto = filter_checked_sets(model, draws, prefixes, range(end + 1), STREAM, settings)
         expected = np.diff(upto.sum(axis=0), prepend=0.0) * (HORIZON + 1)
         np.testing.assert_allclose(row[: end + 1], expected, rtol=1e-9, atol=1e-9)
 

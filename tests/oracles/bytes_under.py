@@ -51,8 +51,9 @@ def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str
 def _hashes(cases: Sequence[Case]) -> dict[str, str]:
     from oracles.clocked import with_clock
     from pfdist import load_model
-    from pfdist.filters.particle_filter import filter_draws, filter_sets
+    from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
     from pfdist.filters.simulation import simulate
+    from pfdist.filters.work import Estimation
     from pfdist.kernels.estimators import ESTIMATORS
     from pfdist.models import squared_error
 
@@ -63,7 +64,8 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
         what = f"{name} {resampling}"
         found[f"{name} simulation"] = _hash(draws.x, draws.y, draws.z)
         for estimator in ESTIMATORS if model.error is squared_error else list(ESTIMATORS)[:1]:
-            mse = filter_sets(model, draws, _SETS, _PARTICLES, 5, resampling, estimator=estimator)
+            estimation = Estimation(_PARTICLES, resampling, estimator)
+            mse = filter_checked_sets(model, draws, _SETS, [_HORIZON] * 2, 5, estimation)
             found[f"{what} {estimator}"] = _hash(mse)
         kept = filter_draws(model, draws, _SETS[0], _PARTICLES, 5, resampling, True)
         found[f"{what} estimates"] = _hash(kept.mse, kept.estimate, kept.variance)
