@@ -61,7 +61,7 @@ def computed(
     has_progress: bool = True,
     **chosen: Any,
 ) -> Any:
-    """What a function of `pfdist.api` computes for a job, while its progress is shown.
+    """Call a function of `pfdist.api` for a job, and show its progress.
 
     The function gets the job, these arguments, and every option that `pfdist.cli.arguments` has
     added for it.

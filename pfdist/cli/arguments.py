@@ -1,13 +1,16 @@
 """Arguments that several commands share, and types of their values."""
 
+import contextlib
 import math
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
+from typing import TypeVar
 
 from pfdist.common.parsing import finite_number, whole_number
 from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
 
+T = TypeVar("T")
 RESULTS = "results/<name of the job file without .toml>"
 """The folder of a run, if the user names none."""
 
@@ -123,63 +126,45 @@ def computing(
     return add
 
 
-def whole(text: str) -> int:
-    """A whole number.
+def argument_type(read: Callable[[str], T]) -> Callable[[str], T]:
+    """The type of an option whose wrong values argparse refuses with the words of a ValueError."""
 
-    Raises
-    ------
-    ArgumentTypeError
-        The text is not a whole number.
-    """
-    try:
-        return whole_number(text)
-    except ValueError as error:
-        raise ArgumentTypeError(str(error)) from error
+    def typed(text: str) -> T:
+        try:
+            return read(text)
+        except ValueError as error:
+            raise ArgumentTypeError(str(error)) from error
+
+    return typed
 
 
+whole = argument_type(whole_number)
+"""A whole number."""
+
+
+@argument_type
 def decimal(text: str) -> int | float:
-    """A number with digits and a decimal point; a whole number without a point is an int.
-
-    Raises
-    ------
-    ArgumentTypeError
-        The text is no such number.
-    """
-    try:
-        return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
-    except ValueError as error:
-        raise ArgumentTypeError(str(error)) from error
+    """A number with digits and a decimal point; a whole number without a point is an int."""
+    return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
 
 
+@argument_type
 def count(text: str) -> int:
-    """A whole number from 1 to 32,000.
-
-    Raises
-    ------
-    ArgumentTypeError
-        The text is not such a number.
-    """
-    number = whole(text)
+    """A whole number from 1 to 32,000."""
+    number = whole_number(text)
     if not 1 <= number <= 32_000:
-        raise ArgumentTypeError(f"must be an integer in 1..32000, got {number}")
+        raise ValueError(f"must be an integer in 1..32000, got {number}")
     return number
 
 
+@argument_type
 def finite(text: str) -> float:
-    """A finite number.
-
-    Raises
-    ------
-    ArgumentTypeError
-        The text is not a finite number.
-    """
-    try:
+    """A finite number."""
+    with contextlib.suppress(ValueError):
         number = float(text) if text.isascii() and "_" not in text else math.nan
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ArgumentTypeError(f"must be a finite number, got {shown(text)}")
-    return number
+        if math.isfinite(number):
+            return number
+    raise ValueError(f"must be a finite number, got {shown(text)}")
 
 
 def add_measurements(parser: ArgumentParser) -> None:

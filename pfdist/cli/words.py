@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 
+from pfdist.cli.arguments import argument_type
 from pfdist.common.parsing import finite_number, ranges, whole_numbers
 from pfdist.errors import JobError, shown
 
@@ -14,32 +15,14 @@ _SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x
 _OPTION = re.compile(r"-[^0-9. ][^ ]*")  # argparse takes other words for values
 
 
-def number_list(text: str) -> list[int]:
-    """The numbers that an option lists: the type of options such as ``--times``.
-
-    Raises
-    ------
-    ArgumentTypeError
-        The text lists no numbers.
-    """
-    try:
-        return whole_numbers(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+number_list = argument_type(whole_numbers)
+"""The numbers that an option lists: the type of options such as ``--times``."""
 
 
+@argument_type
 def time_list(text: str) -> str:
-    """The times that an option lists, as they are written: the clock of the job reads them.
-
-    Raises
-    ------
-    ArgumentTypeError
-        The text lists no times.
-    """
-    try:
-        ranges(_SENSOR.sub(" ", text), finite_number)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+    """The times that an option lists, as they are written: the clock of the job reads them."""
+    ranges(_SENSOR.sub(" ", text), finite_number)
     return text
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pfdist.analysis import Run, relative_gain
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.reference import label
-from pfdist.common.arguments import whole_argument
 from pfdist.common.formatted_times import times_of
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.gains import (
@@ -38,9 +37,7 @@ from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
-_MOST_INSTANTS = 32_001
 MOST_ROWS = 200  # draws in the raster: more could not be told apart
-Source = Run | OnlineDraws | pd.DataFrame
 
 
 @figure("online_times", applies=has_online)
@@ -66,28 +63,13 @@ def measured_at(times: Collection[Sequence[int]], horizon: int) -> NDArray[np.bo
     return measured
 
 
-def online_shares(
-    source: Source,
-    *,
-    planned: Times = (),
-    plan: str = "",
-    horizon: int | None = None,
-    ax: Axes | None = None,
-) -> Axes:
+def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     """Draw the share of draws that are measured at each instant, beside the planned times.
 
     Parameters
     ----------
-    source : Run, OnlineDraws or DataFrame
-        A run with online times; or its draws that have them; or a table with a row for each draw
-        and the column measurement_times, as the table ``online``.
-    planned : tuple of int
-        The times of the plan; a run has them.
-    plan : str
-        Name of the plan; a run has one.
-    horizon : int, optional
-        The last instant T of a table, whose times must count instants; otherwise the last
-        measurement time. A table has no clock; a run and its draws have one.
+    source : Run or OnlineDraws
+        A run with online times, or its draws that have them.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -95,14 +77,14 @@ def online_shares(
     -------
     matplotlib Axes
     """
-    measured, clock, planned, plan = _measured(source, planned, plan, horizon)
+    draws, measured, clock = _measured(source)
     share, ax = 100 * measured.mean(axis=0), axes_for(ax)
     step = step_of(clock.times)
     ax.bar(
         clock.times, share, 0.8 * step, color=BLUE, alpha=0.75, lw=0,
         label=f"online, {len(measured):,} draws",
     )  # fmt: skip
-    _mark(ax, planned, f"the plan, {verbatim(plan)}" if plan else "the plan")
+    _mark(ax, draws.planned_times, f"the plan, {verbatim(draws.plan)}")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
     ax.set_xlim(clock.times[0] - 0.75 * step, clock.times[-1] + 0.75 * step)
@@ -112,19 +94,15 @@ def online_shares(
     return ax
 
 
-def online_raster(
-    source: Source, *, planned: Times = (), horizon: int | None = None, ax: Axes | None = None
-) -> Axes:
+def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     """Draw a row for each draw, dark where it is measured; draws with like times are neighbours.
+
+    The planned times are marked above the rows.
 
     Parameters
     ----------
-    source : Run, OnlineDraws or DataFrame
+    source : Run or OnlineDraws
         As of `online_shares`; the first 200 draws are shown.
-    planned : tuple of int
-        The times of the plan, marked above the rows; a run has them.
-    horizon : int, optional
-        As of `online_shares`.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -132,7 +110,7 @@ def online_raster(
     -------
     matplotlib Axes
     """
-    measured, clock, planned, _ = _measured(source, planned, "", horizon)
+    draws, measured, clock = _measured(source)
     measured, ax = measured[:MOST_ROWS], axes_for(ax)
     rows, step = len(measured), step_of(clock.times)
     in_order = measured[np.lexsort(~measured.T[::-1])]  # early measurements come first
@@ -148,7 +126,7 @@ def online_raster(
         shown, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", BLUE]),
         vmin=0, vmax=1, extent=(first, last, rows + 0.5, 0.5),
     )  # fmt: skip
-    _mark(ax, planned, "")
+    _mark(ax, draws.planned_times)
     ax.set_xlim(first - step / 4, last + step / 4)
     ax.set_ylabel(f"{rows:,} draws, sorted by times")
     ax.set_yticks([])
@@ -156,34 +134,26 @@ def online_raster(
     return ax
 
 
-def _measured(
-    source: Source, planned: Times, plan: str, horizon: int | None
-) -> tuple[NDArray[np.bool_], Clock, Times, str]:
-    """Whether each draw is measured at each instant, the clock, the plan's times and its name."""
-    check_kind(source, (Run, OnlineDraws, pd.DataFrame), "source")
-    clock: Clock | None = None
-    if isinstance(source, Run):
-        source = online_draws(source)
-    if isinstance(source, OnlineDraws):
-        clock = source.clock
-        planned, plan, source = planned or source.planned_times, plan or source.plan, source.rows
-    times = list(source["measurement_times"])
-    if clock is None:
-        last = int(max((t for chosen in [*times, planned] for t in chosen), default=0))
-        horizon = last if horizon is None else horizon
-        clock = Clock.counting(whole_argument("horizon", horizon, last, _MOST_INSTANTS))
-    instants = [clock.instants(times_of(chosen)) for chosen in times]
-    return measured_at(instants, clock.horizon), clock, planned, plan
+def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_], Clock]:
+    """The draws, whether each is measured at each instant, and the clock."""
+    draws = _draws_of(source)
+    times = list(draws.rows["measurement_times"])
+    last = max((t for chosen in [*times, draws.planned_times] for t in chosen), default=0)
+    clock = draws.clock or Clock.counting(int(last))
+    return draws, measured_at([clock.instants(times_of(t)) for t in times], clock.horizon), clock
 
 
-def _mark(ax: Axes, planned: Times, label: str) -> None:
-    """Mark the planned times at the upper edge, with a label in the legend if it is not empty."""
-    if not len(planned):
-        return
+def _draws_of(source: Run | OnlineDraws) -> OnlineDraws:
+    check_kind(source, (Run, OnlineDraws), "source")
+    return online_draws(source) if isinstance(source, Run) else source
+
+
+def _mark(ax: Axes, planned: Times, label: str | None = None) -> None:
+    """Mark the planned times at the upper edge, with a label in the legend if there is one."""
     times = times_of(planned)
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,
-        color=RED, ms=marker(1.2), mew=0, label=label or None, zorder=5,
+        color=RED, ms=marker(1.2), mew=0, label=label, zorder=5,
     )  # fmt: skip
 
 
@@ -215,8 +185,7 @@ def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     TypeError
         The source is neither a run nor its draws.
     """
-    check_kind(source, (Run, OnlineDraws), "source")
-    draws = online_draws(source) if isinstance(source, Run) else source
+    draws = _draws_of(source)
     online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
     return gain(
         online, "online", reference=label(draws.reference), beside=(draws.plan, plan), ax=ax

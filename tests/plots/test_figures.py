@@ -14,7 +14,7 @@ import pfdist
 from pfdist.analysis import Gain, Run, open_run
 from pfdist.analysis.online import OnlineDraws
 from pfdist.analysis.stored_run import found_sets, statistics_of
-from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
+from pfdist.errors import JobError
 from pfdist.plots import (
     budget,
     cost,
@@ -310,11 +310,12 @@ def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours()
     measured = measured_at(times, 4)
     assert [tuple(np.flatnonzero(row)) for row in measured] == times
     table = pd.DataFrame({"measurement_times": times})
-    axes = online_raster(table, planned=(0, 3), horizon=4, ax=_axes())
+    draws = OnlineDraws("regular", "survivors", (0, 3), table, Clock.counting(4))
+    axes = online_raster(draws, ax=_axes())
     (image,) = axes.get_images()
     rows = [tuple(np.flatnonzero(row).tolist()) for row in np.asarray(image.get_array())]
     assert rows == [(0, 2), (0, 3), (0, 3), (1, 2)]
-    axes = online_shares(table, planned=(0, 3), plan="survivors", horizon=4, ax=_axes())
+    axes = online_shares(draws, ax=_axes())
     assert [bar.get_height() for bar in axes.patches] == [75, 25, 50, 50, 0]
     planned = _lines(axes)["the plan, survivors"][0]
     assert planned == [0, 3]
@@ -333,11 +334,6 @@ def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) 
     dark = np.asarray(image.get_array())
     assert [dark[0, 0], dark[0, 1], dark[1, 1], dark[1, -1]] == [True] * 4
     assert dark.sum() == 4
-    with pytest.raises(MeasurementTimesError, match=r"whole numbers without a clock, got 0\.5"):
-        online_shares(rows, ax=_axes())
-    whole = pd.DataFrame({"measurement_times": [(0.0, 2.0)]})
-    with pytest.raises(ArgumentError, match=r"horizon must be an integer, got 2\.4"):
-        online_shares(whole, horizon=2.4, ax=_axes())  # type: ignore[arg-type]
 
 
 def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:

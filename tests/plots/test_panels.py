@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 import pfdist
 from pfdist import plots
 from pfdist.analysis import Run
+from pfdist.analysis.online import OnlineDraws
 from pfdist.analysis.runs_table import RESULTS
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
@@ -170,8 +171,8 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "heat_map": [call(MINE), call(MINE.iloc[1:], value="expected_mse")],
         "one_draw": [call(plain), call(plain, "survivors", draw=4), call(_trajectory(), sets)],
         "online_gain": [call(proved)],
-        "online_raster": [call(proved), call(proved.table("online"))],
-        "online_shares": [call(proved), call(proved.table("online"), planned=(0, 3), plan="it")],
+        "online_raster": [call(proved)],
+        "online_shares": [call(proved)],
         "particle_losses": [call(LOSSES), call(LOSSES.iloc[::-1])],
         "shifts": [call(WORTH), call(WHY)],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
@@ -423,7 +424,7 @@ def _with_costly_names() -> dict[str, Draw]:
         "found_times": call(study),
         "heat_map": call(of_models),
         "one_draw": call(trajectory, sets),
-        "online_shares": call(rows, planned=(1,), plan=COSTLY),
+        "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows)),
         "shifts": call(worth),
         "times": call(sets),
         "worth": call(worth),
