@@ -208,7 +208,7 @@ class Summary:
         }
         if self.is_worst and self.scenarios:
             worst = {name: self.worst_scenario(name) for name in errors}
-            errors = {name: row and row["expected_mse"] for name, row in worst.items()}
+            errors = {name: row["expected_mse"] if row else None for name, row in worst.items()}
         return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
 
     def worst_scenario(self, name: str) -> Row | None:
