@@ -207,13 +207,16 @@ class Summary:
             for name, result in (found_results or self.results).items()
         }
         if self.is_worst and self.scenarios:
-            errors = {name: self._worst_mse(name) for name in errors}
+            worst = {name: self.worst_scenario(name) for name in errors}
+            errors = {name: row["expected_mse"] if row else None for name, row in worst.items()}
         return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
 
-    def _worst_mse(self, name: str) -> float | None:
-        """The largest expected MSE of a set in a scenario; None if one is unknown or infinite."""
-        errors = [row["expected_mse"] for row in self.scenarios or [] if row["name"] == name]
-        return None if None in errors else max(errors)
+    def worst_scenario(self, name: str) -> Row | None:
+        """The scenario with the largest expected MSE of a set, as a row; None if one is unknown."""
+        rows = [row for row in self.scenarios or [] if row["name"] == name]
+        if any(row["expected_mse"] is None for row in rows):
+            return None
+        return max(rows, key=lambda row: float(row["expected_mse"]))
 
     def as_json(self) -> Row:
         """All fields; those of each set as a dict."""

@@ -28,7 +28,7 @@ import pfdist
 
 run = pfdist.open_run({name})  # the folder of the run
 run.summary()
-run.table("gains").describe()           # a row for each draw
+run.table("gains").describe()  # a row for each draw
 
 # The tables are plain Parquet, so pandas alone reads them, too:
 import pandas as pd

@@ -32,7 +32,7 @@ def scenarios(subject: Subject) -> Section | None:
     cells = [
         _cells([row for row in rows if row["scenario"] == number], shown) for number in numbers
     ]
-    texts = [Text(sentence, prominent=True) for sentence in _sentences(subject, rows, shown[-1])]
+    texts = [Text(sentence, prominent=True) for sentence in _sentences(subject, shown[-1])]
     table = Table("Expected error in each scenario", head, cells, optional=shown[1:-1])
     return Section("In each scenario", [*texts, table, Text(_MEANING, detail=True)])
 
@@ -51,18 +51,19 @@ def _cells(rows: Sequence[Row], shown: Sequence[str]) -> list[Cell]:
     return cells
 
 
-def _sentences(subject: Subject, rows: Sequence[Row], best: str) -> Iterator[str]:
+def _sentences(subject: Subject, best: str) -> Iterator[str]:
     """Compare the worst scenario of the best set with that of the reference."""
-    worst, reference = (worst_of(rows, name) for name in (best, next(iter(subject.results))))
+    names = best, next(iter(subject.results))
+    worst, reference = (subject.summary.worst_scenario(name) for name in names)
     if worst is None or reference is None or best == reference["name"]:
         return
     errors = [
         with_error(each["expected_mse"], each["standard_error"]) for each in (worst, reference)
     ]
-    names = [parameters_text(each["parameters"]) for each in (worst, reference)]
-    where = "there, too" if names[0] == names[1] else f"in its worst scenario, {names[1]}"
+    first, second = (parameters_text(each["parameters"]) for each in (worst, reference))
+    where = "there, too" if first == second else f"in its worst scenario, {second}"
     yield (
-        f"The worst scenario of {best} is {names[0]}, with an expected error of {errors[0]}; "
+        f"The worst scenario of {best} is {first}, with an expected error of {errors[0]}; "
         f"{reference['name']} has {errors[1]} {where}."
     )
 
@@ -73,10 +74,10 @@ def worst_effect(subject: Subject, name: str) -> str | None:
     The worst scenarios of two sets may differ. Then their draws do, too, so the logarithms of the
     two errors are independent.
     """
-    rows = subject.summary.scenarios
-    if not (rows and subject.summary.is_worst):
+    if not (subject.summary.scenarios and subject.summary.is_worst):
         return None
-    worst, reference = (worst_of(rows, each) for each in (name, next(iter(subject.results))))
+    names = name, next(iter(subject.results))
+    worst, reference = (subject.summary.worst_scenario(each) for each in names)
     if worst is None or reference is None or not worst["expected_mse"] * reference["expected_mse"]:
         return None
     ends = [worst["gain_of_means_low"], worst["gain_of_means_high"]]
@@ -89,14 +90,6 @@ def worst_effect(subject: Subject, name: str) -> str | None:
         ends = [1 - math.exp(end) for end in reversed(apart.interval())]
     phrase, left_open = effect(1 - mse.value / of_reference.value, ends, THE_WORST)
     return f"{phrase}, from {of_reference.text} to {mse.text}. {left_open}".rstrip()
-
-
-def worst_of(rows: Sequence[Row], name: str) -> Row | None:
-    """The row of the scenario with the largest expected MSE of a set; None if one is unknown."""
-    own = [row for row in rows if row["name"] == name]
-    if any(row["expected_mse"] is None for row in own):
-        return None
-    return max(own, key=lambda row: row["expected_mse"])
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:

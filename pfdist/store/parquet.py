@@ -154,10 +154,6 @@ class Store:
         check_names(rows["name"], self.path / "tables" / "compared")
         return rows
 
-    def compared_names(self) -> list[str]:
-        """The names of the compared sets, the reference first."""
-        return [str(name) for name in self.compared()["name"]]
-
     def compared_sets(self) -> dict[str, tuple[int, ...]]:
         """The compared sets by name, the reference first; times are those of the clock."""
         rows = self.compared()

@@ -102,7 +102,7 @@ def test_with_particles_the_limit_lies_below_the_optimum(
     small_job: Job, tmp_path: Path, optima: "pd.Series[float]"
 ) -> None:
     job = small_job.with_changes(["model.name=random_walk", "filter.particles=100"])
-    table = pfdist.budget(job, (3, 5), tmp_path / "run", draws=60, figures=False).budget()
+    table = pfdist.budget(job, (3, 5), tmp_path / "run", draws=60, figures=False).table("budget")
     for row in table[table["kind"] == "found"].to_dict("records"):
         optimum = optima[row["measurements"]]
         assert row["bound_error"] > 0

@@ -1,6 +1,7 @@
 """Scenarios: parameters that the truth may have, plans for their mean and for the worst."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from oracles.walks import (
     costs,
     expected_mse,
 )
+from pfdist.analysis.summary import Summary
 from pfdist.answers.robust import worst_effect
 from pfdist.bounds.programme import Programme
 from pfdist.bounds.proof import best_shares
@@ -330,8 +332,8 @@ def test_the_answer_for_the_worst_names_its_error_and_its_gain(scenario: int, sa
         for number, mse in enumerate(errors)
     ]
     rows[2 + scenario] |= {"expected_mse": 4.0, "standard_error": 0.04}
-    subject = SimpleNamespace(
-        summary=SimpleNamespace(scenarios=rows, is_worst=True), results={"regular": None}
-    )
+    summary = SimpleNamespace(scenarios=rows, is_worst=True)
+    summary.worst_scenario = partial(Summary.worst_scenario, summary)
+    subject = SimpleNamespace(summary=summary, results={"regular": None})
     said = f"{says}, from 4.000 ± 0.040 to 2.000 ± 0.020."
     assert worst_effect(subject, "found") == said
