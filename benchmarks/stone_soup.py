@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
+from pfdist.analysis.stored_run import found_sets
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 
 TITLE = "Sensors chosen by others"
@@ -92,7 +93,7 @@ def measure(quick: bool, say: Say) -> Tables:
                 problem, results=f"{folder}/run", pool="serial", figures=False, report=False,
                 changes=("comparison.draws=10",),
             )  # fmt: skip
-            (name,), sets = run.found, run.sets()
+            (name,), sets = found_sets(run), run.sets
             bound = (run.summary().results[name].lower_bound or {})["bound"]
         written = {each: [*map(str, times)] for each, times in sets.items()}
         chosen = {OURS: written.pop(name)} | written

@@ -127,7 +127,7 @@ def test_given_sets_are_compared_with_regular_times(tmp_path: Path) -> None:
         _problem(SYSTEMS[3], measurement_budget=2), times={"mine": "2 near, 9 far"}, draws=50,
         results=tmp_path / "run", pool="serial", report=False, figures=False,
     )  # fmt: skip
-    assert list(run.sets()) == ["regular", "alone_far", "alone_both", "rotation", "mine"]
+    assert list(run.sets) == ["regular", "alone_far", "alone_both", "rotation", "mine"]
 
 
 def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(

@@ -100,7 +100,7 @@ def test_a_plan_with_both_assays_is_the_optimum_of_brute_force(tmp_path: Path) -
     (name,) = found_sets(run)
     best = min(mse, key=mse.__getitem__)
     assays = ("immunoassay", "chromatography")
-    assert list(run.sets()[name]) == [f"{hours[m // 2]:g} {assays[m % 2]}" for m in best]
+    assert list(run.sets[name]) == [f"{hours[m // 2]:g} {assays[m % 2]}" for m in best]
     bound = run.summary().results[name].lower_bound
     assert bound["bound"] == pytest.approx(mse[best], rel=1e-9)
-    assert pfdist.evaluate(problem, run.sets()[name]).expected_mse == pytest.approx(mse[best])
+    assert pfdist.evaluate(problem, run.sets[name]).expected_mse == pytest.approx(mse[best])
