@@ -23,6 +23,7 @@ from benchmarks import (
     scaling,
     search,
     size,
+    stone_soup,
     sweep,
     wall,
 )
@@ -43,6 +44,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "search": search,
     "genetic": genetic,
     "online": online,
+    "stone_soup": stone_soup,
     "sweep": sweep,
     "wall": wall,
     "size": size,

@@ -51,8 +51,14 @@ class SetsToCompare:
 
     def add_named(self) -> None:
         """Add the sets that the job gives: a list as comparison.reference, and comparison.sets."""
+        named = self._job.comparison.named
+        # The sets of sensors, which a job has by default, are compared with regular times.
+        references = self._job.problem.feasible.references
+        by_default = named and all(
+            times == (name,) and name in references for name, times in named.items()
+        )
         for name, instants in self._job.given_sets.items():
-            if name == REFERENCE or name in self._job.comparison.named:
+            if name == REFERENCE or name in named or by_default:
                 chosen = self._regular if instants is None else instants
                 self._add(name, chosen)
 

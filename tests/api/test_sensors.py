@@ -123,6 +123,15 @@ def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
     assert "alone_both" not in sets  # it may measure once
 
 
+def test_given_sets_are_compared_with_regular_times(tmp_path: Path) -> None:
+    """The first set is the reference, as in a plan."""
+    run = pfdist.compare(
+        _problem(SYSTEMS[3], measurement_budget=2), times={"mine": "2 near, 9 far"}, draws=50,
+        results=tmp_path / "run", pool="serial", report=False, figures=False,
+    )  # fmt: skip
+    assert list(run.sets) == ["regular", "alone_far", "alone_both", "rotation", "mine"]
+
+
 def test_the_worth_of_each_measurement_is_exact_and_names_the_sensor(
     planned: tuple[pfdist.Problem, pfdist.Run],
 ) -> None:
@@ -233,3 +242,19 @@ def test_two_platforms_leave_little_room_to_the_relaxation(tmp_path: Path) -> No
     assert {str(each).split()[1] for each in run.sets[name]} == {"moving", "still"}
     result = run.summary().results[name]
     assert result.lower_bound["relaxation"] < 0.03 * result.expected_mse
+
+
+@pytest.mark.slow
+def test_a_plan_is_exactly_better_than_sets_that_others_choose() -> None:
+    """All sets of the benchmark; Stone Soup's is among them if it is installed."""
+    from benchmarks import stone_soup
+
+    said = list[str]()
+    table = stone_soup.measure(True, said.append)["stone_soup"].set_index("set")
+    assert (table["exact_mse"] >= table["exact_mse"]["pfdist"]).all()
+    assert table["bound"].iloc[0] == pytest.approx(table["exact_mse"]["pfdist"], rel=1e-9)
+    is_installed = "stone_soup_greedy" in table.index
+    assert is_installed or any("stonesoup is not installed" in line for line in said)
+    # 100 particles and 100 draws
+    far = abs(table["expected_mse"] - table["exact_mse"]) / table["standard_error"]
+    assert far["regular"] < 4
