@@ -18,9 +18,10 @@ RESULTS = "results/<name of the job file without .toml>"
 def add_job(parser: ArgumentParser) -> None:
     """Add JOB and ``--set``."""
     parser.add_argument(
-        "job", metavar="JOB",
+        "job",
+        metavar="JOB",
         help="job file, for instance jobs/paper.toml, or the job.toml in the folder of a run",
-    )  # fmt: skip
+    )
     add_changes(parser)
 
 
@@ -38,9 +39,13 @@ def add_job_of_run(parser: ArgumentParser) -> None:
 def add_changes(parser: ArgumentParser) -> None:
     """Add ``--set``."""
     parser.add_argument(
-        "--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE",
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
         help="change keys of the job, for instance seed=3 search.genetic.generations=5",
-    )  # fmt: skip
+    )
 
 
 def add_run(parser: ArgumentParser) -> None:
@@ -56,43 +61,51 @@ def add_json(parser: ArgumentParser) -> None:
 def add_answer(parser: ArgumentParser) -> None:
     """Add ``--verbose`` and ``--json``."""
     parser.add_argument(
-        "--verbose", action="store_true",
+        "--verbose",
+        action="store_true",
         help="also print the details: all sets of times, what each search believed, quartiles",
-    )  # fmt: skip
+    )
     add_json(parser)
 
 
 def add_no_report(parser: ArgumentParser) -> None:
     """Add ``--no-report``."""
     parser.add_argument(
-        "--no-report", action="store_true",
+        "--no-report",
+        action="store_true",
         help="write no report (an HTML file that can be sent; see `pfdist report`)",
-    )  # fmt: skip
+    )
 
 
 def add_pool(parser: ArgumentParser) -> None:
     """Add ``--pool``, ``--workers``, ``--address`` and ``--wait-for-cores``."""
     kinds = "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
     parser.add_argument(
-        "--pool", choices=[AUTO, *POOLS],
+        "--pool",
+        choices=[AUTO, *POOLS],
         help=f"where tasks are computed: {kinds}; {AUTO}, on Ray if a cluster is given or "
-             f"formulas run in NumPy, else on threads (default: execution.pool of the job)",
-    )  # fmt: skip
+        f"formulas run in NumPy, else on threads (default: execution.pool of the job)",
+    )
     parser.add_argument(
-        "--workers", type=whole, metavar="N",
+        "--workers",
+        type=whole,
+        metavar="N",
         help="number of workers; 0 is one for each core (default: execution.workers of the job)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--address", metavar="HOST:PORT",
+        "--address",
+        metavar="HOST:PORT",
         help="join the Ray cluster at this address; "
-             '"auto" finds a cluster, "local" starts one on this machine (default: '
-             "execution.address of the job)",
-    )  # fmt: skip
+        '"auto" finds a cluster, "local" starts one on this machine (default: '
+        "execution.address of the job)",
+    )
     parser.add_argument(
-        "--wait-for-cores", type=whole, metavar="N",
+        "--wait-for-cores",
+        type=whole,
+        metavar="N",
         help="begin when the Ray cluster has N cores, within 5 minutes (default: "
-             "execution.wait_for_cores of the job)",
-    )  # fmt: skip
+        "execution.wait_for_cores of the job)",
+    )
 
 
 def computing(
@@ -117,10 +130,13 @@ def computing(
         add_pool(parser)
         if reuse:
             parser.add_argument(
-                "--reuse", action="append", default=[], metavar="RUN",
+                "--reuse",
+                action="append",
+                default=[],
+                metavar="RUN",
                 help="take every evaluation that the run in the folder RUN has, for instance that "
-                     "of a similar job; give --reuse once for each run",
-            )  # fmt: skip
+                "of a similar job; give --reuse once for each run",
+            )
         add_no_report(parser)
 
     return add
@@ -170,16 +186,19 @@ def finite(text: str) -> float:
 def add_measurements(parser: ArgumentParser) -> None:
     """Add the table of measurements, the planned set, and the particles to start from."""
     parser.add_argument(
-        "measurements", metavar="MEASUREMENTS",
+        "measurements",
+        metavar="MEASUREMENTS",
         help="table with the columns t, y0, y1, ... (or y_ and the model's name of the component), "
-             "in CSV or Parquet, for instance patient.csv; an empty cell is a missing component, "
-             "a row without any value a missed time",
-    )  # fmt: skip
+        "in CSV or Parquet, for instance patient.csv; an empty cell is a missing component, "
+        "a row without any value a missed time",
+    )
     parser.add_argument(
-        "--planned", default="", metavar="NAME",
+        "--planned",
+        default="",
+        metavar="NAME",
         help="compared set whose times were planned, for instance regular (default: the found set "
-             "with the lowest expected MSE)",
-    )  # fmt: skip
+        "with the lowest expected MSE)",
+    )
     parser.add_argument(
         "--prior",
         default="",

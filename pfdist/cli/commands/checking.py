@@ -13,24 +13,31 @@ from pfdist.errors import ModelError, PoolError
 
 def _add_model(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "name", metavar="MODEL",
+        "name",
+        metavar="MODEL",
         help="name of a model as a job gives it, for instance path/file.py:object; or a job file, "
-             "whose models are checked",
-    )  # fmt: skip
+        "whose models are checked",
+    )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
-        "--horizon", type=count, metavar="T",
+        "--horizon",
+        type=count,
+        metavar="T",
         help="last instant of the draws (default: that of the job, or 60)",
-    )  # fmt: skip
+    )
     length.add_argument(
-        "--times", type=time_list, metavar="TIMES",
+        "--times",
+        type=time_list,
+        metavar="TIMES",
         help="a clock, for models that read p.time or p.dt: the time of every instant, for "
-             "instance 0:48:0.5, or 0 0.25 0.5 1:48 (default for such models: 0, 1, 2, ..., T)",
-    )  # fmt: skip
+        "instance 0:48:0.5, or 0 0.25 0.5 1:48 (default for such models: 0, 1, 2, ..., T)",
+    )
     parser.add_argument(
-        "--particles", type=count, metavar="P",
+        "--particles",
+        type=count,
+        metavar="P",
         help="number of particles (default: that of the job, or 500)",
-    )  # fmt: skip
+    )
 
 
 @command(
@@ -73,13 +80,17 @@ def models_command(options: Namespace) -> None:
 
 def _add_machine(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--results", default="results", metavar="DIR",
+        "--results",
+        default="results",
+        metavar="DIR",
         help="folder that will hold runs (default: results)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--address", default="", metavar="HOST:PORT",
+        "--address",
+        default="",
+        metavar="HOST:PORT",
         help="check the nodes of the Ray cluster at this address, too",
-    )  # fmt: skip
+    )
 
 
 @command(

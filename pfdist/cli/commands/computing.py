@@ -53,20 +53,25 @@ def _add_search(parser: ArgumentParser) -> None:
     from pfdist.search.methods import DEFAULT_METHOD, METHODS
 
     parser.add_argument(
-        "--search", choices=list(METHODS), default=DEFAULT_METHOD, metavar="METHOD",
+        "--search",
+        choices=list(METHODS),
+        default=DEFAULT_METHOD,
+        metavar="METHOD",
         help=f"search method: {', '.join(METHODS)} (default: {DEFAULT_METHOD}); --set "
-             "search.METHOD.KEY=VALUE changes a setting",
-    )  # fmt: skip
+        "search.METHOD.KEY=VALUE changes a setting",
+    )
 
 
 def _add_bound_draws(parser: ArgumentParser) -> None:
     from pfdist.runner.bound_settings import LEAST_DRAWS
 
     parser.add_argument(
-        "--bound-draws", type=whole, metavar="K",
+        "--bound-draws",
+        type=whole,
+        metavar="K",
         help="number of draws of the lower bound that is proved for the found times; 0 for no "
-             f"bound (default: {LEAST_DRAWS}, or 0 for a range of measurement budgets)",
-    )  # fmt: skip
+        f"bound (default: {LEAST_DRAWS}, or 0 for a range of measurement budgets)",
+    )
 
 
 @command(
@@ -108,23 +113,34 @@ def _add_numbers(parser: ArgumentParser) -> None:
     from pfdist.runner.bound_settings import LEAST_DRAWS
 
     parser.add_argument(
-        "--measurements", type=number_list, required=True, metavar="NUMBERS",
+        "--measurements",
+        type=number_list,
+        required=True,
+        metavar="NUMBERS",
         help=f"numbers of measurements: {SPELLING}, for instance 5:41, or 5:41:4, or 10,20,30",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--target", type=finite, metavar="MSE",
+        "--target",
+        type=finite,
+        metavar="MSE",
         help="also give the smallest number of measurements whose expected MSE is at most MSE, and "
-             "the largest number that is proved not to reach MSE with any times",
-    )  # fmt: skip
+        "the largest number that is proved not to reach MSE with any times",
+    )
     parser.add_argument(
-        "--draws", type=whole, default=DRAWS, metavar="K",
+        "--draws",
+        type=whole,
+        default=DRAWS,
+        metavar="K",
         help=f"number of draws on which all sets of times are compared (default: {DRAWS})",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--bound-draws", type=whole, default=LEAST_DRAWS, metavar="K",
+        "--bound-draws",
+        type=whole,
+        default=LEAST_DRAWS,
+        metavar="K",
         help="number of draws of the lower bound that is proved for each number of measurements; 0 "
-             f"for no bound (default: {LEAST_DRAWS})",
-    )  # fmt: skip
+        f"for no bound (default: {LEAST_DRAWS})",
+    )
 
 
 @command(
@@ -157,19 +173,24 @@ def budget_command(options: Namespace) -> None:
 
 def _add_sets(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "runs", nargs="*", default=[], metavar="RUN",
+        "runs",
+        nargs="*",
+        default=[],
+        metavar="RUN",
         help="folders of finished runs, which are only read; their sets are compared, too, beside "
-             "those that the job names in [comparison.sets]",
-    )  # fmt: skip
+        "those that the job names in [comparison.sets]",
+    )
     add_named_times(
         parser,
         "a set to compare, as clinic=0,6,12,24 or paper=0:60:3, on the clock of the problem; the "
         "word regular stands for the regular times; give --times once for each set",
     )
     parser.add_argument(
-        "--draws", type=whole, metavar="K",
+        "--draws",
+        type=whole,
+        metavar="K",
         help="number of draws on which all sets are compared (default: comparison.draws)",
-    )  # fmt: skip
+    )
 
 
 @command(
@@ -202,10 +223,12 @@ _RESULTS_OF_ONLINE = f"{RESULTS}, with -online after it unless the job has a sec
 
 def _add_online_draws(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--draws", type=whole, metavar="K",
+        "--draws",
+        type=whole,
+        metavar="K",
         help="number of draws whose times are chosen one after another, for instance 200; they are "
-             "the first draws of the comparison (default: online.draws of the job)",
-    )  # fmt: skip
+        "the first draws of the comparison (default: online.draws of the job)",
+    )
 
 
 @command(
@@ -233,34 +256,46 @@ def online_command(options: Namespace) -> None:
 
 def _add_sweep(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "job", metavar="SWEEP_OR_JOB",
+        "job",
+        metavar="SWEEP_OR_JOB",
         help="sweep file, which names a job and values of its keys; or a job file, with --over",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--over", action="append", default=[], metavar="KEY=VALUES",
+        "--over",
+        action="append",
+        default=[],
+        metavar="KEY=VALUES",
         help="a key of the job with its values, as seed=1:10 or model.parameters.NAME=0.5,1; "
-             "give --over once for each key: every combination is a point",
-    )  # fmt: skip
+        "give --over once for each key: every combination is a point",
+    )
     parser.add_argument(
-        "--bound-draws", type=whole, default=0, metavar="K",
+        "--bound-draws",
+        type=whole,
+        default=0,
+        metavar="K",
         help="number of draws of the lower bound that is proved at each point (default: 0, no "
-             "bound)",
-    )  # fmt: skip
+        "bound)",
+    )
     parser.add_argument(
-        "--judge", action="store_true", default=None,
+        "--judge",
+        action="store_true",
+        default=None,
         help="also judge the times found at each point at every point, in the folder "
-             "judged of the sweep (default: judge of the sweep file)",
-    )  # fmt: skip
+        "judged of the sweep (default: judge of the sweep file)",
+    )
     either = parser.add_mutually_exclusive_group()
     either.add_argument(
-        "--part", type=_part, metavar="K/N",
+        "--part",
+        type=_part,
+        metavar="K/N",
         help="compute every N-th point, from the K-th, and look at no other, as tasks of a batch "
-             "array do; then the same command without --part judges and reports the whole sweep",
-    )  # fmt: skip
+        "array do; then the same command without --part judges and reports the whole sweep",
+    )
     either.add_argument(
-        "--dry-run", action="store_true",
+        "--dry-run",
+        action="store_true",
         help="print the points, their work, and the number of parts that pays; compute nothing",
-    )  # fmt: skip
+    )
 
 
 def _part(text: str) -> tuple[int, int]:

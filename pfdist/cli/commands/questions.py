@@ -32,32 +32,46 @@ def _add_settings(parser: ArgumentParser) -> None:
     from pfdist.runner.bound_settings import DRAWS, MEMORY, WITHIN_DRAWS
 
     parser.add_argument(
-        "--within", type=finite, metavar="GAP",
+        "--within",
+        type=finite,
+        metavar="GAP",
         help="take more and more draws until the 95 %% limit of the gap of every found set is at "
-             "most GAP, for instance 0.02",
-    )  # fmt: skip
+        "most GAP, for instance 0.02",
+    )
     parser.add_argument(
-        "--draws", type=whole, metavar="K",
+        "--draws",
+        type=whole,
+        metavar="K",
         help="number of fresh draws; with more draws the bound is higher "
-             f"(default: {DRAWS}; with --within, at most {WITHIN_DRAWS})",
-    )  # fmt: skip
+        f"(default: {DRAWS}; with --within, at most {WITHIN_DRAWS})",
+    )
     parser.add_argument(
-        "--particles", type=count, metavar="P",
+        "--particles",
+        type=count,
+        metavar="P",
         help="number of particles of the bound's filter (default: filter.particles of the job)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--window", type=whole, default=WINDOW, metavar="K",
+        "--window",
+        type=whole,
+        default=WINDOW,
+        metavar="K",
         help=f"number of measurements of the first windows (default: {WINDOW})",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--work", type=finite, metavar="STEPS",
+        "--work",
+        type=finite,
+        metavar="STEPS",
         help="let windows grow for so many particle-steps, for instance 1e9; 0: not at all "
-             "(default: twice those of the first windows)",
-    )  # fmt: skip
+        "(default: twice those of the first windows)",
+    )
     parser.add_argument(
-        "--memory", type=whole, default=MEMORY, metavar="MIB",
+        "--memory",
+        type=whole,
+        default=MEMORY,
+        metavar="MIB",
         help=f"memory that the relaxation may take, in MiB (default: {MEMORY})",
-    )  # fmt: skip
+    )
 
 
 @command(
@@ -90,9 +104,12 @@ def _add_why_draws(parser: ArgumentParser) -> None:
     from pfdist.api.why import DRAWS
 
     parser.add_argument(
-        "--draws", type=whole, default=DRAWS, metavar="K",
+        "--draws",
+        type=whole,
+        default=DRAWS,
+        metavar="K",
         help=f"number of fresh draws (default: {DRAWS})",
-    )  # fmt: skip
+    )
 
 
 @command(
@@ -123,13 +140,17 @@ def _add_times(parser: ArgumentParser) -> None:
         required=True,
     )
     parser.add_argument(
-        "--draws", type=whole, metavar="K",
+        "--draws",
+        type=whole,
+        metavar="K",
         help="number of draws (default: evaluation.draws of the job)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--particles", type=whole, metavar="P",
+        "--particles",
+        type=whole,
+        metavar="P",
         help="number of particles (default: filter.particles of the job)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--seed", type=whole, metavar="S", help="seed of the noise (default: seed of the job)"
     )
@@ -191,9 +212,11 @@ def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
 
 def _add_out(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--out", default="", metavar="DIR",
+        "--out",
+        default="",
+        metavar="DIR",
         help="folder of table, figure and report (default: the folder of MEASUREMENTS)",
-    )  # fmt: skip
+    )
 
 
 @command(
@@ -223,10 +246,12 @@ def filter_command(options: Namespace) -> None:
 
 def _add_now(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--now", type=decimal, metavar="T",
+        "--now",
+        type=decimal,
+        metavar="T",
         help="the last time that has passed, if nothing was measured then, for instance 17; "
-             "times planned up to it are planned again for later",
-    )  # fmt: skip
+        "times planned up to it are planned again for later",
+    )
 
 
 @command(

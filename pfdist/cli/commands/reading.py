@@ -27,10 +27,13 @@ def status_command(options: Namespace) -> None:
 
 def _add_folder(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "folder", nargs="?", default="results", metavar="DIR",
+        "folder",
+        nargs="?",
+        default="results",
+        metavar="DIR",
         help="folder below which runs are sought, three levels deep; links are not followed "
-             "(default: results)",
-    )  # fmt: skip
+        "(default: results)",
+    )
 
 
 @command(
@@ -56,15 +59,18 @@ def list_command(options: Namespace) -> None:
 
 def _add_runs(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "runs", nargs="+", metavar="RUN",
+        "runs",
+        nargs="+",
+        metavar="RUN",
         help="folders of runs, finished or not; a folder with runs or sweeps in it stands for all "
-             "these runs",
-    )  # fmt: skip
+        "these runs",
+    )
     parser.add_argument(
-        "--out", metavar="TABLE",
+        "--out",
+        metavar="TABLE",
         help="write the table to this file, which ends in .csv, .parquet or .tex (booktabs, for a "
-             "paper); an earlier table of runs is replaced, another file is not",
-    )  # fmt: skip
+        "paper); an earlier table of runs is replaced, another file is not",
+    )
 
 
 @command(
@@ -98,10 +104,11 @@ def _add_run_or_sweep(parser: ArgumentParser) -> None:
 
 def _add_watch(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--watch", action="store_true",
+        "--watch",
+        action="store_true",
         help="write the report again every few seconds while the run goes on; the page reloads "
-             "itself",
-    )  # fmt: skip
+        "itself",
+    )
 
 
 @command(
