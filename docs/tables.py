@@ -381,8 +381,8 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, engines, estimators, schemes, commands, figures, panels, pools,
-        densities,
+        gallery, genetic, stone_soup, engines, estimators, schemes, commands, figures, panels,
+        pools, densities,
     )
 }  # fmt: skip
 

@@ -262,12 +262,12 @@ def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, small_run: 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (["seed=2"], "one's: seed: 1 -> 2$"),
-        (["search.genetic.generations=5"], "one's: search.genetic.generations: 4 -> 5$"),
+        (["seed=2"], "now: seed: 1 -> 2$"),
+        (["search.genetic.generations=5"], "now: search.genetic.generations: 4 -> 5$"),
         (["model.parameters.process_sd=2.0"], "parameters.process_sd: nothing -> 2.0$"),
-        ([f"search=[{RANDOM}, {GENETIC}]"], r"one's: search.order: genetic, random -> random, gen"),
+        ([f"search=[{RANDOM}, {GENETIC}]"], r"now: search.order: genetic, random -> random, gen"),
         (["comparison.draws=100"], "^comparison.draws must be at least the 250 .*, got 100"),
-        (['search=[{method="survivors"}]'], r"one's: ([^;]+ -> [^;]+; ){8}and \d+ more$"),
+        (['search=[{method="survivors"}]'], r"now: ([^;]+ -> [^;]+; ){8}and \d+ more$"),
     ],
 )
 def test_another_job_than_the_folders_is_refused_with_the_difference(

@@ -158,7 +158,7 @@ def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: P
     assert believed.fingerprint["formulas"] != model.fingerprint["formulas"]
     pfdist.run(job, tmp_path / "run", figures=False)
     written(small_job, helper=helper.format(0.7))
-    with pytest.raises(RunMismatchError, match=r"one's: model\.filter\.formulas: \w{8} -> \w{8}$"):
+    with pytest.raises(RunMismatchError, match=r"now: model\.filter\.formulas: \w{8} -> \w{8}$"):
         pfdist.run(job, tmp_path / "run", figures=False)
 
 
