@@ -130,7 +130,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Mark the quick tests and the faults; let `pytest -m crash` run the whole table of faults."""
     quick = [ROOT / "tests" / folder for folder in QUICK]
     for item in items:
-        if any(map(item.path.is_relative_to, quick)):
+        if any(map(item.path.is_relative_to, quick)) and not item.get_closest_marker("notebook"):
             item.add_marker("quick")
         # Slurm must be installed first, so its tests are run by their own name alone.
         own = any(item.get_closest_marker(name) for name in ("crash", "slurm"))
