@@ -278,6 +278,42 @@ def stone_soup() -> str:
     return _table(head, rows)
 
 
+def driver() -> str:
+    """Give the table of simulated nodes that the real driver feeds, from its benchmark."""
+    tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#")
+    rows = [
+        [
+            f"{row.cores:,}",
+            f"{row.task_seconds:.2g}" + ", as chosen" * (row.wanted == "chosen"),
+            f"{row.microseconds:.0f}",
+            f"{100 * row.busy:.1f}",
+        ]
+        for row in tasks.itertuples()
+    ]
+    head = ["cores", "seconds a task", "driver, microseconds a task", "cores busy, %"]
+    return _table(head, rows)
+
+
+def searches() -> str:
+    """Give the table of searches on simulated nodes, from the benchmark of the driver."""
+    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#")
+    rows = []
+    for (search, number, draws), group in measured.groupby(["search", "measurements", "draws"]):
+        busy = group.set_index("cores")["busy"]
+        rows.append(
+            [
+                f"`{search}`",
+                str(number),
+                f"{draws:,}",
+                f"{group['core_seconds'].iloc[0]:.1f}",
+                *(f"{100 * busy[cores]:.0f}" for cores in busy.index),
+            ]
+        )
+    cores = [f"{cores:,} core{'s' * (cores > 1)}" for cores in sorted(measured["cores"].unique())]
+    head = ["search", "N", "draws", "work of one core, s", *cores]
+    return _table(head, rows)
+
+
 def engines() -> str:
     """Give the table of engines."""
     rows = [[f"`{engine.name}`", _sentence(engine.description)] for engine in ENGINES.values()]
@@ -381,7 +417,7 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, engines, estimators, schemes, commands, figures, panels,
+        gallery, genetic, stone_soup, driver, searches, engines, estimators, schemes, commands, figures, panels,
         pools, densities,
     )
 }  # fmt: skip

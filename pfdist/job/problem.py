@@ -58,12 +58,12 @@ class Problem(Shown):
     measurement_budget : int, optional
         The number of measurements.
     forbidden, required : sequence of int, float, str and range, optional
-        Times without a measurement, and with one: ``range(20, 31)`` or ``[0, "20-30"]``. A range of
+        Times without a measurement, and with one: ``range(20, 31)`` or ``[0, "20:30"]``. A range of
         Python lists whole numbers; a text means all instants from the first to the last.
     minimum_spacing : int or float, optional
         Smallest difference of two measurement times.
     cost : sequence of float, or mapping of str to float, optional
-        Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2}``.
+        Cost of a measurement at each instant, or in each range, as in ``{"0:30": 1, "31:60": 2}``.
         Decimals are exact.
     total_cost : float, optional
         Largest sum of costs, in the place of the measurement budget.
