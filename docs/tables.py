@@ -296,7 +296,7 @@ def driver() -> str:
 
 def searches() -> str:
     """Give the table of searches on simulated nodes, from the benchmark of the driver."""
-    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#")
+    measured = pd.read_csv(BENCHMARKS / "searches.csv", comment="#").query("cores > 1")
     rows = []
     for (search, number, draws), group in measured.groupby(["search", "measurements", "draws"]):
         busy = group.set_index("cores")["busy"]
@@ -309,8 +309,8 @@ def searches() -> str:
                 *(f"{100 * busy[cores]:.0f}" for cores in busy.index),
             ]
         )
-    cores = [f"{cores:,} core{'s' * (cores > 1)}" for cores in sorted(measured["cores"].unique())]
-    head = ["search", "N", "draws", "work of one core, s", *cores]
+    counts = [f"{cores:,}" for cores in sorted(measured["cores"].unique())]
+    head = ["search", "N", "draws", "work, core seconds", *(f"{count} cores" for count in counts)]
     return _table(head, rows)
 
 
@@ -417,8 +417,8 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, driver, searches, engines, estimators, schemes, commands, figures, panels,
-        pools, densities,
+        gallery, genetic, stone_soup, driver, searches, engines, estimators, schemes, commands,
+        figures, panels, pools, densities,
     )
 }  # fmt: skip
 

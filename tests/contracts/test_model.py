@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.bytes_of import hashes
 from oracles.clocked import times_of, with_clock
-from pfdist import load_job, load_model
+from pfdist import Job, load_job, load_model
 from pfdist.api.sweep import foreseen
 from pfdist.checks.model import check_model
 from pfdist.filters import plain
@@ -19,6 +20,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.models import installed_models
 from pfdist.plots import figure as figures
+from pfdist.pools.kinds import POOLS
 from pfdist.times.measurement_times import regular
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
@@ -85,21 +87,36 @@ def test_a_job_is_evaluated_and_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figures, "FORMATS", ("svg",))  # the other takes as long again
-    small = {"population": 4, "generations": 2, "evaluations": 4}
-    changes = ["comparison.draws=50", "evaluation.draws=20", "filter.particles=50"]
-    if load_job(path).online is not None:
-        changes.append("online.draws=2")
-    job = load_job(path, changes)
-    job = job.with_changes(
-        f"search.{search.name}.{key}={small[key]}"
-        for search in job.search
-        for key in small.keys() & search.settings.keys()
-    )
+    job = _small(path)
     times = job.problem.clock.written_of(job.problem.feasible.regular())
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf
     run = pfdist.run(job, tmp_path / "run", pool="serial")
     assert run.state == "finished"
     assert np.isfinite(run.table("comparison")).all(axis=None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", JOBS, ids=lambda path: path.stem)
+@pytest.mark.usefixtures("ray_cluster", "no_figures")
+def test_every_pool_gives_a_job_the_same_bytes(path: Path, tmp_path: Path) -> None:
+    job = _small(path)
+    runs = [pfdist.plan(job, tmp_path / pool, bound_draws=48, pool=pool) for pool in POOLS]
+    first, *others = (hashes(run.path) for run in runs)
+    assert len(first) > 3
+    assert all(other == first for other in others)
+
+
+def _small(path: Path) -> Job:
+    small = {"population": 4, "generations": 2, "evaluations": 4}
+    changes = ["comparison.draws=50", "evaluation.draws=20", "filter.particles=50"]
+    if load_job(path).online is not None:
+        changes.append("online.draws=2")
+    job = load_job(path, changes)
+    return job.with_changes(
+        f"search.{search.name}.{key}={small[key]}"
+        for search in job.search
+        for key in small.keys() & search.settings.keys()
+    )
 
 
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
