@@ -20,12 +20,14 @@ from benchmarks import (
     online,
     peers,
     prefixes,
+    robust,
     scaling,
     search,
     size,
     stone_soup,
     sweep,
     wall,
+    ways,
 )
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
@@ -41,10 +43,12 @@ BENCHMARKS: dict[str, Benchmark] = {
     "estimators": estimators,
     "scaling": scaling,
     "driver": driver,
+    "ways": ways,
     "search": search,
     "genetic": genetic,
     "online": online,
     "stone_soup": stone_soup,
+    "robust": robust,
     "sweep": sweep,
     "wall": wall,
     "size": size,

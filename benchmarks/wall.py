@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
@@ -26,7 +26,7 @@ from pfdist.kernels.disk_cache import FOLDER_VARIABLE
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY
 
 TITLE = "Whole commands"
-TABLES: tuple[str, ...] = ("wall",)
+TABLES: tuple[str, ...] = ("wall", "seconds_of_plan")
 
 BEFORE = "c4ffa8fc65644ca72868eb05b09a241cf0046010"
 REPEATS = 5
@@ -38,6 +38,8 @@ COMMANDS = {
     "budget 5:41": ("budget", "jobs/plan.toml", "--measurements", "5:41"),
     "paper on Ray": ("run", "jobs/paper.toml", "--pool", "ray"),
 }
+PLAN = ("plan", "jobs/plan.toml", "--pool", "serial")
+_RUN = Path("results", "plan")
 _ROOT = Path(__file__).parents[1]
 _PROGRAM = (sys.executable, "-m", "pfdist")
 
@@ -56,7 +58,8 @@ def measure(quick: bool, say: Say) -> Tables:
     -------
     dict of DataFrames
         wall: a row for each run of a command, with command, version (before or now), repeat,
-        seconds, and processor_seconds.
+        seconds, and processor_seconds; seconds_of_plan: for each part of a plan in one process its
+        part and seconds.
     """
     commands = dict(list(COMMANDS.items())[: 1 if quick else None])
     rows = []
@@ -70,7 +73,58 @@ def measure(quick: bool, say: Say) -> Tables:
                         row = {"command": name, "version": version, "repeat": repeat}
                         rows.append(row | {"seconds": seconds, "processor_seconds": processor})
                         say(f"{name}, {version}: {seconds:.1f} s")
-    return {"wall": pd.DataFrame(rows)}
+        parts = seconds_of_plan(Path(folder, "now"), 1 if quick else REPEATS)
+    return {"wall": pd.DataFrame(rows), "seconds_of_plan": parts}
+
+
+def seconds_of_plan(cache: Path, repeats: int) -> pd.DataFrame:
+    """Where the seconds of a plan in one process go: the median of each part.
+
+    Parameters
+    ----------
+    cache : Path
+        Folder of the compiled kernels.
+    repeats : int
+        After one that compiles the kernels.
+
+    Returns
+    -------
+    DataFrame
+        part and seconds.
+    """
+    rows = []
+    for _ in range(1 + repeats):
+        start, _ = _timed(
+            (), _ROOT, cache, program=(sys.executable, "-c", "import pfdist.api.plan")
+        )
+        bare, _ = _timed((*PLAN, "--no-report"), _ROOT, cache)
+        tasks: dict[str, float] = {}
+
+        def read(run: Path, tasks: dict[str, float] = tasks) -> None:
+            tasks.update(_tasks(run))
+
+        whole, _ = _timed(PLAN, _ROOT, cache, look=read)
+        shown = whole - bare
+        rest = bare - start - sum(tasks.values())
+        rows.append(
+            {"imports": start} | tasks | {"driver and tables": rest, "figures and report": shown}
+        )
+    median = pd.DataFrame(rows[1:]).median()
+    return median.rename_axis("part").reset_index(name="seconds")
+
+
+def _tasks(run: Path) -> dict[str, float]:
+    """Seconds of the tasks of a run, by what they computed."""
+    timings = pd.read_parquet(run / "tables" / "timings")
+    is_bound = timings["phase"].str.startswith("bound")
+    windows = is_bound & timings["task"].str.startswith("error_sums")
+    masks = {
+        "search": ~is_bound & (timings["phase"] != "comparison"),
+        "comparison": timings["phase"] == "comparison",
+        "bound, windows": windows,
+        "bound, sets alone": is_bound & ~windows,
+    }
+    return {part: float(timings.loc[mask, "seconds"].sum()) for part, mask in masks.items()}
 
 
 def _earlier(folder: Path) -> Path:
@@ -85,15 +139,27 @@ def _earlier(folder: Path) -> Path:
     return tree
 
 
-def _timed(words: tuple[str, ...], tree: Path, cache: Path) -> tuple[float, float]:
-    """Wall time and processor time of a command of a version, in an empty folder."""
+def _timed(
+    words: tuple[str, ...],
+    tree: Path,
+    cache: Path,
+    program: tuple[str, ...] = _PROGRAM,
+    look: Callable[[Path], None] | None = None,
+) -> tuple[float, float]:
+    """Wall time and processor time of a command of a version, in an empty folder.
+
+    `look` gets the folder of its run at the end.
+    """
     environment = {**os.environ, "PYTHONPATH": str(tree), FOLDER_VARIABLE: str(cache)}
     with _folder_with_jobs(tree) as folder:
         before, start = _processor_seconds(), perf_counter()
         subprocess.run(  # noqa: S603  our own text
-            [*_PROGRAM, *words], cwd=folder, env=environment, check=True, capture_output=True
+            [*program, *words], cwd=folder, env=environment, check=True, capture_output=True
         )
-        return perf_counter() - start, _processor_seconds() - before
+        seconds = perf_counter() - start, _processor_seconds() - before
+        if look is not None:
+            look(folder / _RUN)
+        return seconds
 
 
 @contextmanager
@@ -124,7 +190,15 @@ def summary(tables: Tables) -> str:
         ratio = f"{medians[1] / medians[0]:.2f}" if len(medians) == 2 else ""
         rows.append([*texts, ratio, f"{now:.1f}"])
     header = ("command", "before, s", "now, s", "ratio", "processor time now, s")
-    return f"Median, least and largest.\n\n{markdown(header, rows)}"
+    parts = tables["seconds_of_plan"]
+    of_plan = markdown(
+        ("plan in one process", "s"),
+        [
+            [str(part), f"{seconds:.1f}"]
+            for part, seconds in parts.set_index("part")["seconds"].items()
+        ],
+    )
+    return f"Median, least and largest.\n\n{markdown(header, rows)}\n\n{of_plan}"
 
 
 def plot(tables: Tables) -> Figure:

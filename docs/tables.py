@@ -278,6 +278,44 @@ def stone_soup() -> str:
     return _table(head, rows)
 
 
+def wall() -> str:
+    """Give the table of whole commands, before and after they became faster."""
+    runs = pd.read_csv(BENCHMARKS / "wall.csv", comment="#")
+    medians = runs.pivot_table("seconds", "command", "version", "median", sort=False)
+    rows = [
+        [str(command), f"{before:.1f}", f"{now:.1f}", f"{now / before:.2f}"]
+        for command, before, now in medians[["before", "now"]].itertuples()
+    ]
+    return _table(["command", "before, s", "now, s", "ratio"], rows)
+
+
+def seconds_of_plan() -> str:
+    """Give the table of where the seconds of a plan go."""
+    parts = pd.read_csv(BENCHMARKS / "seconds_of_plan.csv", comment="#")
+    rows = [[row.part, f"{row.seconds:.1f}"] for row in parts.itertuples()]
+    return _table(["part", "s"], [*rows, ["all", f"{parts['seconds'].sum():.1f}"]])
+
+
+def size() -> str:
+    """Give the table of the time and memory of large problems, from their benchmark."""
+    cases = pd.read_csv(BENCHMARKS / "size.csv", comment="#")
+    rows = [
+        [row.varied, f"{row.value:,}", f"{row.seconds:.0f}", f"{row.mebibytes:,.0f}"]
+        for row in cases.itertuples()
+    ]
+    return _table(["what is large", "size", "s", "MiB"], rows)
+
+
+def ways() -> str:
+    """Give the table of the ways to compute a job, from their benchmark."""
+    measured = pd.read_csv(BENCHMARKS / "ways.csv", comment="#")
+    rows = [
+        [row.way, "the same" if row.same_bytes else "other", f"{row.seconds:.1f}"]
+        for row in measured.itertuples()
+    ]
+    return _table(["way", "bytes", "seconds until workers are ready"], rows)
+
+
 def driver() -> str:
     """Give the table of simulated nodes that the real driver feeds, from its benchmark."""
     tasks = pd.read_csv(BENCHMARKS / "driver.csv", comment="#")
@@ -312,6 +350,21 @@ def searches() -> str:
     counts = [f"{cores:,}" for cores in sorted(measured["cores"].unique())]
     head = ["search", "N", "draws", "work, core seconds", *(f"{count} cores" for count in counts)]
     return _table(head, rows)
+
+
+def robust() -> str:
+    """Give the table of plans for one guess and for scenarios, from their benchmark."""
+    plans = pd.read_csv(BENCHMARKS / "robust.csv", comment="#")
+    rows = [
+        [
+            row.planned_for,
+            re.sub(r" ([ic])\w+", r" \1", row.times),
+            with_error(row.expected_mse, row.standard_error),
+            with_error(row.worst_mse, row.worst_error),
+        ]
+        for row in plans.itertuples()
+    ]
+    return _table(["planned for", "times, h", "mean error", "error in the worst scenario"], rows)
 
 
 def engines() -> str:
@@ -417,8 +470,8 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, driver, searches, engines, estimators, schemes, commands,
-        figures, panels, pools, densities,
+        gallery, genetic, stone_soup, wall, size, seconds_of_plan, ways, driver, searches, robust,
+        engines, estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 

@@ -133,7 +133,7 @@ class Display:
 
     def say(self, line: str) -> None:
         """Print one line."""
-        self._console.print(one_line(line), soft_wrap=True, markup=False, emoji=False)
+        self._console.print(one_line(line), soft_wrap=not self._live, markup=False, emoji=False)
 
     def show(self, state: State) -> None:
         """Show the progress of a run."""

@@ -31,6 +31,7 @@ from pfdist.times.measurement_times import Times
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
 _REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
+_MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow as the horizon cubed
 
 
 @dataclass(frozen=True)
@@ -94,12 +95,17 @@ class _Runner:
         searching = _searching(self._built, search)
         finalists = yield from self._finalists(searching)
         leaders = searching.leaders
-        if finalists and search.polishing:
+        polishes = bool(search.polishing) and not _is_too_long(self._built, search)
+        if finalists and search.polishing and not polishes:
+            self._session.say(
+                f"search {search.name}: exchanges would take too long, and are left out"
+            )
+        if finalists and polishes:
             polishing = _polishing(self._built, search, finalists[0].measurement_times)
             polished = yield from self._finalists(polishing)
             leaders = [*leaders, *polished[:1]]
             finalists = [*polished[:_POLISHED], *finalists[:_UNPOLISHED]]
-        return _Attempt(finalists, leaders, search.polishing is not None)
+        return _Attempt(finalists, leaders, polishes)
 
     def distrust(
         self, search: NamedSearch, attempt: _Attempt
@@ -180,7 +186,8 @@ def search_steps(built: Built, search: NamedSearch) -> float:
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]
     if search.polishing:
-        phases.append(_polishing(built, search, start))
+        if not _is_too_long(built, search):
+            phases.append(_polishing(built, search, start))
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
     if search.again:
         phases.append(_probing(built, search, ()))
@@ -205,6 +212,12 @@ def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase:
     reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
     exchange = Exchange(feasible, settings.draws, start, reach)
     return Phase(search.polish, exchange, "search", settings, built)
+
+
+def _is_too_long(built: Built, search: NamedSearch) -> bool:
+    """Whether the exchanges that polish would take too long; the worst scenario needs them."""
+    start = built.job.problem.feasible.regular()
+    return not built.is_worst and _polishing(built, search, start).steps() > _MOST_STEPS
 
 
 def _probing(built: Built, search: NamedSearch, sought: tuple[Candidate, ...]) -> Phase:

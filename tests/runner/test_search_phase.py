@@ -72,6 +72,16 @@ def test_the_phases_of_a_search_with_a_wrong_filter_take_these_estimators(
     assert 2 <= race["measurement_times"].map(tuple).nunique() <= 4  # 3 polished, 1 of the search
 
 
+def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.runner.search_phase._MOST_STEPS", 1.0)
+    said: list[str] = []
+    run = pfdist.plan(small_job, tmp_path / "run", bound_draws=0, figures=False, say=said.append)
+    assert f"{DEFAULT_METHOD}.polish" not in set(run.table("evaluations")["phase"])
+    assert "search relaxation: exchanges would take too long, and are left out" in said
+
+
 @pytest.mark.parametrize("phase", ["", ".polish"])
 def test_a_default_search_that_was_cut_short_ends_with_the_same_bytes(
     phase: str, small_job: Job, tmp_path: Path, cut_short: Callable[..., None]
