@@ -339,13 +339,11 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
     ):
         text = rf"$\hat{{z}}(t)$, {verbatim(name)}"
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=text)
-        label = rf"$\mathcal{{M}}$, {verbatim(name)}"
-        for sensor, measured in by_sensor(times).items() or [("", [])]:
+        for k, (sensor, measured) in enumerate(by_sensor(times).items() or [("", [])]):
             row += 1
             level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
             ax.plot(
                 measured, [level] * len(measured), shape, color=colour, ms=marker(1.2),
-                mew=thin(), label=label,
+                mew=thin(), label="" if k else rf"$\mathcal{{M}}$, {verbatim(name)}",
             )  # fmt: skip
             name_row(ax, level, sensor, color=colour)
-            label = None

@@ -48,8 +48,8 @@ def _check_limits(constraints: Constraints) -> None:
     """
     if constraints.limits and constraints.counted and not constraints.spacing.is_free:
         raise MeasurementTimesError(
-            "minimum_spacing must be left out if a sensor has most or minimum_spacing, or total_cost "
-            f"given in the place of measurement_budget, got {constraints.minimum_spacing}"
+            "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
+            f"total_cost is given, got {constraints.minimum_spacing}"
         )
     if not constraints.is_within_limits(constraints.required):
         raise MeasurementTimesError("required must keep the limits of each sensor")
