@@ -91,7 +91,7 @@ def _time(answer: Mapping[str, Any], t: float) -> str:
 
 
 def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
-    times = tuple(answer[key] for key in ("missing", "extra", "to_come"))
+    times = tuple(answer[key] for key in ("measured", "missing", "extra", "to_come"))
     plot = filtered_plot(table, times)
     return Section(
         "What the filter believes", [picture(plot, "belief", _BELIEF), Facts(_times(answer))]

@@ -216,7 +216,7 @@ def filter_measurements(
     )
     if files:
         write_user_table(files[0], estimates)
-        marked = result.missing, result.extra, result.to_come
+        marked = result.measured, result.missing, result.extra, result.to_come
         draw_filtered(files[1], filtered_plot(result.table, marked))
     for file in files[2:]:
         write_page(filtered_page(result.as_json(), result.table), file)

@@ -21,10 +21,14 @@ def formatted_times(times: Iterable[float | str], unit: str = "") -> str:
 
     >>> formatted_times([0, 6, 12]), formatted_times([0.0, 0.5], "h"), formatted_times([], "h")
     ('0, 6, 12', '0, 0.5 h', '')
+    >>> formatted_times(["0 ct", "0.5 x-ray"], "h")
+    '0 ct, 0.5 x-ray (t in h)'
     """
     listed = [*times]
     text = ", ".join(map(formatted_time, listed))
-    return f"{text} {unit}" if unit and listed and not isinstance(listed[0], str) else text
+    if not unit or not listed:
+        return text
+    return f"{text} (t in {unit})" if isinstance(listed[0], str) else f"{text} {unit}"
 
 
 def time_and_sensor(time: float | str) -> tuple[float, str]:
@@ -52,6 +56,18 @@ def times_of(measurements: Iterable[float | str]) -> list[float]:
     [0.0, 3.0]
     """
     return sorted({time_and_sensor(measurement)[0] for measurement in measurements})
+
+
+def by_sensor(measurements: Iterable[float | str]) -> dict[str, list[float]]:
+    """The times of each sensor; one nameless sensor makes measurements without a sensor.
+
+    >>> by_sensor(["0 x-ray", "2 ct", "3 x-ray"]), by_sensor([0, 6])
+    ({'ct': [2.0], 'x-ray': [0.0, 3.0]}, {'': [0, 6]})
+    """
+    times = dict[str, list[float]]()
+    for time, sensor in map(time_and_sensor, measurements):
+        times.setdefault(sensor, []).append(time)
+    return dict(sorted(times.items()))
 
 
 _SPANS = (("day", 86_400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))

@@ -69,7 +69,9 @@ def range_of(low: str, high: str) -> str:
 _ROUNDING = 1e-9  # error of exact values
 
 
-NO_LIMITS = "The bound leaves out most and minimum_spacing of single sensors."
+NO_LIMITS = (
+    'The bound ignores "most" and "minimum_spacing" of single sensors: the gap may be smaller.'
+)
 """What a bound says if sensors have such limits."""
 
 

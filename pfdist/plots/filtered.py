@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.common.formatted_times import times_of
+from pfdist.common.formatted_times import by_sensor, time_and_sensor
 from pfdist.plots.figure import Plot, save_plot
 from pfdist.plots.panel import (
     MOST_COMPONENTS,
@@ -16,6 +16,7 @@ from pfdist.plots.panel import (
     label_times,
     legend_above,
     marker,
+    name_row,
     stack,
     table_of,
     thin,
@@ -27,12 +28,12 @@ from pfdist.store.schema import components_in
 _TITLE = "pfdist: filtered measurements"
 _START = 4096  # number of bytes at the start of a file that contain its title
 _BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))  # percentiles, opacity and label
-_LEVEL = 0.035  # of the markers of times, as a share of a panel's height
+_LEVEL, _ROW = 0.035, 0.07  # first row of markers, and distance of two, as shares of the height
 
 
-Times = tuple[Sequence[float], Sequence[float], Sequence[float]]
-"""Planned times that were not measured, measured times that were not planned, and planned times
-after the last measurement."""
+Times = tuple[Sequence[float | str], ...]
+"""Measured times, planned times that were not measured, measured times that were not planned, and
+planned times after the last measurement. With sensors each is written with its sensor."""
 
 
 def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
@@ -42,9 +43,9 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
     ----------
     table : DataFrame
         With the columns of `pfdist.store.filtered_schema`.
-    times : tuple of three sequences of int or float
-        Planned times that were not measured, measured times that were not planned, and planned
-        times after the last measurement.
+    times : tuple of four sequences of int, float or str
+        Measured times, planned times that were not measured, measured times that were not planned,
+        and planned times after the last measurement.
     """
     quantities = components_in(table, "mean_")
     number = min(len(quantities), MOST_COMPONENTS)
@@ -110,10 +111,10 @@ def belief(
         object that has it as ``table``, such as the result of `pfdist.filter_measurements`.
     component : int
         Component of z.
-    times : tuple of three sequences of int or float, optional
-        Planned times that were not measured, measured times that were not planned, and planned
-        times after the last measurement; by default the object's ``missing``, ``extra`` and
-        ``to_come``.
+    times : tuple of four sequences of int, float or str, optional
+        Measured times, planned times that were not measured, measured times that were not planned,
+        and planned times after the last measurement; by default the object's ``measured``,
+        ``missing``, ``extra`` and ``to_come``. With sensors, which have a row each, `12 x-ray`.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -127,9 +128,9 @@ def belief(
         There is no such component.
     """
     table = table_of(source, "source", "table")
-    keys = ("missing", "extra", "to_come")
-    given = times or (getattr(source, key, ()) for key in keys)
-    missing, extra, to_come = map(times_of, given)
+    at_instants = table["t"][table["measured"].to_numpy(bool)].tolist()
+    keys = (("measured", at_instants), ("missing", ()), ("extra", ()), ("to_come", ()))
+    measured, missing, extra, to_come = times or (getattr(source, *each) for each in keys)
     quantities = components_in(table, "mean_")
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
     t, ax = table["t"].to_numpy(), axes_for(ax)
@@ -138,20 +139,25 @@ def belief(
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
     label_quantity(ax, quantities, component)
+    sensors = [*by_sensor([*measured, *missing, *to_come])] or [""]
     bottom, top = ax.get_ylim()
-    ax.set_ylim(bottom - 0.08 * (top - bottom), top)  # room for the markers
-    planned = sorted({*t[table["measured"].to_numpy(bool)]} - {*extra})
-    for at, shape, colour, label in (
-        (planned, "|", "black", "measured as planned"),
+    ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
+    levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
+    for each, shape, colour, label in (
+        ([at for at in measured if at not in extra], "|", "black", "measured as planned"),
         (extra, "D", ORANGE, "measured, not planned"),
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),
     ):
-        if len(at):
+        at, sensors_of = zip(*map(time_and_sensor, each), strict=True) if each else ((), ())
+        if at:
             ax.plot(
-                at, [_LEVEL] * len(at), shape, ms=marker(1.2), mew=thin(0.9), color=colour,
-                mfc="white", transform=ax.get_xaxis_transform(), label=label, clip_on=False,
+                at, [levels[sensor] for sensor in sensors_of], shape, ms=marker(1.2),
+                mew=thin(0.9), color=colour, mfc="white", transform=ax.get_xaxis_transform(),
+                label=label, clip_on=False,
             )  # fmt: skip
+    for sensor, level in levels.items():
+        name_row(ax, level, sensor, share=True)
     label_times(ax, table)
     legend_above(ax)
     return ax

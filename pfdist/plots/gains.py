@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import BIN, EDGES, Gain, GainSummary, Run
 from pfdist.analysis.reference import label
 from pfdist.analysis.stored_run import statistics_of
-from pfdist.common.formatted_times import times_of
+from pfdist.common.formatted_times import by_sensor
 from pfdist.errors import JobError
 from pfdist.plots.figure import Plot, Tables, figure, one_number
 from pfdist.plots.panel import (
@@ -23,6 +23,7 @@ from pfdist.plots.panel import (
     legend_above,
     marker,
     minus,
+    name_row,
     stack,
     thin,
     verbatim,
@@ -332,14 +333,17 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
     estimates = [trajectory[f"estimate_{name}_{suffix}"].to_numpy() for name in sets]
     everything = np.concatenate([z, *estimates])
     low, high = np.nanmin(everything), np.nanmax(everything)
-    for row, ((name, times), estimate, (colour, shape, dashes)) in enumerate(
-        zip(sets.items(), estimates, _SHAPES, strict=True), start=1
+    row = 0
+    for (name, times), estimate, (colour, shape, dashes) in zip(
+        sets.items(), estimates, _SHAPES, strict=True
     ):
         text = rf"$\hat{{z}}(t)$, {verbatim(name)}"
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=text)
-        level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
-        measured = times_of(times)
-        ax.plot(
-            measured, [level] * len(measured), shape, color=colour, ms=marker(1.2), mew=thin(),
-            label=rf"$\mathcal{{M}}$, {verbatim(name)}",
-        )  # fmt: skip
+        for k, (sensor, measured) in enumerate(by_sensor(times).items() or [("", [])]):
+            row += 1
+            level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
+            ax.plot(
+                measured, [level] * len(measured), shape, color=colour, ms=marker(1.2),
+                mew=thin(), label="" if k else rf"$\mathcal{{M}}$, {verbatim(name)}",
+            )  # fmt: skip
+            name_row(ax, level, sensor, color=colour)

@@ -34,7 +34,7 @@ from pfdist.plots.panel import (
     verbatim,
     write_instead,
 )
-from pfdist.plots.style import BLUE, GREY, RED
+from pfdist.plots.style import BLUE, GREY, RED, SENSORS
 from pfdist.times.clock import Time
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
@@ -106,25 +106,38 @@ def _rises(
 
     `change` says what is done to a measurement. `columns` gives, for each column, its marker and
     the number of instants by which it is drawn beside t. A column without a marker has stems, and
-    the stems of several sets at the same instant stand side by side.
+    the stems of several sets and sensors at the same instant stand side by side. With sensors, each
+    has a marker, which a column with a marker shows where nothing is shifted.
     """
     table, curves = table_of(source, "measurements", "worth", "measurements"), []
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
-    spread = np.linspace(-_WIDTH / 2, _WIDTH / 2, len(sets)) if len(sets) > 1 else [0.0]
-    for (name, rows, plain), beside in zip(sets, spread, strict=True):
+    sensors = sorted({*table["sensor"]}) if "sensor" in table else [""]
+    markers = dict(zip(sensors, SENSORS, strict=False))
+    number, step = len(sets) * len(sensors), step_of(table["t"])
+    spread = iter(np.linspace(-_WIDTH / 2, _WIDTH / 2, number) if number > 1 else [0.0])
+    for name, of_set, plain in sets:
         style = plain | {"ls": "", "ms": marker(0.9)}
         ax.plot([], [], label=verbatim(name) or None, **style)
-        for column, (shape, aside) in columns.items():
-            present = rows.dropna(subset=column)
-            t = present["t"].to_numpy() + (aside or beside) * step_of(table["t"])
-            rise, half = present[column].to_numpy(), BAND * present[f"{column}_error"].to_numpy()
-            if not shape:
-                ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
-            shaped = style | ({"marker": shape} if shape else {})
-            ax.errorbar(t, rise, half, elinewidth=thin(0.6), **shaped)
-            curves.append(points(t, rise, style["color"], name))
+        for sensor in sensors:
+            rows, beside = of_set[of_set["sensor"] == sensor] if sensor else of_set, next(spread)
+            own = style | ({"marker": markers[sensor]} if sensor else {})
+            if sensor and change == "shifted":
+                ax.plot(rows["t"] + beside * step, np.zeros(len(rows)), **own)
+            for column, (shape, aside) in columns.items():
+                present = rows.dropna(subset=column)
+                together = (beside if sensor else 0.0) + aside if aside else beside
+                t = present["t"].to_numpy() + together * step
+                rise = present[column].to_numpy()
+                half = BAND * present[f"{column}_error"].to_numpy()
+                if not shape:
+                    ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
+                shaped = own | ({"marker": shape} if shape else {})
+                ax.errorbar(t, rise, half, elinewidth=thin(0.6), **shaped)
+                curves.append(points(t, rise, style["color"], name))
+    for sensor in filter(None, sensors):
+        ax.plot([], [], markers[sensor], color=GREY, ms=marker(0.9), label=verbatim(sensor))
     for column, (shape, _) in columns.items():
         if shape:
             ax.plot([], [], shape, color=GREY, ms=marker(0.9), label=f"one instant {column}")

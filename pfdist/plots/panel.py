@@ -19,7 +19,7 @@ from pfdist.analysis import Run
 from pfdist.analysis.stored_run import TABLES
 from pfdist.common.component_names import Component
 from pfdist.errors import JobError, shown
-from pfdist.plots.style import set_style
+from pfdist.plots.style import GREY, set_style
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -213,6 +213,15 @@ def rows_of_sets(
         (name, table[table["name"] == name].sort_values("t"), set_style(position))
         for position, name in enumerate(drawn)
     ]
+
+
+def name_row(ax: Axes, level: float, name: str, *, share: bool = False, color: str = GREY) -> None:
+    """Write the name of a row beside the axes, at a value of y or at a share of the height."""
+    transform = ax.transAxes if share else ax.get_yaxis_transform()
+    ax.text(
+        1.01, level, verbatim(name), transform=transform, color=color, va="center",
+        fontsize="xx-small",
+    )  # fmt: skip
 
 
 def write_instead(ax: Axes, text: str) -> Axes:

@@ -33,6 +33,7 @@ if _backend:
 
 BLUE, RED, ORANGE, GREEN, PURPLE = "#0077bb", "#bb2211", "#dd8800", "#228833", "#cc79a7"
 GREY = "#666666"
+SENSORS = ("o", "s", "^", "D", "v", "P", "X", "*")  # markers, one for each possible sensor
 SERIES = (RED, BLUE, ORANGE, GREEN, PURPLE)
 
 COLUMN_INCHES = 3.5  # width of a printed figure

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
 from pfdist.analysis.stored_run import problem_of
-from pfdist.common.formatted_times import time_and_sensor
+from pfdist.common.formatted_times import by_sensor
 from pfdist.errors import JobError, shown
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
@@ -255,11 +255,6 @@ def times_inches(sets: int) -> float:
 
 def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, str, list[float]]]:
     """Name, label and times of each row of a set: one row, or one for each of its sensors."""
-    by_sensor = dict[str, list[float]]()
-    for measurement in measurements:
-        time, sensor = time_and_sensor(measurement)
-        by_sensor.setdefault(sensor, []).append(time)
-    rows = sorted(by_sensor.items()) or [("", [])]
     return [
         # The name of a sensor alone has the name of the sensor.
         (
@@ -269,7 +264,7 @@ def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, 
             else name,
             at,
         )
-        for sensor, at in rows
+        for sensor, at in by_sensor(measurements).items() or [("", [])]
     ]
 
 

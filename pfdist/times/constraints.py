@@ -258,7 +258,7 @@ class Constraints:
     def within_limits(self, times: Times, among: Iterable[int]) -> Times:
         """As many of some sorted times as fit beside these within the limits of the sensors.
 
-        The sensors do not depend on each other, because limits need a spacing that is free.
+        The sensors do not depend on each other, because this is asked without a spacing of all.
         """
         offered, chosen = [*among], list[int]()
         for sensor, limit in enumerate(self.limits):

@@ -41,11 +41,15 @@ def _check_times(constraints: Constraints) -> None:
 
 
 def _check_limits(constraints: Constraints) -> None:
-    """Refuse limits of sensors beside a spacing of all, and required times beyond the limits."""
-    if constraints.limits and not constraints.spacing.is_free:
+    """Refuse N measurements under limits and a spacing of all, and required times beyond limits.
+
+    How many measurements fit beside others would depend on all sensors together. Money needs no
+    such number, because it may be left over.
+    """
+    if constraints.limits and constraints.counted and not constraints.spacing.is_free:
         raise MeasurementTimesError(
-            "minimum_spacing must be left out if a sensor has most or minimum_spacing, got "
-            f"{constraints.minimum_spacing}"
+            "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
+            f"total_cost is given, got {constraints.minimum_spacing}"
         )
     if not constraints.is_within_limits(constraints.required):
         raise MeasurementTimesError("required must keep the limits of each sensor")

@@ -268,7 +268,7 @@ def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
         table = pd.DataFrame({name: np.zeros(5) for name in names})
         table["t"], table["measured"] = range(5), [True, False, True, False, False]
         path = tmp_path / f"{number}.png"
-        draw_filtered(path, filtered_plot(table, ((1,), (2,), (4,))))
+        draw_filtered(path, filtered_plot(table, ((0, 2), (1,), (2,), (4,))))
         assert matplotlib.image.imread(path).shape[0] == height
 
 

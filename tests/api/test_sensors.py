@@ -1,7 +1,7 @@
 """Which sensor, when: against brute force, closed forms, and the same system with one sensor."""
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import pfdist
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
 from pfdist.analysis.stored_run import found_sets
+from pfdist.answers.run import answer_in_a_line
 from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
@@ -110,6 +111,34 @@ def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
     bound = run.summary().results[name].lower_bound
     assert bound["bound"] == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
     assert pfdist.bound(problem, results=run.path, report=False).as_json()["leaves_out_limits"]
+
+
+def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: Path) -> None:
+    """The plan is the best of all sets of up to three, each by another sensor, and 4 apart.
+
+    A clock has a unit, and the answer names it. The bound knows the spacing, and no limit.
+    """
+    system = SYSTEMS[3]
+    sensors = {key: {"cost": 1, "most": 1} for key in NAMES}
+    problem = _problem(
+        system, sensors=sensors, measurement_budget=None, total_cost=3, minimum_spacing=4,
+        time_step=1, time_unit="h",
+    )  # fmt: skip
+    few = ("comparison.draws=50",)
+    run = pfdist.plan(
+        problem, results=tmp_path / "run", pool="serial", changes=few, figures=False, report=False
+    )
+    apart = {
+        times: system.expected_mse(times)
+        for times in combinations(range(39), 3)
+        if all(later // 3 - time // 3 >= 4 for time, later in pairwise(times))
+    }
+    within = [times for times in apart if len({time % 3 for time in times}) == 3]
+    (name,) = found_sets(run)
+    assert _numbers(run.sets[name]) == min(within, key=apart.__getitem__)
+    bound = run.summary().results[name].lower_bound
+    assert bound["bound"] == pytest.approx(min(apart.values()), rel=1e-9)
+    assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in answer_in_a_line(run)
 
 
 def test_the_plan_is_compared_with_each_sensor_and_with_rotation(

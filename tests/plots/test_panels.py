@@ -120,6 +120,53 @@ def test_times_that_are_not_whole_are_shown_without_a_run() -> None:
     assert (patch.get_x(), patch.get_x() + patch.get_width()) == (1.0, 1.75)
 
 
+def _markers(axes: Axes) -> dict[tuple[str, float], list[float]]:
+    """The times of each kind of marker in each row."""
+    rows = {}
+    for line in axes.get_lines():
+        for t, level in zip(*line.get_data(), strict=True):
+            if line.get_ls() == "None":
+                rows.setdefault((line.get_marker(), round(float(level), 3)), []).append(t)
+    return rows
+
+
+def test_each_sensor_has_a_row_among_filtered_measurements() -> None:
+    """Two sensors measure at one time, one as planned and the other not."""
+    times = (["0 ct", "2 ct", "2 x-ray"], ["0 x-ray"], ["2 x-ray"], ["4 ct"])
+    axes = plots.belief(_filtered(), times=times, ax=_axes())
+    ct, x_ray = 0.105, 0.035
+    assert _markers(axes) == {
+        ("|", ct): [0, 2], ("x", x_ray): [0], ("D", x_ray): [2], ("o", ct): [4]
+    }  # fmt: skip
+    assert [text.get_text() for text in axes.texts] == ["x-ray", "ct"]
+
+
+def test_each_sensor_has_a_row_below_a_draw() -> None:
+    sets = {"regular": ["0 ct", "3 ct"], "mine": ["1 x-ray", "1 ct"]}
+    axes = plots.one_draw(_trajectory(), sets, ax=_axes())
+    times = [sorted(at) for (_, level), at in sorted(_markers(axes).items())]
+    assert sorted(times) == [[0, 3], [1], [1]]
+    assert [text.get_text() for text in axes.texts] == ["ct", "ct", "x-ray"]
+    assert len(axes.get_legend().get_texts()) == 5  # as without sensors
+
+
+def test_each_sensor_has_a_marker_at_the_worth_of_its_measurements() -> None:
+    """Sensors that measure at one time stand beside each other, in both panels."""
+    worth = pd.DataFrame({"name": "mine", "t": [1, 1, 4], "sensor": ["ct", "x-ray", "ct"]})
+    for column in ("removed", "earlier", "later"):
+        worth = worth.assign(**{column: [1.0, 2.0, 3.0], f"{column}_error": 0.1})
+    for draw, level in ((plots.worth, [1.0, 3.0]), (plots.shifts, [0.0, 0.0])):
+        axes = draw(worth, ax=_axes())
+        shown = {label.get_text() for label in axes.get_legend().get_texts()}
+        assert {"mine", "ct", "x-ray"} <= shown
+        rows = _markers(axes)
+        found = sorted((t, y) for (shape, y), at in rows.items() for t in at if shape == "o")
+        assert found == [(pytest.approx(0.8), level[0]), (pytest.approx(3.8), level[1])]
+        assert [t for (shape, _), at in rows.items() for t in at if shape == "s"] == [
+            pytest.approx(1.2)
+        ]
+
+
 def _trajectory() -> pd.DataFrame:
     columns = {f"estimate_{name}_0": np.arange(10) + 0.5 for name in SETS}
     return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})

@@ -50,6 +50,13 @@ EACH = {
     "limited": LIMITED,
     "limited and required": replace(LIMITED, required=(1,)),
     "limited money": LIMITED_MONEY,
+    "limited money, one sensor at a time": replace(LIMITED_MONEY, minimum_spacing=1),
+    "limited money, all apart": replace(
+        LIMITED_MONEY, minimum_spacing=2, limits=(Limit(most=2), Limit(most=1)), total_cost=6
+    ),
+    "spaced money, one sensor at a time": replace(
+        LIMITED_MONEY, minimum_spacing=1, limits=(Limit(spacing=Spacing.constant(2, 4)), Limit())
+    ),
 }
 
 
@@ -143,6 +150,6 @@ def test_a_wrong_measurement_is_named(written: str, said: str) -> None:
         measurements_of(written, CLOCK)
 
 
-def test_limits_of_sensors_and_a_spacing_of_all_are_refused_together() -> None:
+def test_n_measurements_under_limits_and_a_spacing_of_all_are_refused() -> None:
     with pytest.raises(MeasurementTimesError, match="minimum_spacing must be left out"):
         replace(LIMITED, minimum_spacing=1)
