@@ -102,5 +102,5 @@ def plot(tables: Tables) -> Figure:
     ax.invert_yaxis()
     ax.set_xlim(0)
     ax.set_xlabel("expected MSE, with 95 % intervals")
-    ax.legend(loc="lower left")
+    canvas.legend(loc="outside upper right", ncols=2)
     return canvas
