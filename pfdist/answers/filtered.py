@@ -165,7 +165,7 @@ def next_page(answer: Mapping[str, Any]) -> Page:
         following, *later = answer["plan"]
         line = f"measure next at t = {formatted_times([following], unit)}"
         if later:
-            shown = formatted_times(later[:_SHOWN])
+            shown = formatted_times(later[:_SHOWN], unit)
             line += f"; then about {shown}{', ...' if len(later) > _SHOWN else ''}"
         facts += [("expected MSE", _expected(answer, "")), *_before(answer)]
     else:

@@ -169,8 +169,8 @@ def why(
         opened, built = run_and_job(job, results, changes, tell)
         check_one_number(opened)
         sets = opened.sets
-        if built.job.scenarios is not None:
-            raise JobError(f"why needs a job without scenarios, got scenarios ({built.job.path})")
+        if built.is_worst:
+            raise JobError(f"why explains means, got criterion = 'worst' ({built.job.path})")
         with own_store(opened, built, tell, must_be=False) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))

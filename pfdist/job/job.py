@@ -258,9 +258,10 @@ class Job(Section):
     def _can_have_scenarios(self) -> Self:
         if self.scenarios is None:
             return self
-        for name in ("budget", "online"):
-            if getattr(self, name) is not None:
-                raise ValueError(f"a job with scenarios must have no section {name}, got one")
+        if self.online is not None:
+            raise ValueError("a job with scenarios must have no section online, got one")
+        if self.budget is not None and self.scenarios.is_worst:
+            raise ValueError("a job with the worst scenario must have no section budget, got one")
         for search in self.search:
             if self.scenarios.is_worst and METHODS[search.method].additive and not search.polish:
                 others = ", ".join(name for name, each in METHODS.items() if not each.additive)

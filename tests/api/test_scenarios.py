@@ -159,6 +159,34 @@ def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
     assert believed == pytest.approx(exact.min(), rel=1e-9)
 
 
+def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Path) -> None:
+    numbers = range(2, 6)
+    run = pfdist.budget(
+        problem(engine="kalman"), numbers, draws=48, results=tmp_path / "run", report=False
+    )
+    rows = run.table("budget").query("kind == 'found'").set_index("measurements")
+    for number in numbers:
+        sets = list(combinations(range(HORIZON + 1), number))
+        exact = combined(costs(sets, told=True), "mean").min()
+        assert rows["search_cost"][number] == pytest.approx(exact, rel=1e-9)
+        assert rows["bound"][number] == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_path: Path) -> None:
+    """A Kalman filter by hand knows the mean error with a measurement, and without it."""
+    asked = problem(filter="told" if told else "nominal", particles=400)
+    few = ["comparison.draws=48"]
+    run = pfdist.plan(asked, tmp_path / "run", changes=few, bound_draws=0, report=False)
+    answer = pfdist.why(asked, results=run.path, draws=4000, changes=few, figures=False)
+    rows = answer.worth.query("name == 'relaxation'").set_index("t")
+    times = list(run.sets["relaxation"])
+    without = [[t for t in times if t != out] for out in times]
+    cost, *others = combined(costs([times, *without], told=told), "mean")
+    for out, other in zip(times, others, strict=True):
+        assert abs(rows["removed"][out] - (other - cost)) < 4 * rows["removed_error"][out]
+
+
 @pytest.mark.parametrize("criterion", ["mean", "worst"])
 def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
     criterion: str, tmp_path: Path
@@ -304,11 +332,16 @@ def test_the_worst_needs_searches_that_compare_whole_sets() -> None:
         problem("worst").job(search=[{"method": "corridor"}])
 
 
-@pytest.mark.parametrize("section", ["online", "budget"])
-def test_other_questions_are_refused(section: str) -> None:
-    keys = {"online": {}, "budget": {"least": 3, "most": 5}}[section]
-    with pytest.raises(JobError, match=f"with scenarios must have no section {section}"):
-        problem().job(**{section: keys})
+def test_other_questions_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="with scenarios must have no section online"):
+        problem().job(online={})
+    with pytest.raises(JobError, match="the worst scenario must have no section budget"):
+        problem("worst").job(budget={"least": 3, "most": 5})
+    worst = problem("worst", engine="kalman")
+    few = ["comparison.draws=48"]
+    pfdist.plan(worst, tmp_path / "run", changes=few, bound_draws=0, report=False)
+    with pytest.raises(JobError, match="why explains means, got criterion = 'worst'"):
+        pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
 
 
 def test_a_planner_and_a_told_filter_are_refused() -> None:
