@@ -283,7 +283,7 @@ def wall() -> str:
     runs = pd.read_csv(BENCHMARKS / "wall.csv", comment="#")
     medians = runs.pivot_table("seconds", "command", "version", "median", sort=False)
     rows = [
-        [str(command), f"{before:.1f}", f"{now:.1f}", f"{now / before:.2f}"]
+        [f"`{command}`", f"{before:.1f}", f"{now:.1f}", f"{now / before:.2f}"]
         for command, before, now in medians[["before", "now"]].itertuples()
     ]
     return _table(["command", "before, s", "now, s", "ratio"], rows)
@@ -323,7 +323,7 @@ def driver() -> str:
         [
             f"{row.cores:,}",
             f"{row.task_seconds:.2g}" + ", as chosen" * (row.wanted == "chosen"),
-            f"{row.microseconds:.0f}",
+            f"{row.microseconds:,.0f}",
             f"{100 * row.busy:.1f}",
         ]
         for row in tasks.itertuples()
