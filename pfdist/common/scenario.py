@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Scenario:
-    """Parameters that the truth may have, and the probability of them."""
+    """Parameters that the truth may have, their probability, and what divides squared errors."""
 
     share: float
     parameters: Mapping[str, float | Sequence[float]]
+    scale: float = 1.0

@@ -73,6 +73,7 @@ class Evaluator:
     # told, it has the parameters of the draw's scenario, too.
     scenarios: tuple[Scenario, ...] = ()
     told: bool = False
+    scale: float = 1.0  # the squared errors are divided by it; see `Scenario`
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -105,11 +106,14 @@ class Evaluator:
 
     @cached_property
     def instant_weights(self) -> NDArray[np.float64] | None:
-        """Weight of each instant's error from the first instant on, with mean 1; None if equal."""
-        if self.weights is None:
+        """Weight of each instant's error from the first instant on; None if all are 1.
+
+        The mean is 1, or 1 / scale.
+        """
+        if self.weights is None and self.scale == 1.0:
             return None
-        weights = np.array(self.weights[self.start :])
-        return weights / weights.mean() if weights.any() else weights
+        weights = np.array((self.weights or (1.0,) * (self.horizon + 1))[self.start :])
+        return weights / (self.scale * weights.mean()) if weights.any() else weights
 
     @property
     def believed(self) -> StateSpaceModel:
@@ -141,7 +145,14 @@ class Evaluator:
             check_lengths(scenario.parameters, self.horizon + 1, "", exactly=True)
             if self.told:
                 believed = believed.with_parameters(scenario.parameters)
-            alone = replace(self, model=model, filter_model=believed, scenarios=(), told=False)
+            alone = replace(
+                self,
+                model=model,
+                filter_model=believed,
+                scenarios=(),
+                told=False,
+                scale=scenario.scale,
+            )
             evaluators.append(alone)
         return tuple(evaluators)
 
@@ -377,7 +388,8 @@ class Evaluator:
         draws: Draws = self.computed_by.simulate(
             self.model, self.horizon, index, stream, self.prior
         )
-        return draws if self.weights is None else replace(draws, weights=self.instant_weights)
+        weights = self.instant_weights
+        return draws if weights is None else replace(draws, weights=weights)
 
     def mse_of_sets(
         self,

@@ -1,7 +1,7 @@
 """The section [scenarios] of a job file: parameters that the truth may have."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 from typing import Annotated, Any, Literal, Self
 
@@ -20,6 +20,7 @@ _DISTRIBUTIONS = (
 )
 _KINDS = ("normal", "lognormal", "uniform")
 _Pair = tuple[float, float]
+_Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Scenarios(Section):
@@ -37,6 +38,9 @@ class Scenarios(Section):
         sd), ``lognormal`` (median and sd of the logarithm) or ``uniform`` (ends).
     weights : list of float
         Above 0, for each scenario of a list; only ratios matter. By default all are equal.
+    scales : list of float
+        Above 0, for each scenario: its squared errors are divided by this number, for instance by
+        the expected MSE of the best times for this scenario alone. By default 1.
     count : int
         Number of scenarios, of distributions alone.
     criterion : str
@@ -49,7 +53,8 @@ class Scenarios(Section):
         Annotated[tuple[dict[str, Parameter], ...], Field(min_length=1, max_length=MOST_SCENARIOS)]
         | dict[str, dict[str, _Pair]]
     )
-    weights: tuple[Annotated[float, Field(gt=0.0, allow_inf_nan=False)], ...] | None = None
+    weights: tuple[_Above0, ...] | None = None
+    scales: tuple[_Above0, ...] | None = None
     count: Annotated[int, Field(ge=2, le=MOST_SCENARIOS)] | None = None
     criterion: Literal["mean", "worst"] = "mean"
     filter: Literal["nominal", "told"] = "nominal"
@@ -67,7 +72,7 @@ class Scenarios(Section):
             )
         return tuple(checked_parameters(each, "scenarios.parameters") for each in value)
 
-    @field_validator("weights", mode="before")
+    @field_validator("weights", "scales", mode="before")
     @classmethod
     def _are_floats(cls, value: Any) -> Any:
         if not isinstance(value, list | tuple):
@@ -76,6 +81,14 @@ class Scenarios(Section):
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
+        count = self.count if isinstance(self.parameters, dict) else len(self.parameters)
+        for key in ("weights", "scales"):
+            given = getattr(self, key)
+            if None not in (given, count) and len(given) != count:
+                raise ValueError(
+                    f"scenarios.{key} must have a number for each of {count} scenarios, got "
+                    f"{len(given)}"
+                )
         if isinstance(self.parameters, dict):
             if self.count is None or self.weights is not None:
                 got = "no count" if self.count is None else "weights"
@@ -86,11 +99,6 @@ class Scenarios(Section):
             return self
         if self.count is not None:
             raise ValueError(f"a list of scenarios has no scenarios.count, got {self.count}")
-        if self.weights is not None and len(self.weights) != len(self.parameters):
-            raise ValueError(
-                f"scenarios.weights must have a number for each of {len(self.parameters)} "
-                f"scenarios, got {len(self.weights)}"
-            )
         if any(each.keys() != self.parameters[0].keys() for each in self.parameters):
             names = ", ".join(sorted({name for each in self.parameters for name in each}))
             raise ValueError(f"every scenario must have the same parameters, got some of {names}")
@@ -104,20 +112,25 @@ class Scenarios(Section):
     @property
     def each(self) -> tuple[Scenario, ...]:
         """The scenarios, whose shares have the sum 1."""
-        if isinstance(self.parameters, dict):
-            count = self.count or 0
-            columns = [
-                _quantiles(kind, numbers, _parts(name if number else "", count))
-                for number, (name, distribution) in enumerate(self.parameters.items())
-                for kind, numbers in distribution.items()
-            ]
-            return tuple(
-                Scenario(1.0 / count, dict(zip(self.parameters, values, strict=True)))
-                for values in zip(*columns, strict=True)
-            )
-        weights = np.array(self.weights or (1.0,) * len(self.parameters))
+        parameters = self._listed
+        ones = (1.0,) * len(parameters)
+        weights = np.array(self.weights or ones)
         shares = (weights / weights.sum()).tolist()
-        return tuple(map(Scenario, shares, self.parameters))
+        return tuple(map(Scenario, shares, parameters, self.scales or ones))
+
+    @property
+    def _listed(self) -> Sequence[Mapping[str, Any]]:
+        """The parameters of each scenario."""
+        if not isinstance(self.parameters, dict):
+            return self.parameters
+        columns = [
+            _quantiles(kind, numbers, _parts(name if number else "", self.count or 0))
+            for number, (name, distribution) in enumerate(self.parameters.items())
+            for kind, numbers in distribution.items()
+        ]
+        return [
+            dict(zip(self.parameters, values, strict=True)) for values in zip(*columns, strict=True)
+        ]
 
 
 def _distribution(name: str, given: Any) -> dict[str, tuple[float, float]]:

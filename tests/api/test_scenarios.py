@@ -35,11 +35,16 @@ from pfdist.job.scenarios_section import Scenarios
 from pfdist.runner.build import build
 
 SETS = list(combinations(range(HORIZON + 1), 4))
+# The least error that each scenario allows. Divided by it, the worst scenario has the largest loss
+# ("standardized maximin", Dette 1997).
+SCALES = costs(SETS, told=True).min(axis=0).tolist()
 
 
 def problem(criterion: str = "mean", **keys: Any) -> pfdist.Problem:
     """The restless walk with three scenarios, four measurements and a filter that is told."""
     section = {"parameters": SCENARIOS, "weights": WEIGHTS, "criterion": criterion}
+    if "scales" in keys:
+        section["scales"] = keys.pop("scales")
     return pfdist.Problem(
         WALK,
         horizon=HORIZON,
@@ -93,6 +98,14 @@ def test_each_draw_is_that_of_a_model_with_the_parameters_of_its_scenario() -> N
         assert np.array_equal(alone(work).mse[numbers == number], mse[numbers == number])
 
 
+@pytest.mark.parametrize("keys", [{}, {"instant_weights": [1.0, 3.0] + [1.0] * (HORIZON - 1)}])
+def test_the_squared_errors_of_a_scenario_are_divided_by_its_scale(keys: dict[str, Any]) -> None:
+    plain, scaled = problem(particles=20, **keys), problem(particles=20, scales=(2, 4, 0.5), **keys)
+    first, second = (pfdist.evaluate(each, [0, 6], draws=120) for each in (plain, scaled))
+    assert first.scenarios is not None
+    np.testing.assert_allclose(first.mse / np.array([2, 4, 0.5])[first.scenarios], second.mse)
+
+
 def test_one_scenario_of_the_models_own_parameters_changes_no_number() -> None:
     plain = pfdist.Problem(WALK, horizon=HORIZON, measurement_budget=4, particles=20)
     same = plain.with_changes(scenarios={"parameters": [NOMINAL]})
@@ -132,6 +145,7 @@ def test_the_cost_of_the_worst_is_the_largest_mean_and_differences_are_paired() 
 # --- plans, by brute force ------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("scales", [[1.0] * 3, SCALES])
 @pytest.mark.parametrize(
     ("criterion", "method"),
     [
@@ -142,18 +156,18 @@ def test_the_cost_of_the_worst_is_the_largest_mean_and_differences_are_paired() 
     ],
 )
 def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
-    criterion: str, method: str, tmp_path: Path
+    criterion: str, method: str, scales: list[float], tmp_path: Path
 ) -> None:
-    exact = combined(costs(SETS, told=True), criterion)
+    exact = combined(costs(SETS, told=True) / scales, criterion)
     run = pfdist.run(
-        problem(criterion, engine="kalman").job(
+        problem(criterion, engine="kalman", scales=scales).job(
             search=[{"method": method}], comparison={"draws": 100}, execution={"pool": "serial"}
         ),
         tmp_path / "run",
         figures=False,
         report=False,
     )
-    found = combined(costs([run.sets[method]], told=True), criterion)
+    found = combined(costs([run.sets[method]], told=True) / scales, criterion)
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
     believed = run.table("compared").set_index("name")["search_cost"][method]
     assert believed == pytest.approx(exact.min(), rel=1e-9)
@@ -223,14 +237,15 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
     assert gap.bound.value > 0.8 * told  # or the test could not fail
 
 
+@pytest.mark.parametrize("scales", [[1.0] * 3, SCALES])
 @pytest.mark.parametrize("criterion", ["mean", "worst"])
 def test_the_exact_bound_is_that_of_brute_force_but_for_a_duality_gap(
-    criterion: str, tmp_path: Path
+    criterion: str, scales: list[float], tmp_path: Path
 ) -> None:
-    of_scenarios = costs(SETS, told=True)
+    of_scenarios = costs(SETS, told=True) / scales
     best = combined(of_scenarios, criterion).min()
     run = pfdist.run(
-        problem(criterion, engine="kalman").job(
+        problem(criterion, engine="kalman", scales=scales).job(
             search=[{"method": "exhaustive"}], comparison={"draws": 100}
         ),
         tmp_path / "run",
@@ -303,6 +318,9 @@ def test_weights_become_shares() -> None:
         ({"parameters": [{"early": "x"}]}, "scenarios.parameters.early must be a number"),
         ({"parameters": [{"early": 1.0}, {"late": 1.0}]}, "must have the same parameters"),
         ({"parameters": SCENARIOS, "weights": [1.0]}, "a number for each of 3 scenarios, got 1"),
+        ({"parameters": SCENARIOS, "scales": [1.0]}, "a number for each of 3 scenarios, got 1"),
+        ({"parameters": SCENARIOS, "scales": [1.0, 0.0, 1.0]}, "scenarios.scales"),
+        ({"parameters": {"early": {"normal": [1.0, 0.1]}}, "count": 2, "scales": [1.0]}, "got 1"),
         ({"parameters": SCENARIOS, "count": 3}, "has no scenarios.count, got 3"),
         ({"parameters": {"early": {"normal": [1.0, 0.1]}}}, "need scenarios.count"),
         ({"parameters": {"early": {"normal": [1.0, -1.0]}}, "count": 3}, "sd and a median above 0"),
