@@ -94,7 +94,7 @@ def _compared(name: str, quick: bool, say: Say) -> pd.DataFrame:
     means = pd.Series({each: results[each].expected_mse for each in sets})
     rows = []
     for each, planned_for in _PLANS.items():
-        worst = mse[each].idxmax()
+        worst = int(mse[each].argmax())
         times = ", ".join(map(str, sets[each]))
         say(f"{name}, {planned_for}: {times}")
         rows.append(
@@ -104,8 +104,8 @@ def _compared(name: str, quick: bool, say: Say) -> pd.DataFrame:
                 "times": times,
                 "mean_mse": means[each],
                 "mean_error": results[each].standard_error,
-                "worst_mse": mse[each][worst],
-                "worst_error": errors[each][worst],
+                "worst_mse": mse[each].iloc[worst],
+                "worst_error": errors[each].iloc[worst],
                 "worst_loss": (mse[each] / mse.min(axis=1)).max() - 1,
                 "mean_loss": means[each] / means.min() - 1,
             }
@@ -157,26 +157,19 @@ def summary(tables: Tables) -> str:
     """Give the table in Markdown."""
     rows = [
         [
-            row.system,
-            row.planned_for,
-            with_error(row.mean_mse, row.mean_error),
-            with_error(row.worst_mse, row.worst_error),
-            f"{100 * row.worst_loss:.1f}",
-            f"{100 * row.mean_loss:.1f}",
+            system,
+            planned_for,
+            with_error(mean, mean_error),
+            with_error(worst, worst_error),
+            f"{100 * worst_loss:.1f}",
+            f"{100 * mean_loss:.1f}",
         ]
-        for row in tables["robust"].itertuples(index=False)
+        for system, planned_for, _, mean, mean_error, worst, worst_error, worst_loss, mean_loss in (
+            tables["robust"].itertuples(index=False)
+        )
     ]
-    return markdown(
-        (
-            "system",
-            "planned for",
-            "mean error",
-            "largest error",
-            "largest loss, %",
-            "loss of the mean, %",
-        ),
-        rows,
-    )
+    errors, losses = ("mean error", "largest error"), ("largest loss, %", "loss of the mean, %")
+    return markdown(("system", "planned for", *errors, *losses), rows)
 
 
 def plot(tables: Tables) -> Figure:
