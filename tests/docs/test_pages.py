@@ -27,7 +27,7 @@ COMMAND = re.compile(r"(?:`|^ *|&& )pfdist ([a-z][^`\n#]*)(?:`| *$|  +#)", re.MU
 NAMED_ALONE = re.compile(r"[a-z-]+")  # `pfdist plan`: the page speaks of the command
 VALUES = {"COMMAND": "run", "SHELL": "bash", "TIMES": "0:60:3", "NUMBERS": "5:41"}  # for words
 A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
-SLOW_PAGES = ("densities", "guided", "questions", "robust", "sensors")
+SLOW_PAGES = ("compare", "densities", "guided", "questions", "robust", "sensors")
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
 
@@ -130,7 +130,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ["filter", "start", *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
 )
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _blocks(DOCS / f"{page}.md", "console")
+    assert _blocks(DOCS / f"{page}.md", "console|python")
     _play(page, capsys)
 
 
