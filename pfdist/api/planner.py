@@ -64,9 +64,9 @@ class Planner:
     Examples
     --------
     >>> import pfdist
-    >>> planner = pfdist.Planner("jobs/quick.toml", times=[0, 4, 9, 14, 19])  # doctest: +SKIP
+    >>> planner = pfdist.Planner("jobs/quick.toml")  # doctest: +SKIP
     >>> planner.next_time()  # doctest: +SKIP
-    0
+    1
     >>> planner.update(1.3)  # doctest: +SKIP
     """
 

@@ -17,6 +17,7 @@ from matplotlib import pyplot
 import pfdist
 from pfdist.cli.main import main
 from pfdist.cli.parser import make_parser
+from pfdist.job.online_section import Online
 from pfdist.search.methods import DEFAULT_METHOD
 
 ROOT = Path(__file__).parents[2]
@@ -25,6 +26,8 @@ PAGES = [*ROOT.glob("*.md"), *DOCS.glob("*.md"), ROOT / "results" / "README.md"]
 COMMAND = re.compile(r"(?:`|^ *|&& )pfdist ([a-z][^`\n#]*)(?:`| *$|  +#)", re.MULTILINE)
 NAMED_ALONE = re.compile(r"[a-z-]+")  # `pfdist plan`: the page speaks of the command
 VALUES = {"COMMAND": "run", "SHELL": "bash", "TIMES": "0:60:3", "NUMBERS": "5:41"}  # for words
+A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
+SLOW_PAGES = ("compare", "densities", "guided", "questions", "robust", "sensors")
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
 
@@ -87,45 +90,112 @@ def test_the_model_and_the_job_of_the_readme_are_planned(
     assert not set(found) & set(range(20, 31))
 
 
+def _play(page: str, capsys: pytest.CaptureFixture[str], **names: Any) -> dict[str, Any]:
+    """Do in the working directory what a page does, from its first block to its last.
+
+    Blocks that begin with the name of a file, as in ``# lake.py``, become this file. A command of
+    a console must print the lines below it; ``...`` stands for anything. Python code runs with the
+    names of earlier code, which are given in the end. Other blocks are not played.
+    """
+    for language, text in _blocks(DOCS / f"{page}.md"):
+        first, _, rest = text.partition("\n")
+        if file := A_FILE.fullmatch(first):
+            Path(file[1]).write_text(rest, encoding="utf-8")
+        elif language == "python":
+            exec(compile(text, f"{page}.md", "exec"), names)
+        elif language == "console":
+            for console in re.split(r"^\$ pfdist ", text, flags=re.MULTILINE)[1:]:
+                command, _, shown = console.partition("\n")
+                assert main(shlex.split(command)) == 0
+                printed = capsys.readouterr().out
+                if not OutputChecker().check_output(shown, printed, ELLIPSIS):
+                    pytest.fail(f"pfdist {command}\nprints\n{printed}\nand not\n{shown}")
+    return names
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with the jobs, and with the finished run of jobs/quick.toml."""
+    monkeypatch.chdir(tmp_path)
+    # A plan leaves a bound out that takes long, as on a busy machine.
+    monkeypatch.setattr("pfdist.api.run._PATIENCE", 10**6)
+    shutil.copytree(ROOT / "jobs", "jobs")
+    shutil.copytree(ROOT / "results" / "example", "results/quick")
+    return tmp_path
+
+
+@pytest.mark.usefixtures("checkout")
+@pytest.mark.parametrize(
+    "page",
+    ["filter", "start", *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
+)
+def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _blocks(DOCS / f"{page}.md", "console|python")
+    _play(page, capsys)
+
+
 @pytest.mark.slow
-def test_the_worked_example_prints_what_its_page_shows(
+@pytest.mark.usefixtures("checkout")
+def test_the_worked_example_prints_what_its_page_shows(capsys: pytest.CaptureFixture[str]) -> None:
+    names = _play("example", capsys)
+    assert Path("lake.filtered.png").stat().st_size > 10_000
+    assert names["planner"].measured == (5, 9, 16, 26)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("checkout")
+def test_the_page_about_particles_prints_and_draws_what_it_shows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    names = _play("particles", capsys)
+    assert names["axes"].has_data()
+    assert names["losses"]["particle_loss"].is_monotonic_decreasing
+    [(_, section)] = _blocks(DOCS / "particles.md", "toml")
+    assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
+
+
+@pytest.mark.usefixtures("checkout")
+def test_the_planner_of_the_page_about_online_times_measures_as_often_as_the_plan(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    names = _play("online", capsys, measure_at=lambda t: 0.3 * t)
+    assert len(names["planner"].measured) == 21
+    assert pfdist.load_job("jobs/online.toml").online == Online()  # the page says so
+
+
+def test_the_scenarios_of_the_page_are_those_of_the_job() -> None:
+    [(_, section)] = _blocks(DOCS / "robust.md", "toml")
+    job = tomllib.loads((ROOT / "jobs" / "two_compartments.toml").read_text(encoding="utf-8"))
+    assert tomllib.loads(section)["scenarios"] == job["scenarios"]
+
+
+def test_the_page_about_jobs_shows_a_clock_and_sets_that_a_job_may_have(tmp_path: Path) -> None:
+    (_, clock), (_, sets) = _blocks(DOCS / "job-file.md", "toml")
+    file = tmp_path / "job.toml"
+    file.write_text(f"seed = 1\n{sets}\n[problem]\nhorizon = 60\nmeasurement_budget = 4\n")
+    assert set(pfdist.load_job(file).comparison.sets) == {"clinic", "paper", "regular"}
+    file.write_text(f"seed = 1\n{clock}")
+    assert pfdist.load_job(file).problem.clock.unit == "h"
+
+
+def test_what_is_not_explained_has_the_numbers_of_the_table_above() -> None:
+    text = (DOCS / "paper.md").read_text(encoding="utf-8")
+    table, _, rest = text.partition("<!-- end -->")
+    unexplained = rest.partition("## What is not explained")[2].partition("\n## ")[0]
+    numbers = re.findall(r"\d+\.\d+", unexplained)
+    assert {"26.4", "27.7", "87.5", "31.08"} <= set(numbers)
+    assert set(numbers) <= set(re.findall(r"\d+\.\d+", table))
+
+
+@pytest.mark.slow
+def test_the_model_with_angles_is_checked_as_its_page_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    commands = 0
-    for language, text in _blocks(DOCS / "example.md"):
-        first, _, rest = text.partition("\n")
-        if first.startswith("# "):  # a file of this name
-            Path(first.removeprefix("# ")).write_text(rest, encoding="utf-8")
-        elif language == "console":
-            assert main(shlex.split(first.removeprefix("$ pfdist "))) == 0
-            printed = capsys.readouterr().out
-            if not OutputChecker().check_output(rest, printed, ELLIPSIS):
-                pytest.fail(f"{first}\nprints\n{printed}\nand not\n{rest}")
-            commands += 1
-        else:
-            exec(compile(text, "example.md", "exec"), {})
-    assert commands == 4
-    assert Path("lake.filtered.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("page", "model"), [("densities", "photons"), ("models", "vane"), ("guided", "echo")]
-)
-def test_the_model_of_a_page_is_checked_as_the_page_shows(
-    page: str,
-    model: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    blocks = [text for _, text in _blocks(DOCS / f"{page}.md")]
-    (code,) = (text for text in blocks if text.startswith(f"# {model}.py"))
-    (console,) = (text for text in blocks if text.startswith(f"$ pfdist check-model {model}.py"))
-    file, _, source = code.partition("\n")
-    Path(file.removeprefix("# ")).write_text(source, encoding="utf-8")
+    blocks = [text for _, text in _blocks(DOCS / "models.md")]
+    (code,) = (text for text in blocks if text.startswith("# vane.py"))
+    (console,) = (text for text in blocks if text.startswith("$ pfdist check-model vane.py"))
+    Path("vane.py").write_text(code, encoding="utf-8")
     command, _, shown = console.partition("\n")
     assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
     printed = capsys.readouterr().out
@@ -155,25 +225,6 @@ def test_duckdb_polars_and_xarray_read_what_pandas_reads(monkeypatch: pytest.Mon
     assert names["means"]["mse_regular"][0] == pytest.approx(draws["mse_regular"].mean())
     assert names["error"].sizes == {"time": 61, "set": 3}
     assert float(names["mean_gain"].sel(set="relaxation")) == pytest.approx(0.2734, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_the_page_about_particles_prints_and_draws_what_it_shows(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(ROOT)
-    [(_, console)] = _blocks(DOCS / "particles.md", "console")
-    command, _, shown = console.partition("\n")
-    assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
-    printed = capsys.readouterr().out
-    assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
-    [(_, code)] = _blocks(DOCS / "particles.md", "python")
-    names = dict[str, Any]()
-    exec(compile(code, "particles.md", "exec"), names)
-    assert names["axes"].has_data()
-    assert names["losses"]["particle_loss"].is_monotonic_decreasing
-    [(_, section)] = _blocks(DOCS / "particles.md", "toml")
-    assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
 
 
 @pytest.mark.slow
@@ -288,24 +339,3 @@ def test_contributing_names_every_mark_of_tests() -> None:
     marks = {mark.partition(":")[0] for mark in settings["markers"]}
     named = re.findall(r"`pytest -m (\w+)`", (ROOT / "CONTRIBUTING.md").read_text())
     assert sorted(named) == sorted(marks)
-
-
-@pytest.mark.slow
-def test_the_page_about_sensors_prints_what_it_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The model, the job, the plan and the next measurement of the page."""
-    monkeypatch.chdir(tmp_path)
-    consoles = 0
-    for language, text in _blocks(DOCS / "sensors.md"):
-        first, _, rest = text.partition("\n")
-        if language == "text":
-            Path("case.csv").write_text(text)
-        elif language == "console":
-            assert main(shlex.split(first.removeprefix("$ pfdist "))) == 0
-            printed = capsys.readouterr().out
-            assert OutputChecker().check_output(rest, printed, ELLIPSIS), printed
-            consoles += 1
-        else:
-            Path(first.removeprefix("# ")).write_text(rest)
-    assert consoles == 2
