@@ -24,14 +24,12 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         return None
     start = first * feasible.sensors
     left = range(start, feasible.possible)
-    near = {t for time in taken for t in feasible.spacing.near(time)}
-    barred = near.union(feasible.forbidden)
+    barred = feasible.spacing.near(taken).union(feasible.forbidden)
     limits = list[Limit]()
     for sensor, limit in enumerate(feasible.limits):
         own, spacing = feasible.of_sensor(sensor, taken), limit.spacing
         if spacing is not None:
-            near = {t for time in own for t in spacing.near(time)}
-            barred |= {t * feasible.sensors + sensor for t in near}
+            barred |= {t * feasible.sensors + sensor for t in spacing.near(own)}
             spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
         most = None if limit.most is None else max(0, limit.most - len(own))
         limits.append(Limit(most, spacing))
