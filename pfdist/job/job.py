@@ -125,62 +125,6 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
     return section
 
 
-def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Times | None]:
-    """Instants of all sets that a job gives, by name, the reference first.
-
-    None stands for the regular times of the problem. The clock of the problem reads the times.
-    Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock, or
-    stands twice; it names the key.
-    """
-    first = comparison.reference_name
-    written = {name: (f"comparison.sets.{name}", times) for name, times in comparison.named.items()}
-    if first not in written:
-        written = {first: ("comparison.reference", comparison.reference), **written}
-    written = {first: written[first], **written}
-    references = problem.feasible.references if problem.sensors else {}
-    return {
-        name: None if times == REGULAR
-        else references[times[0]] if len(times) == 1 and times[0] in references
-        else validated_instants(times, problem.clock, key, key)
-        for name, (key, times) in written.items()
-    }  # fmt: skip
-
-
-def check_names(comparison: Comparison, searches: Iterable[str]) -> None:
-    """Check the names of the sets that a job gives, and those of its searches.
-
-    Raises `ValueError` if a name is reserved or stands twice, or if the reference is no set of the
-    job.
-    """
-    names = list(searches)
-    for name in names:
-        if name in RESERVED:
-            raise ValueError(
-                f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
-            )
-        if names.count(name) > 1:
-            raise ValueError(
-                f"search names must be unique, got {name!r} twice: give one of these searches "
-                'another name with name = "..."'
-            )
-        if name in comparison.named:
-            raise ValueError(
-                f"comparison.sets must have other names than the searches, got {name!r} in both"
-            )
-    reference = comparison.reference
-    if isinstance(reference, str) and reference not in (REGULAR, *comparison.named):
-        sets = ", ".join(map(repr, comparison.named)) or "which names none"
-        raise ValueError(
-            f"comparison.reference must be {REGULAR!r}, a list of times, for instance [0, 3, 6], "
-            f"or the name of a set of comparison.sets ({sets}), got {reference!r}"
-        )
-    if not names and not comparison.named:
-        raise ValueError(
-            "search must name at least one search, unless comparison.sets gives sets to compare, "
-            "got none"
-        )
-
-
 # --- the job --------------------------------------------------------------------------------------
 
 ONLINE: Final = "online"
@@ -251,7 +195,34 @@ class Job(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        check_names(self.comparison, (search.name for search in self.search))
+        """Check the names of searches and of given sets, and that the reference is one of these."""
+        named, names = self.comparison.named, [search.name for search in self.search]
+        for name in names:
+            if name in RESERVED:
+                raise ValueError(
+                    f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
+                )
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"search names must be unique, got {name!r} twice: give one of these searches "
+                    'another name with name = "..."'
+                )
+            if name in named:
+                raise ValueError(
+                    f"comparison.sets must have other names than the searches, got {name!r} in both"
+                )
+        reference = self.comparison.reference
+        if isinstance(reference, str) and reference not in (REGULAR, *named):
+            sets = ", ".join(map(repr, named)) or "which names none"
+            raise ValueError(
+                f"comparison.reference must be {REGULAR!r}, a list of times, for instance "
+                f"[0, 3, 6], or the name of a set of comparison.sets ({sets}), got {reference!r}"
+            )
+        if not names and not named:
+            raise ValueError(
+                "search must name at least one search, unless comparison.sets gives sets to "
+                "compare, got none"
+            )
         return self
 
     @model_validator(mode="after")
@@ -343,8 +314,21 @@ class Job(Section):
 
     @cached_property
     def given_sets(self) -> dict[str, Times | None]:
-        """Instants of the sets that the job gives, the reference first; None: regular times."""
-        return given_sets(self.comparison, self.problem)
+        """Instants of the sets that the job gives, the reference first; None: regular times.
+
+        Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock,
+        or stands twice; it names the key.
+        """
+        comparison, references = self.comparison, self.problem.feasible.references
+        first, named = comparison.reference_name, comparison.named
+        written = {name: (f"comparison.sets.{name}", times) for name, times in named.items()}
+        own = written.pop(first, ("comparison.reference", comparison.reference))
+        return {
+            name: None if times == REGULAR
+            else references[times[0]] if len(times) == 1 and times[0] in references
+            else validated_instants(times, self.problem.clock, key, key)
+            for name, (key, times) in {first: own, **written}.items()
+        }  # fmt: skip
 
     def feasible(self, measurement_budget: int) -> Feasible:
         """The feasible sets of another number of measurements."""
@@ -441,15 +425,11 @@ def toml_of_file(path: Path) -> dict[str, Any]:
             remedy = f": name the job of its run, which keeps it in {path / 'job.toml'}"
         raise JobError(f"a job must be a job file, got the folder {path}{remedy}") from error
     except OSError as error:
-        meant = did_you_mean_path(path, (path.parent, Path("jobs")), is_job_file)
+        folders = path.parent, Path("jobs")
+        meant = did_you_mean_path(path, folders, lambda other: other.suffix == ".toml")
         raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-
-
-def is_job_file(path: Path) -> bool:
-    """Whether a path may be that of a job file or a sweep file."""
-    return path.suffix == ".toml"
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:

@@ -20,6 +20,7 @@ _DISTRIBUTIONS = (
 )
 _KINDS = ("normal", "lognormal", "uniform")
 _Pair = tuple[float, float]
+_Weight = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Scenarios(Section):
@@ -49,7 +50,7 @@ class Scenarios(Section):
         Annotated[tuple[dict[str, Parameter], ...], Field(min_length=1, max_length=MOST_SCENARIOS)]
         | dict[str, dict[str, _Pair]]
     )
-    weights: tuple[Annotated[float, Field(gt=0.0, allow_inf_nan=False)], ...] | None = None
+    weights: Annotated[tuple[_Weight, ...], Field(strict=False)] | None = None
     count: Annotated[int, Field(ge=2, le=MOST_SCENARIOS)] | None = None
     criterion: Literal["mean", "worst"] = "mean"
     filter: Literal["nominal", "told"] = "nominal"
@@ -66,13 +67,6 @@ class Scenarios(Section):
                 f"{shown(value)}"
             )
         return tuple(checked_parameters(each, "scenarios.parameters") for each in value)
-
-    @field_validator("weights", mode="before")
-    @classmethod
-    def _are_floats(cls, value: Any) -> Any:
-        if not isinstance(value, list | tuple):
-            return value
-        return tuple(float(each) if type(each) is int else each for each in value)
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
