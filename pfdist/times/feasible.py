@@ -215,7 +215,7 @@ class Feasible(Constraints):
         if len(complete) > self.total or not self.is_within_limits(complete):
             return False
         later = [other for other in self.allowed if other > t]
-        return len(complete) + len(self.fitting(complete, later)) >= self.total
+        return len(complete) + len(self.fitting(complete, tuple(later))) >= self.total
 
     @property
     def _free(self) -> bool:
