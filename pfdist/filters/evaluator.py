@@ -38,8 +38,6 @@ from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import Times
 
-_TRAJECTORIES = ("mse", "estimate")
-
 _ANY = Estimation(particles=1)
 
 
@@ -284,12 +282,12 @@ class Evaluator:
                 return estimator
         return SQUARED_ERROR.name
 
-    def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
-        """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
-        return self.id_of(estimation, times, end, stream)
-
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
-        """A hash of the evaluator, an estimation, and other parts, which have JSON values."""
+        """A hash of the evaluator, an estimation, and other parts, which have JSON values.
+
+        With the times, the end and the stream it is the id of an evaluation: a hash of everything
+        on which the MSE of a draw depends.
+        """
         key = stream_key(
             KERNEL_VERSION,
             *(each.key for each in self.carried),
@@ -347,14 +345,7 @@ class Evaluator:
         for each in self.of_scenarios:
             each.check(estimation)
         if not self.exact:
-            check_filter(
-                self.believed,
-                self.model,
-                estimation.particles,
-                estimation.resampling,
-                estimation.estimator,
-                estimation.threshold,
-            )
+            check_filter(self.believed, self.model, estimation)
 
     @property
     def seconds_a_step(self) -> float:
@@ -434,10 +425,8 @@ class Evaluator:
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
             ]
-            mse, estimates = (
-                [getattr(result, name) for result in filtered] for name in _TRAJECTORIES
-            )
-            return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
+            mse = np.stack([each.mse for each in filtered], axis=1)
+            return Result(mse, draws.z, draws.y, np.stack([each.estimate for each in filtered]))
         values = np.empty((len(draws.index), len(work.measurement_times)))
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]

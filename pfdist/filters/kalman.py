@@ -12,7 +12,7 @@ Transactions on Automatic Control 49, 2004.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking, one_by_one, validated_from, weighed
+from pfdist.filters.interface import (
+    Filtered,
+    filter_after_checks,
+    mse_of_sets,
+    one_by_one,
+    validated_from,
+    weighed,
+)
 from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
@@ -314,5 +321,5 @@ def _square(matrix: Array) -> Array:
     return matrix @ matrix.T
 
 
-filter_draws = checking(filter_checked_draws)
-filter_checked_sets = one_by_one(filter_checked_draws)
+filter_draws = partial(filter_after_checks, filter_checked_draws)
+filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)

@@ -8,6 +8,7 @@ Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +18,8 @@ from pfdist.errors import PriorError
 from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking
-from pfdist.filters.settings import filter_streams
-from pfdist.filters.work import Estimation
+from pfdist.filters.interface import Filtered, filter_after_checks
+from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS
 from pfdist.kernels.formulas import compiled_formulas
@@ -76,7 +76,7 @@ def filter_checked_draws(
     return Filtered(mse, estimate, variance, tuple(wanted.cloud), weights)
 
 
-filter_draws = checking(filter_checked_draws)
+filter_draws = partial(filter_after_checks, filter_checked_draws)
 
 
 def filter_checked_sets(

@@ -5,6 +5,7 @@ code. They are also the engine for models that Numba cannot compile, and about 1
 """
 
 import math
+from functools import partial
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.filters.interface import Filtered, checking, one_by_one, summed_one_by_one, weighed
+from pfdist.filters.interface import (
+    Filtered,
+    filter_after_checks,
+    mse_of_sets,
+    one_by_one,
+    sums_of_sets,
+    weighed,
+)
 from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.guiding import plain_log_density
@@ -110,11 +118,9 @@ def _filter(
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     x, carried = _first(model, draws, stream, settings)
     for k, t in enumerate(draws.instants):
-        y, log_guide = (
-            tuple(np.repeat(values, particles) for values in draws.y[:, k].T),
-            np.zeros(1),
-        )
+        log_guide = np.zeros(1)
         if k > 0:
+            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
             seen = y if settings.guides(model) and t in times else None
             flat, log_guide = step(model, _flat(x), seen, t - 1, particles, stream, draws.index)
             x = _states(flat, cloud)
@@ -184,12 +190,6 @@ def step(
     return model.transition(x, t, w, model.p), log_guide
 
 
-def _effective_sizes(weight: Array) -> Array:
-    """Effective sample size of each draw's weights, (D, 1)."""
-    sizes: Array = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
-    return sizes[:, None]
-
-
 def _weighed(
     model: StateSpaceModel,
     draws: Draws,
@@ -236,7 +236,8 @@ def _resampled(
     """Particles and weights after resampling; draws with even weights are left as they are."""
     particles = settings.particles
     ancestors = plain_ancestors(settings.resampling, weight, stream, index, key)
-    uneven = _effective_sizes(weight) < settings.threshold * particles
+    effective_sizes = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
+    uneven = (effective_sizes < settings.threshold * particles)[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
     x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return x, np.where(uneven, 1.0, weight)
@@ -293,6 +294,6 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
         array[:, t, k] = component
 
 
-filter_draws = checking(filter_checked_draws)
-filter_checked_sets = one_by_one(filter_checked_draws)
-sum_errors = summed_one_by_one(filter_checked_draws)
+filter_draws = partial(filter_after_checks, filter_checked_draws)
+filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
+sum_errors = partial(one_by_one, sums_of_sets, filter_checked_draws)

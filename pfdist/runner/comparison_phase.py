@@ -35,7 +35,7 @@ from pfdist.store import (
     trajectories_schema,
     variance_schema,
 )
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import Times
 
 COMPARISON = "comparison"
 
@@ -95,17 +95,11 @@ def comparison_steps(built: Built) -> int:
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """All sets on the same draws, each with filter noise of its own; the draws are still open."""
-    job, purpose, horizon = built.job, built.study.purpose, built.job.problem.feasible.horizon
-    last = built.job.problem.clock.possible - 1
-    return Work(
-        measurement_times=tuple(validated(times, last, name) for name, times in sets.items()),
-        ends=(horizon,) * len(sets),
-        filter_streams=tuple(stream_of(purpose, job.seed, "filter", name) for name in sets),
-        draws_stream=stream_of(purpose, job.seed, "draws"),
-        draws=(0, 0),
-        estimation=built.comparing,
-        ids=tuple(sets),
-        sensors=built.evaluator.sensors,
+    seed, purpose = built.job.seed, built.study.purpose
+    streams = tuple(stream_of(purpose, seed, "filter", name) for name in sets)
+    draws = stream_of(purpose, seed, "draws"), (0, 0)
+    return built.evaluator.work(
+        [*sets.values()], 0, *draws, built.comparing, filter_streams=streams, ids=tuple(sets)
     )
 
 
@@ -232,17 +226,11 @@ def repeated(built: Built, work: Work) -> FirstDraws:
 
     It shows how much the noise of the filters alone changes a relative gain.
     """
-    job = built.job
+    job, rows = built.job, schema("repeated")
     stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
-    again = replace(
-        work,
-        measurement_times=work.measurement_times[:1],
-        ends=work.ends[:1],
-        filter_streams=(stream,),
-        ids=work.ids[:1],
-        draws=(0, min(REPEATED, job.comparison.draws)),
-    )
-    return FirstDraws("repeated", schema("repeated"), again, _repeated_columns)
+    reference = work.part((0, min(REPEATED, job.comparison.draws)), [0])
+    again = replace(reference, filter_streams=(stream,))
+    return FirstDraws("repeated", rows, again, partial(_columns_by_set, rows))
 
 
 def distances(built: Built, work: Work) -> FirstDraws | None:
@@ -308,11 +296,6 @@ TABLES = {
 def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:
     columns = (pa.array(mse, from_pandas=True) for mse in result.mse.T)
     return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
-
-
-def _repeated_columns(piece: Work, result: Result) -> dict[str, Any]:
-    mse = pa.array(result.mse[:, 0], from_pandas=True)
-    return {"draw": np.arange(*piece.draws), "mse": mse}
 
 
 def _trajectory_columns(model: StateSpaceModel, piece: Work, result: Result) -> dict[str, Any]:

@@ -180,7 +180,7 @@ class Phase:
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
         estimation = self.built.comparing if squared else self.settings.estimation
-        id_ = self.built.evaluator.evaluation_id(times, last, stream, estimation)
+        id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
         return Request(id_, candidate, last, stream, estimation, mse)
 
@@ -380,16 +380,10 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
         if first < size:
             together[request.stream, request.estimation, (first, size)].append(request)
     for (stream, estimation, draws), group in together.items():
-        yield Work(
-            measurement_times=tuple(request.candidate.measurement_times for request in group),
-            ends=tuple(request.end for request in group),
-            filter_streams=(stream,) * len(group),
-            draws_stream=stream,
-            draws=draws,
-            estimation=estimation,
-            ids=tuple(request.id for request in group),
-            sensors=phase.built.evaluator.sensors,
-        )
+        sets = [request.candidate.measurement_times for request in group]
+        ends, ids = zip(*((request.end, request.id) for request in group), strict=True)
+        given = sets, stream, stream, draws, estimation
+        yield phase.built.evaluator.work(*given, ends=ends, ids=ids)
 
 
 def _errors(

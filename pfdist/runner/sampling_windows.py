@@ -9,7 +9,7 @@ draws: the draws that chose the windows would flatter them.
 
 import math
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -34,18 +34,6 @@ Row = dict[str, Any]
 Move = tuple[int, int]  # the instant of a measurement, and the instant to which it is moved
 
 
-@dataclass(frozen=True)
-class _Side:
-    """The feasible instants from a measurement to a neighbour, outwards, with the moved sets."""
-
-    t: int  # the measurement
-    sets: list[tuple[int, Times]]  # each instant, and the set whose measurement is moved there
-
-    def part(self, first: int, stop: int) -> dict[Move, Times]:
-        """The moves first..stop-1, counted from the measurement, with their sets."""
-        return {(self.t, instant): times for instant, times in self.sets[first:stop]}
-
-
 def sampling_windows(
     session: Session, name: str, times: Times, draws: int
 ) -> Generator[Batch, None, list[Row]]:
@@ -62,15 +50,15 @@ def sampling_windows(
     start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
     sides, rows = _sides(times, feasible), list[Row]()
     while not first or sides:
-        moves = {move: moved for side in sides for move, moved in side.part(first, size).items()}
+        moves = dict(chain.from_iterable(side[first:size] for side in sides))
         rows_of_sets = yield from _rows(session, name, (times, *moves.values()), draws, share)
         unmoved, losses = rows_of_sets[0], dict(zip(moves, rows_of_sets[1:], strict=True))
         if not first:
             rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | unmoved for t in times]
         for side in list(sides):
-            tried, ended = _up_to_the_first_beyond(side.part(first, size), losses)
+            tried, ended = _up_to_the_first_beyond(dict(side[first:size]), losses)
             rows += tried
-            if ended or len(side.sets) <= size:
+            if ended or len(side) <= size:
                 sides.remove(side)
         first, size, share = size, 2 * size, share / 2
     reporter.reach(start + 1)
@@ -95,17 +83,17 @@ def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Time
     }
 
 
-def _sides(times: Times, feasible: Feasible) -> list[_Side]:
-    """Both sides of every measurement that have a feasible instant."""
-    step, sides = feasible.sensors, []
+def _sides(times: Times, feasible: Feasible) -> list[list[tuple[Move, Times]]]:
+    """The feasible moves of each measurement to one side, outwards, with the moved sets."""
+    step, sides = feasible.sensors, list[list[tuple[Move, Times]]]()
     for t in times:
         own = [other for other in times if other % step == t % step]  # of the same sensor
         ends = (-1, *own, feasible.possible)
         before, _, after = ends[own.index(t) :][:3]
         for instants in (range(t - step, before, -step), range(t + step, after, step)):
-            sets = ((to, moved(times, t, to, feasible)) for to in instants)
-            side = _Side(t, [(to, changed) for to, changed in sets if changed is not None])
-            sides += [side] if side.sets else []
+            sets = (((t, to), moved(times, t, to, feasible)) for to in instants)
+            side = [(move, changed) for move, changed in sets if changed is not None]
+            sides += [side] if side else []
     return sides
 
 

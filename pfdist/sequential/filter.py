@@ -40,7 +40,7 @@ from pfdist.sequential.estimate import (
     surprise_of_particles,
 )
 from pfdist.sequential.measurements import checked_instant, checked_measurement
-from pfdist.sequential.one_filter import OneFilter, begin, formatted_instant
+from pfdist.sequential.one_filter import OneFilter, formatted_instant
 from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
@@ -132,14 +132,14 @@ class Filter:
             threshold = threshold_of(resample)
         except ValueError as error:
             raise ArgumentError(str(error)) from error
-        check_filter(self.model, self.model, particles, resampling, threshold=threshold)
         settings = Estimation(particles, resampling, prior=start, threshold=threshold)
+        check_filter(self.model, self.model, settings)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
-        self._many = begin(self.model, many, self.stream, draw, self._filter.engine)
+        self._many = OneFilter(self.model, many, self.stream, draw, self._filter.engine)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
         self._now = self._estimate(mean[-1], variance[-1])
@@ -274,7 +274,7 @@ class Filter:
         name = COMPILED.name if engine == AUTO else engine
         if name == "kalman":
             matrices_of(self.model, 0)
-        first = begin(self.model, settings, self.stream, draw, name)
+        first = OneFilter(self.model, settings, self.stream, draw, name)
         try:
             return first.at(first.t)
         except CompileError as error:
@@ -286,7 +286,7 @@ class Filter:
                 EngineWarning,
                 stacklevel=3,
             )
-        first = begin(self.model, settings, self.stream, draw, NUMPY.name)
+        first = OneFilter(self.model, settings, self.stream, draw, NUMPY.name)
         return first.at(first.t)
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
