@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError, PriorError
+from pfdist.errors import ModelError
 from pfdist.filters import kalman
-from pfdist.filters.cloud import Gaussian, Prior
+from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
@@ -75,19 +75,14 @@ class Evaluator:
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
         if self.prior is not None:
-            check_prior(self.prior, self.model, self.horizon)
-            check_prior(self.prior, self.believed, self.horizon)
+            for each in (self.model, self.believed):
+                check_prior(self.prior, each, self.horizon, by_particles=not self.exact)
         if self.exact and not self.of_scenarios:
             if self.believed != self.model:
                 raise ModelError(
                     f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
                 )
             cached_matrices(self.model, self.horizon)
-        elif isinstance(self.prior, Gaussian):
-            raise PriorError(
-                "particles must start from particles, got a normal distribution; it is for the "
-                f"engine {KALMAN.name!r}"
-            )
         for estimation in self.estimations:
             self.check(estimation)
 

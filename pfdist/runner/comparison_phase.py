@@ -49,8 +49,9 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     references = references_of(names, built.job.identity())
     interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
-    for table in study.first_draws:
-        first_draws = TABLES[table](built, work)
+    tables = (trajectories, repeated, distances, variances) if built.job.budget is None else ()
+    for table in tables:
+        first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
     evaluator = built.evaluator
@@ -128,7 +129,8 @@ class InterimGains:
     ) -> None:
         self._statistics = ComparisonStatistics(names, references=references)
         self._draws, self._half_width = draws, half_width
-        self._waiting: dict[int, _Block] = {}
+        # For each block of draws, their MSE, which arrive in any order, and whether each is missing
+        self._waiting: dict[int, tuple[NDArray[np.float64], NDArray[np.bool_]]] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
         self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
@@ -152,11 +154,11 @@ class InterimGains:
             start = number * BLOCK
             if number not in self._waiting:
                 size = min(BLOCK, self._draws - start)
-                self._waiting[number] = _Block(size, values.shape[1])
+                self._waiting[number] = np.empty((size, values.shape[1])), np.ones(size, np.bool_)
             first, last = max(index.start, start), min(index.stop, start + BLOCK)
             part = values[first - index.start : last - index.start]
-            block, places = self._waiting[number], slice(first - start, last - start)
-            block.values[places], block.missing[places] = part, False
+            (mse, missing), places = self._waiting[number], slice(first - start, last - start)
+            mse[places], missing[places] = part, False
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
             self.so_far = self._gains_now()  # after each block, because outcomes come more often
@@ -165,16 +167,9 @@ class InterimGains:
 
     def _next(self) -> NDArray[np.float64] | None:
         number = self._statistics.draws // BLOCK
-        if number in self._waiting and not self._waiting[number].missing.any():
-            return self._waiting.pop(number).values
+        if number in self._waiting and not self._waiting[number][1].any():
+            return self._waiting.pop(number)[0]
         return None
-
-
-class _Block:
-    """A block of draws that arrive in any order."""
-
-    def __init__(self, draws: int, sets: int) -> None:
-        self.values, self.missing = np.empty((draws, sets)), np.ones(draws, np.bool_)
 
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
@@ -282,15 +277,6 @@ def _by_set(
         knows_truth=knows_truth,
     )
     return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
-
-
-TABLES = {
-    "trajectories": trajectories,
-    "repeated": repeated,
-    "filter_distance": distances,
-    "filter_variance": variances,
-}
-"""Functions that make each table, or None, from the built job and the comparison's work."""
 
 
 def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:

@@ -8,7 +8,7 @@ and finds their draws by the ids of the evaluations.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -131,6 +131,7 @@ class Request:
     known_draws: int = 0
 
 
+@dataclass(eq=False)
 class Phase:
     """An optimiser with the purpose of its draws and the settings of its evaluations.
 
@@ -139,27 +140,21 @@ class Phase:
     `pfdist.search.probe.new_leaders`.
     """
 
-    def __init__(
-        self,
-        name: str,
-        optimiser: Optimiser,
-        purpose: str,
-        settings: Settings,
-        built: Built,
-        *,
-        keep_leaders: bool = False,
-        additive: bool = False,
-    ) -> None:
-        if purpose not in CHOOSING:
-            raise ValueError(f"no search may choose by draws with the purpose {purpose!r}")
-        self.name, self.optimiser, self.purpose = name, optimiser, purpose
-        self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
-        # Searches that add errors of instants, and are told means whatever the criterion is.
-        self.additive = additive
-        # MSE of each draw by the evaluation's id, of this session, for sets that are requested
-        # again.
-        self.evaluated: dict[str, NDArray[np.float64]] = {}
-        self.leaders: list[Evaluation] = []
+    name: str
+    optimiser: Optimiser
+    purpose: str
+    settings: Settings
+    built: Built
+    keep_leaders: bool = False
+    # Searches that add errors of instants, and are told means whatever the criterion is.
+    additive: bool = False
+    # MSE of each draw by the evaluation's id, of this session, for sets that are requested again
+    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    leaders: list[Evaluation] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.purpose not in CHOOSING:
+            raise ValueError(f"no search may choose by draws with the purpose {self.purpose!r}")
 
     def steps(self) -> float:
         """Particle-steps of the phase, approximately."""
@@ -208,15 +203,13 @@ class Phase:
     def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
-        policy = self.settings.degenerate_policy
-        scenarios = None
+        draws, scenarios = range(request.mse.size), None
         if exact is None:
-            draws = range(request.mse.size)
             scenarios = self.built.evaluator.scenarios_of(request.stream, draws)
         return Evaluation(
             times,
             request.mse,
-            policy,
+            self.settings.degenerate_policy,
             exact,
             end,
             purpose=self.purpose,

@@ -50,12 +50,6 @@ class Study:
         return "comparison" if self.job.budget is None else "budget"
 
     @property
-    def first_draws(self) -> tuple[str, ...]:
-        """Tables that keep the first draws of the comparison."""
-        tables = ("trajectories", "repeated", "filter_distance", "filter_variance")
-        return tables if self.job.budget is None else ()
-
-    @property
     def references(self) -> dict[str, Times]:
         """Times with which the sets of each number of measurements are compared, by name."""
         names = self.names(self.job.comparison.reference_name)

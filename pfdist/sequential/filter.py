@@ -17,12 +17,11 @@ from pfdist.errors import (
     EngineWarning,
     MeasurementsError,
     ModelError,
-    PriorError,
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
-from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER, is_exact
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.settings import check_filter
 from pfdist.filters.work import Estimation
@@ -127,7 +126,8 @@ class Filter:
         self.stream = stream_of("filter", int(seed))
         """Key of the filter's noise, 64 bits."""
         start = None if prior is None else as_prior(prior, self.model)
-        self._check_prior(start, engine)
+        if start is not None:
+            check_prior(start, self.model, horizon, by_particles=not is_exact(engine))
         try:
             threshold = threshold_of(resample)
         except ValueError as error:
@@ -257,15 +257,6 @@ class Filter:
     def _moved(self, t: int) -> tuple[OneFilter, Array, Array]:
         """Predict up to t, from the last prediction if that is on the way."""
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
-
-    def _check_prior(self, prior: Prior | None, engine: str) -> None:
-        if prior is not None:
-            check_prior(prior, self.model, self.horizon)
-        if isinstance(prior, Gaussian) and engine != "kalman":
-            raise PriorError(
-                "particles must start from particles, got a normal distribution; it is for the "
-                "engine 'kalman'"
-            )
 
     def _begun(
         self, settings: Estimation, engine: str, draw: int
