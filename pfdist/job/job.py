@@ -335,6 +335,11 @@ class Job(Section):
         return replace(self.problem.feasible, measurement_budget=measurement_budget)
 
     @property
+    def origin(self) -> Origin:
+        """Where the job comes from."""
+        return self._origin
+
+    @property
     def path(self) -> Path:
         """The job file. Paths of models are relative to its folder, and a run has its name."""
         return self._origin.path
@@ -348,26 +353,6 @@ class Job(Section):
         """The job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
         return _validated(data, self._origin, overrides, settings)
-
-    @property
-    def names_its_searches(self) -> bool:
-        """Whether the job file has a [[search]]. Otherwise the job has the default search."""
-        return self._origin.names_searches
-
-    @property
-    def names_online(self) -> bool:
-        """Whether the job file has a section [online]."""
-        return self._origin.names_online
-
-    @property
-    def is_file(self) -> bool:
-        """Whether there is a job file. A problem in Python has none."""
-        return self._origin.is_file
-
-    @property
-    def models(self) -> "Mapping[str, CarriedModel]":
-        """Models that were given as objects in Python, for "model" and "filter_model"."""
-        return self._origin.models
 
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""
