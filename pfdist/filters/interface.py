@@ -194,18 +194,20 @@ def errors_by_variance(
 
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """The estimated error of each draw at each instant, (D, T+1)."""
-    if not estimator.for_any_filter:
-        moments, is_angle = _moments(filters), draws.model.is_angle
-        by_variance = errors_by_variance(*moments, estimator.weights, is_angle)
-        return weighed(by_variance, draws.instant_weights)
-    (estimate,), _ = _moments(filters)
     model = draws.model
-    errors = [
+    estimates, variances = (
+        np.array([getattr(each, name) for each in filters]) for name in ("estimate", "variance")
+    )
+    if not estimator.for_any_filter:
+        errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
+        return weighed(errors, draws.instant_weights)
+    (estimate,) = estimates
+    of_instants = [
         model.formulas["error"](tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
         for k, t in enumerate(draws.instants)
     ]
     shape = len(draws.index), 1
-    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in errors]
+    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in of_instants]
     weights = estimator.weights.squared_error * draws.instant_weights
     return weighed(np.concatenate(columns, axis=1), weights)
 
@@ -213,23 +215,8 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """The estimated MSE of each draw, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
-    weights = estimator.weights
     if estimator.for_any_filter:
-        return weights.squared_error * mse
-    estimates, variances = _moments(filters)
+        return estimator.weights.squared_error * mse
     with np.errstate(all="ignore"):
-        errors = errors_by_variance(estimates, variances, weights, draws.model.is_angle)
-        errors = weighed(errors, draws.instant_weights)
-        mean = np.mean(errors, axis=1)
-        if weights.squared_error:
-            mean += weights.squared_error * mse
+        mean = np.mean(_errors(filters, draws, estimator), axis=1)
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))
-
-
-def _moments(filters: Sequence[Filtered]) -> tuple[Array, Array]:
-    """Estimates and variances of filters, (F, D, T+1, q) each."""
-    estimates, variances = (
-        np.array([getattr(filtered, name) for filtered in filters])
-        for name in ("estimate", "variance")
-    )
-    return estimates, variances

@@ -56,16 +56,6 @@ class LinearGaussian:
     measurement: tuple[Affine, ...]
     quantity_of_interest: tuple[Affine, ...]  # (T-s+1,): from x(t) to z(t)
 
-    def since(self, start: int) -> "LinearGaussian":
-        """The matrices without those of the first `start` instants."""
-        sensors = len(self.measurement) // len(self.quantity_of_interest)
-        return LinearGaussian(
-            self.initial,
-            self.transition[start:],
-            self.measurement[start * sensors :],
-            self.quantity_of_interest[start:],
-        )
-
 
 class _SameModel:
     """A model as a key of a cache: only the very same object is the same key."""
@@ -197,24 +187,21 @@ def expected_errors(
     With a prior of x(s), the instants are s..T. Errors are raised as by `expected_mse`.
     """
     start = 0 if prior is None else prior.t
-    matrices = cached_matrices(model, horizon).since(start)
-    instants = horizon + 1 - start
-    sensors = len(model.parts)
-    measured = np.zeros((len(sets), instants * sensors), np.bool_)
+    matrices, sensors = cached_matrices(model, horizon), len(model.parts)
+    measured = np.zeros((len(sets), (horizon + 1) * sensors), np.bool_)
     for row, times in zip(measured, sets, strict=True):
-        valid = validated_from(start, times, horizon, sensors)
-        row[[time - start * sensors for time in valid]] = True
+        row[[*validated_from(start, times, horizon, sensors)]] = True
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
-    errors = np.empty((len(sets), instants))
-    for t in range(instants):
+    errors = np.empty((len(sets), horizon + 1 - start))
+    for t in range(start, horizon + 1):
         for place in range(t * sensors, (t + 1) * sensors):
             here = measured[:, place]
             gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])
             covariance[here] -= gain @ observation_matrix @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
-        errors[:, t] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
-        if t + 1 < instants:
+        errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
+        if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     return errors
 

@@ -220,7 +220,9 @@ def _weighed(
         log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p) + log_guide
         weight = plain_weights(_of_cloud(log_weight, cloud) + np.log(weight))
         if ALL_SCHEMES[settings.resampling].sorts:
-            x, weight = _in_line(x, weight)
+            order = plain_order(x[0], weight)
+            x = (np.take_along_axis(x[0], order, axis=1),)
+            weight = np.take_along_axis(weight, order, axis=1)
         degenerate |= ~weight.any(axis=1)
     return x, weight, degenerate
 
@@ -251,12 +253,6 @@ def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]
         return mean, np.sum(share * angular_error(values, mean[:, None]), axis=1)
     mean = np.sum(share * values, axis=1)
     return mean, np.sum(share * (values - mean[:, None]) ** 2, axis=1)
-
-
-def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:
-    """Particles and their weights in the order of the states."""
-    order = plain_order(x[0], weight)
-    return (np.take_along_axis(x[0], order, axis=1),), np.take_along_axis(weight, order, axis=1)
 
 
 def _noise(

@@ -62,16 +62,14 @@ def override(data: dict[str, Any], change: str) -> None:
     for part in path[:-1]:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
-            raise JobError(
-                f"change {shown_text(change)}: {shown_text(part)} is no section, so it has no keys",
-                argument="set",
-            )
+            raise _wrong(change, f"{shown_text(part)} is no section, so it has no keys")
     if not path:
-        raise JobError(
-            f"change {shown_text(change)}: name a key of the search, search.NAME.KEY=value",
-            argument="set",
-        )
+        raise _wrong(change, "name a key of the search, search.NAME.KEY=value")
     section[path[-1]] = value
+
+
+def _wrong(change: str, why: str) -> JobError:
+    return JobError(f"change {shown_text(change)}: {why}", argument="set")
 
 
 def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
@@ -116,11 +114,8 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
     names = [str(search.get("name", search.get("method"))) for search in searches]
     if name not in names:
         allowed = ", ".join(names) or "none, there is no [[search]]"
-        raise JobError(
-            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}"
-            f"{did_you_mean(name, names)}",
-            argument="set",
-        )
+        meant = did_you_mean(name, names)
+        raise _wrong(change, f"the job has no search {shown(name)}, allowed: {allowed}{meant}")
     section: dict[str, Any] = searches[names.index(name)]
     return section
 

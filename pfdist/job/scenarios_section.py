@@ -118,7 +118,9 @@ def _distribution(name: str, given: Any) -> dict[str, tuple[float, float]]:
     """A checked distribution: its kind, and two numbers."""
     if isinstance(given, dict) and len(given) == 1:
         ((kind, numbers),) = given.items()
-        if kind in _KINDS and _are_two_numbers(numbers):
+        is_list = isinstance(numbers, list | tuple) and len(numbers) == 2
+        are_numbers = is_list and all(type(number) in (int, float) for number in numbers)
+        if kind in _KINDS and are_numbers and np.isfinite(numbers).all():
             first, second = map(float, numbers)
             above = first if kind == "uniform" else 0.0
             if second > above and (kind != "lognormal" or first > 0.0):
@@ -126,14 +128,6 @@ def _distribution(name: str, given: Any) -> dict[str, tuple[float, float]]:
     raise ValueError(
         f"scenarios.parameters.{name} must be {_DISTRIBUTIONS}, with an sd and a median above 0, "
         f"and low below high, got {shown(given)}"
-    )
-
-
-def _are_two_numbers(value: Any) -> bool:
-    return (
-        isinstance(value, list | tuple)
-        and [type(number) in (int, float) for number in value] == [True, True]
-        and bool(np.isfinite(value).all())
     )
 
 

@@ -86,8 +86,11 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     entries[FORMULAS] = digest([entries[FORMULAS], *map(repr, settings)])
     names = {name: ", ".join(map(str, given)) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
-    fingerprint = entries | names | files | parameters_of(model.parameters)
-    return Inspection(fingerprint, walk.modules, walk.texts)
+    parameters = {
+        f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
+        for name, value in model.parameters.items()
+    }
+    return Inspection(entries | names | files | parameters, walk.modules, walk.texts)
 
 
 def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
@@ -96,14 +99,6 @@ def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
         return digest([repr(sorted(_Walk(model, formulas).fingerprint().items()))])
     except ModelError:
         return None
-
-
-def parameters_of(values: Mapping[str, Any]) -> Fingerprint:
-    """Parameters as entries of a fingerprint: numbers, and hashes of sequences."""
-    return {
-        f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
-        for name, value in values.items()
-    }
 
 
 def digest(parts: Iterable[str | bytes]) -> str:

@@ -35,7 +35,7 @@ from pfdist.store import (
     trajectories_schema,
     variance_schema,
 )
-from pfdist.times.measurement_times import Times
+from pfdist.times.measurement_times import Times, validated
 
 COMPARISON = "comparison"
 
@@ -97,11 +97,11 @@ def comparison_steps(built: Built) -> int:
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """All sets on the same draws, each with filter noise of its own; the draws are still open."""
     seed, purpose = built.job.seed, built.study.purpose
+    last = built.job.problem.clock.possible - 1
+    checked = [validated(times, last, name) for name, times in sets.items()]
     streams = tuple(stream_of(purpose, seed, "filter", name) for name in sets)
-    draws = stream_of(purpose, seed, "draws"), (0, 0)
-    return built.evaluator.work(
-        [*sets.values()], 0, *draws, built.comparing, filter_streams=streams, ids=tuple(sets)
-    )
+    given = checked, 0, stream_of(purpose, seed, "draws"), (0, 0), built.comparing
+    return built.evaluator.work(*given, filter_streams=streams, ids=tuple(sets))
 
 
 def _publish(store: Store, draws: int) -> None:
@@ -134,20 +134,6 @@ class InterimGains:
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
         self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
-    def _gains_now(self) -> tuple[SetGain, ...]:
-        return tuple(
-            SetGain(
-                name,
-                gain.relative.mean,
-                gain.interval,
-                gain.positive / gain.relative.count,
-                gain.of_means,
-                gain.of_means_interval,
-            )
-            for name, gain in self._statistics.gains.items()
-            if gain.relative.count
-        )
-
     def learn(self, index: range, values: NDArray[np.float64]) -> None:
         """Add the MSE of draws, (D, S), and then every whole block that has no gap before it."""
         for number in range(index.start // BLOCK, (index.stop - 1) // BLOCK + 1):
@@ -161,7 +147,18 @@ class InterimGains:
             mse[places], missing[places] = part, False
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
-            self.so_far = self._gains_now()  # after each block, because outcomes come more often
+            self.so_far = tuple(  # after each block, because outcomes come more often
+                SetGain(
+                    name,
+                    gain.relative.mean,
+                    gain.interval,
+                    gain.positive / gain.relative.count,
+                    gain.of_means,
+                    gain.of_means_interval,
+                )
+                for name, gain in self._statistics.gains.items()
+                if gain.relative.count
+            )
             if self._half_width and self._statistics.half_width() <= self._half_width:
                 self.enough = self._statistics.draws
 

@@ -68,13 +68,6 @@ def evaluation_rows(
     return pa.Table.from_pydict(columns, schema=table)
 
 
-def committed_generations(store: Store, phase: str) -> set[int]:
-    """Generations of a phase that are committed."""
-    if not store.has("evaluations", phase):
-        return set()
-    return set(store.read("evaluations", phase=phase)["generation"])
-
-
 def unpublished(store: Store, phases: Iterable[str]) -> bool:
     """Whether a search has parts that are not published as tables yet."""
     return any(store.has_parts(table, phase) for phase in phases for table in _TABLES)
@@ -224,7 +217,9 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
     """
     optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
-    committed = committed_generations(session.store, name)
+    committed = set[int]()
+    if session.store.has(EVALUATIONS, name):
+        committed.update(session.store.read(EVALUATIONS, phase=name)["generation"])
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)

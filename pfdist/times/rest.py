@@ -1,5 +1,6 @@
 """The feasible sets of the measurements that are left, over what is left of the horizon."""
 
+from dataclasses import replace
 from functools import partial
 
 from pfdist.times.constraints import Limit
@@ -35,14 +36,12 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         limits.append(Limit(most, spacing))
     required = [time for time in feasible.required if time in left and time not in barred]
     make = partial(
-        Feasible,
+        replace,
+        feasible,
         horizon=feasible.horizon - first,
         forbidden=tuple(time - start for time in left if time in barred),
-        minimum_spacing=feasible.minimum_spacing,
         clock=None if feasible.clock is None else feasible.clock.since(first),
-        smaller=feasible.smaller,
         limits=tuple(limits),
-        cheapest=feasible.cheapest,
     )
     if feasible.cost is not None and feasible.total_cost is not None:
         money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[start:]
