@@ -69,21 +69,15 @@ def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estim
             "resample must be 'always' for a model with sensors, got "
             f"'below {settings.threshold:g}' for {model.name}"
         )
-    if not ESTIMATORS[estimator].for_any_filter:
-        _check_estimator(model, truth, estimator)
-    whole_argument("particles", settings.particles, 1, MOST_PARTICLES)
-
-
-def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
-    """Raise a `ModelError` unless the model and the error allow an estimator by the variance."""
-    allowed = SQUARED_ERROR.name
-    if model != truth and ESTIMATORS[estimator].needs_truth:
+    always = SQUARED_ERROR.name
+    if ESTIMATORS[estimator].needs_truth and model != truth:
         raise ModelError(
             f"the estimator {estimator!r} needs a filter that knows the truth, got a filter with "
-            f"another model or other parameters; allowed: {allowed!r}"
+            f"another model or other parameters; allowed: {always!r}"
         )
-    if truth.error is not squared_error:
+    if not ESTIMATORS[estimator].for_any_filter and truth.error is not squared_error:
         raise ModelError(
             f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
-            f"model {truth.name}, which has its own error; allowed: {allowed!r}"
+            f"model {truth.name}, which has its own error; allowed: {always!r}"
         )
+    whole_argument("particles", settings.particles, 1, MOST_PARTICLES)

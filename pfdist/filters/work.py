@@ -26,11 +26,6 @@ One task adds up a whole block, so results do not depend on the workers.
 """
 
 
-def in_blocks(draws: int) -> int:
-    """The number of draws, rounded up to whole blocks."""
-    return -(-draws // BLOCK) * BLOCK
-
-
 @dataclass(frozen=True)
 class Estimation:
     """How the MSE of one draw is estimated: the settings of the filter, and the estimator."""

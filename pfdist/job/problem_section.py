@@ -15,6 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.job.sections import is_list_of
 from pfdist.times.clock import Clock, Time, plain_time
 from pfdist.times.constraints import Limit, Money, money
 from pfdist.times.feasible import Feasible
@@ -153,10 +154,7 @@ class ProblemSection(Section):
     def _are_numbers(cls, value: Any, info: ValidationInfo) -> Any:
         if value is None:
             return None
-        are_numbers = isinstance(value, (list, tuple)) and all(
-            type(number) in (int, float) for number in value
-        )
-        if not are_numbers:
+        if not is_list_of(value, int, float):
             raise ValueError(
                 f"problem.{info.field_name} must be a list of numbers, got {shown(value)}"
             )
@@ -175,7 +173,7 @@ class ProblemSection(Section):
     @field_validator("sensors", mode="before")
     @classmethod
     def _are_sensors(cls, value: Any) -> Any:
-        if isinstance(value, (list, tuple)) and all(isinstance(name, str) for name in value):
+        if is_list_of(value, str):
             value = {name: {} for name in value}
         if value is not None and not (isinstance(value, dict) and len(value) > 1):
             raise ValueError(

@@ -12,7 +12,7 @@ from pfdist.common.scenario import Scenario
 from pfdist.common.section import Section
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
-from pfdist.job.sections import Parameter, checked_parameters
+from pfdist.job.sections import Parameter, checked_parameters, is_list_of
 
 MOST_SCENARIOS = 100
 _DISTRIBUTIONS = (
@@ -118,9 +118,8 @@ def _distribution(name: str, given: Any) -> dict[str, tuple[float, float]]:
     """A checked distribution: its kind, and two numbers."""
     if isinstance(given, dict) and len(given) == 1:
         ((kind, numbers),) = given.items()
-        is_list = isinstance(numbers, list | tuple) and len(numbers) == 2
-        are_numbers = is_list and all(type(number) in (int, float) for number in numbers)
-        if kind in _KINDS and are_numbers and np.isfinite(numbers).all():
+        are_numbers = is_list_of(numbers, int, float) and np.isfinite(numbers).all()
+        if kind in _KINDS and are_numbers and len(numbers) == 2:
             first, second = map(float, numbers)
             above = first if kind == "uniform" else 0.0
             if second > above and (kind != "lognormal" or first > 0.0):

@@ -14,7 +14,7 @@ from pfdist.bounds.relaxation import relaxation_within
 from pfdist.errors import JobError
 from pfdist.filters.engines import is_exact
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Estimation, in_blocks
+from pfdist.filters.work import BLOCK, Estimation
 from pfdist.job.job import Job
 from pfdist.job.online_section import Online
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
@@ -221,7 +221,7 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
     """
     settings = Settings.from_job(job, section.evaluation, guide)
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
-        settings = replace(settings, draws=in_blocks(settings.draws))
+        settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)

@@ -4,11 +4,12 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
@@ -116,8 +117,13 @@ class Filter:
         draw: int = 0,
         horizon: int = LAST,
     ) -> None:
-        self.model = _loaded(model)
-        _check_integers(seed=seed, draw=draw, horizon=horizon)
+        if not isinstance(model, StateSpaceModel | str):
+            raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
+        self.model = load_model(model) if isinstance(model, str) else model
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
+            raise ArgumentError(f"seed must be an integer, got {shown(seed)}")
+        draw = whole_argument("draw", draw, 0, _LARGEST_DRAW)
+        horizon = whole_argument("horizon", horizon, 0, LAST)
         if engine not in (AUTO, *ENGINES):
             allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
             meant = did_you_mean(engine, ENGINES)
@@ -325,25 +331,8 @@ class Filter:
         return surprise_of_particles(self.model, cloud, y, self.stream, self._many.draw)
 
 
-def _loaded(model: StateSpaceModel | str) -> StateSpaceModel:
-    if isinstance(model, StateSpaceModel):
-        return model
-    if isinstance(model, str):
-        return load_model(model)
-    raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
-
-
 def _prior(at: OneFilter) -> Prior:
     return cast(Prior, at.settings.prior)  # every filter has one after its first instant
-
-
-def _check_integers(**values: Any) -> None:
-    for name, value in values.items():
-        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        most = math.inf if name == "seed" else LAST if name == "horizon" else _LARGEST_DRAW
-        if not whole or not (name == "seed" or 0 <= value <= most):
-            bounds = "" if name == "seed" else f" in 0..{most}"
-            raise ArgumentError(f"{name} must be an integer{bounds}, got {shown(value)}")
 
 
 def effective_sample_sizes(filtering: OneFilter, times: Sequence[int], y: Array) -> list[float]:
