@@ -66,36 +66,43 @@ class Filtered:
     weight: NDArray[np.float64] | None = None
 
 
-def filter_after_checks(
-    filter_checked_draws: Callable[..., Filtered],
-    model: StateSpaceModel,
-    draws: Draws,
-    measurement_times: Times,
-    particles: int,
-    stream: int,
-    resampling: str = "multinomial",
-    trajectories: bool = False,
-    prior: Prior | None = None,
-    threshold: float = ALWAYS,
-) -> Filtered:
-    """Filter D draws with one set of measurement times, under the noise of the 64-bit key.
+def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:
+    """The function that checks its arguments, and then filters draws by the given function.
 
-    `filter_checked_draws` filters them after the checks; its arguments are those of
-    `pfdist.filters.particle_filter.filter_checked_draws`. `model` is the filter's model, which need
-    not be the draws'. `trajectories` asks for estimate and variance. `threshold` is that of
-    `pfdist.kernels.schemes.threshold_of`. The Kalman filter ignores the particles, and only it
-    starts from a normal distribution. If the draws started from the cloud `prior`, no filter starts
-    with the state of its own draw's truth.
-
-    Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError, PriorError
-    or ArgumentError.
+    `filter_checked_draws` has the arguments of
+    `pfdist.filters.particle_filter.filter_checked_draws`.
     """
-    settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
-    check_filter(model, draws.model, settings)
-    check_start(model, draws, prior)
-    last, sensors = draws.instants[-1], len(model.parts)
-    times = validated_from(draws.start, measurement_times, last, sensors)
-    return filter_checked_draws(model, draws, times, stream, settings, trajectories)
+
+    def filter_draws(
+        model: StateSpaceModel,
+        draws: Draws,
+        measurement_times: Times,
+        particles: int,
+        stream: int,
+        resampling: str = "multinomial",
+        trajectories: bool = False,
+        prior: Prior | None = None,
+        threshold: float = ALWAYS,
+    ) -> Filtered:
+        """Filter D draws with one set of measurement times, under the noise of the 64-bit key.
+
+        `model` is the filter's model, which need not be the draws'. `trajectories` asks for
+        estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`. The
+        Kalman filter ignores the particles, and only it starts from a normal distribution. If the
+        draws started from the cloud `prior`, no filter starts with the state of its own draw's
+        truth.
+
+        Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError,
+        PriorError or ArgumentError.
+        """
+        settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
+        check_filter(model, draws.model, settings)
+        check_start(model, draws, prior)
+        last, sensors = draws.instants[-1], len(model.parts)
+        times = validated_from(draws.start, measurement_times, last, sensors)
+        return filter_checked_draws(model, draws, times, stream, settings, trajectories)
+
+    return filter_draws
 
 
 def validated_from(

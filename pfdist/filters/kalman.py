@@ -23,7 +23,7 @@ from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import (
     Filtered,
-    filter_after_checks,
+    checking,
     mse_of_sets,
     one_by_one,
     validated_from,
@@ -308,5 +308,5 @@ def _square(matrix: Array) -> Array:
     return matrix @ matrix.T
 
 
-filter_draws = partial(filter_after_checks, filter_checked_draws)
+filter_draws = checking(filter_checked_draws)
 filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)

@@ -8,7 +8,6 @@ Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from pfdist.errors import PriorError
 from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, filter_after_checks
+from pfdist.filters.interface import Filtered, checking
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS
@@ -76,7 +75,7 @@ def filter_checked_draws(
     return Filtered(mse, estimate, variance, tuple(wanted.cloud), weights)
 
 
-filter_draws = partial(filter_after_checks, filter_checked_draws)
+filter_draws = checking(filter_checked_draws)
 
 
 def filter_checked_sets(

@@ -15,7 +15,7 @@ from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.filters.interface import (
     Filtered,
-    filter_after_checks,
+    checking,
     mse_of_sets,
     one_by_one,
     sums_of_sets,
@@ -290,6 +290,6 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
         array[:, t, k] = component
 
 
-filter_draws = partial(filter_after_checks, filter_checked_draws)
+filter_draws = checking(filter_checked_draws)
 filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
 sum_errors = partial(one_by_one, sums_of_sets, filter_checked_draws)

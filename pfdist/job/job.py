@@ -287,7 +287,10 @@ class Job(Section):
 
     @model_validator(mode="after")
     def _compares_sensors(self) -> Self:
-        """Compare with each sensor alone and with rotation, unless the job names its own sets."""
+        """Compare with each sensor alone and with rotation, unless the job names its own sets.
+
+        The times of all given sets must be those of the clock.
+        """
         feasible = self.problem.feasible
         if self.problem.sensors and self.comparison.sets is None and self.budget is None:
             sets = {
@@ -297,10 +300,6 @@ class Job(Section):
             }
             comparison = self.comparison.model_copy(update={"sets": sets or None})
             object.__setattr__(self, "comparison", comparison)
-        return self
-
-    @model_validator(mode="after")
-    def _given_sets_are_of_this_clock(self) -> Self:
         try:
             self.given_sets  # noqa: B018  made here, because it checks the times
         except MeasurementTimesError as error:

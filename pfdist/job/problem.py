@@ -113,9 +113,9 @@ class Problem(Shown):
             )
         self._filter_model = None if believed is self._model else believed
         if keys.get("sensors") is None and isinstance(model, StateSpaceModel) and model.sensors:
-            costs = {name: sensor.cost for name, sensor in model.sensors.items()}
             keys["sensors"] = {
-                name: {} if cost is None else {"cost": cost} for name, cost in costs.items()
+                name: {} if sensor.cost is None else {"cost": sensor.cost}
+                for name, sensor in model.sensors.items()
             }
         self._arguments = {
             "model": self._model,
@@ -170,16 +170,11 @@ class Problem(Shown):
             Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
         )
         filled = {name: section for name, section in sections.items() if section is not None}
-        own = {"seed": _plain(seed), "model": self._models(), **self._scenarios, **self._keys}
-        data = {**own, **filled}
-        return Job(origin, **data)
-
-    def _models(self) -> dict[str, Any]:
-        """The section [model] of the job."""
         section = _section_of(self._model)
         if self._filter_model is not None and self._filter_model != self._model:
             section["filter"] = _section_of(self._filter_model)
-        return section
+        own = {"seed": _plain(seed), "model": section, **self._scenarios, **self._keys}
+        return Job(origin, **own | filled)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if hasattr(self, "_keys"):

@@ -239,6 +239,7 @@ class ProblemSection(Section):
         if not self.has_clock and not (spacing is None and self.sensors):
             spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
         limits = self._limits
+        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
@@ -251,7 +252,7 @@ class ProblemSection(Section):
             # To sets within limits, money left over may buy nothing.
             smaller=bool(limits) and self.total_cost is not None,
             limits=limits,
-            cheapest=self._cheapest,
+            cheapest=costs.index(min(costs)),  # the first sensor if none has a cost
         )
 
     @property
@@ -274,12 +275,6 @@ class ProblemSection(Section):
             apart = None if spacing is None else Spacing(self.clock.successors(spacing))
             limits.append(Limit(sensor.most, apart))
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
-
-    @property
-    def _cheapest(self) -> int:
-        """Number of the sensor that measures at regular times: the cheapest, or the first."""
-        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
-        return costs.index(min(costs))
 
     @property
     def _costs_of_sensors(self) -> list[tuple[Money, ...]]:

@@ -25,6 +25,7 @@ from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import EVALUATIONS, Batch, Session
+from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
@@ -233,11 +234,13 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         requests = [phase.request(each, generation) for each in copies if each.since is None]
         windows = [each for each in copies if each.since is not None]
         finalists = optimiser.finalists(state)
-        record = _Generation(
-            phase, session, copies, generation, (start, share), shows_best=not finalists
-        )
-        if windows:
-            for candidate, evaluation in (yield from _errors(phase, windows, session)):
+        about, before = (generation, optimiser.generations), reporter.progress.evaluations
+        record = _Generation(reporter, *about, copies, (start, share), before, not finalists)
+        if windows:  # the errors of each instant, on the same blocks of draws
+            blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
+            given = session, phase.sums, blocks, phase.purpose
+            by_errors, _ = yield from evaluated_by_errors(windows, *given)
+            for candidate, evaluation in zip(windows, by_errors, strict=True):
                 record(candidate, evaluation)
             record.show()
         if phase.built.evaluator.exact:
@@ -271,43 +274,39 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     ]
 
 
+@dataclass(eq=False)
 class _Generation:
     """The evaluations of a generation so far, and the progress that they make."""
 
-    def __init__(
-        self,
-        phase: Phase,
-        session: Session,
-        copies: Counter[Candidate],
-        generation: int,
-        steps: tuple[float, float],
-        *,
-        shows_best: bool,
-    ) -> None:
-        self.evaluations: dict[Candidate, Evaluation] = {}
-        self._reporter, self._copies = session.reporter, copies
-        self._generations, self._generation = phase.optimiser.generations, generation
-        self._steps, self._shows_best, self._least = steps, shows_best, math.inf
-        self._before, self._recorded = session.reporter.progress.evaluations, 0
+    reporter: Reporter
+    number: int
+    generations: int  # expected
+    copies: Counter[Candidate]
+    steps: tuple[float, float]  # done before the search, and those of a generation
+    before: int  # number of evaluations of former generations
+    shows_best: bool
+    evaluations: dict[Candidate, Evaluation] = field(default_factory=dict)
+    recorded: int = 0
+    least: float = math.inf
 
     def __call__(self, candidate: Candidate, evaluation: Evaluation) -> None:
         """Record the evaluation of a candidate."""
         self.evaluations[candidate] = evaluation
-        self._recorded += self._copies[candidate]
-        if self._shows_best:
-            self._least = min(self._least, *_whole_costs([evaluation]), math.inf)
+        self.recorded += self.copies[candidate]
+        if self.shows_best:
+            self.least = min(self.least, *_whole_costs([evaluation]), math.inf)
 
     def show(self) -> None:
         """Report the evaluations that were recorded so far."""
-        reporter, (start, share) = self._reporter, self._steps
-        if math.isfinite(self._least):
-            reporter.note(best=self._least)
-        part = self._generation + len(self.evaluations) / len(self._copies)
+        reporter, (start, share) = self.reporter, self.steps
+        if math.isfinite(self.least):
+            reporter.note(best=self.least)
+        part = self.number + len(self.evaluations) / len(self.copies)
         reporter.reach(
-            start + share * min(part, self._generations),
-            evaluations=self._before + self._recorded,
-            generation=self._generation + 1,
-            generations=max(self._generation + 1, self._generations),
+            start + share * min(part, self.generations),
+            evaluations=self.before + self.recorded,
+            generation=self.number + 1,
+            generations=max(self.number + 1, self.generations),
         )
 
 
@@ -372,14 +371,3 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
         ends, ids = zip(*((request.end, request.id) for request in group), strict=True)
         given = sets, stream, stream, draws, estimation
         yield phase.built.evaluator.work(*given, ends=ends, ids=ids)
-
-
-def _errors(
-    phase: Phase, windows: list[Candidate], session: Session
-) -> Generator[Batch, None, list[tuple[Candidate, Evaluation]]]:
-    """Evaluations of candidates with the errors of each instant, on the same blocks of draws."""
-    blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
-    evaluations, _ = yield from evaluated_by_errors(
-        windows, session, phase.sums, blocks, phase.purpose
-    )
-    return list(zip(windows, evaluations, strict=True))

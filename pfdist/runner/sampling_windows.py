@@ -9,6 +9,7 @@ draws: the draws that chose the windows would flatter them.
 
 import math
 from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -222,57 +223,57 @@ def jittered(times: Times, windows: Windows, feasible: Feasible, *key: Any) -> T
     return tuple(sorted(present))
 
 
+@dataclass(frozen=True)
 class _Jittering:
     """Errors of the original times and of random times for each level, on the same draws."""
 
-    def __init__(
-        self, session: Session, name: str, times: Times, windows: Mapping[int, Windows]
-    ) -> None:
-        self._session, self._built = session, session.built
-        self._name, self._times, self._windows = name, times, windows
+    session: Session
+    name: str
+    times: Times
+    windows: Mapping[int, Windows]
 
     def pieces(self, draws: int) -> list[tuple[int, int]]:
         """Ranges of draws, each of which takes about as long as a task."""
-        evaluator = self._built.evaluator
+        evaluator = self.session.built.evaluator
         if evaluator.exact:
             return cut(range(draws), _BLOCK)
-        seconds = MOST_SECONDS / (1 + len(self._windows))
-        pieces = evaluator.pieces(self._work((0, draws), (self._times,)), seconds)
+        seconds = MOST_SECONDS / (1 + len(self.windows))
+        pieces = evaluator.pieces(self._work((0, draws), (self.times,)), seconds)
         return [piece.draws for piece in pieces]
 
     def mse(self, draws: range) -> Generator[Batch, None, NDArray[np.float64]]:
         """MSE of each draw, (D, 1+L): with the original times, and with those of L levels."""
-        evaluator = self._built.evaluator
+        evaluator = self.session.built.evaluator
         sets = [self._sets(draw) for draw in draws]
         if not evaluator.exact:
             works = [
                 self._work((draw, draw + 1), of_a_draw)
                 for draw, of_a_draw in zip(draws, sets, strict=True)
             ]
-            return (yield from mse_of_sets(self._session, works))
+            return (yield from mse_of_sets(self.session, works))
         different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
         cost_of_set = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
         return np.array([[cost_of_set[times] for times in of_a_draw] for of_a_draw in sets])
 
     def _sets(self, draw: int) -> tuple[Times, ...]:
         """The original times, and the random times of a draw for each level."""
-        problem, seed = self._built.job.problem, self._built.job.seed
+        problem, seed = self.session.built.job.problem, self.session.built.job.seed
         random_sets = (
             jittered(
-                self._times,
+                self.times,
                 windows,
                 problem.feasible,
-                stream_of("why", seed, "jitter times", self._name, percent, draw),
+                stream_of("why", seed, "jitter times", self.name, percent, draw),
             )
-            for percent, windows in self._windows.items()
+            for percent, windows in self.windows.items()
         )
-        return (self._times, *random_sets)
+        return (self.times, *random_sets)
 
     def _work(self, draws: tuple[int, int], sets: tuple[Times, ...]) -> Work:
-        seed = self._built.job.seed
-        noise = stream_of("why", seed, "jitter filter", self._name)
-        of_draws = stream_of("why", seed, "jitter draws")
-        return self._built.evaluator.work(sets, noise, of_draws, draws, self._built.comparing)
+        built = self.session.built
+        noise = stream_of("why", built.job.seed, "jitter filter", self.name)
+        of_draws = stream_of("why", built.job.seed, "jitter draws")
+        return built.evaluator.work(sets, noise, of_draws, draws, built.comparing)
 
 
 def _jitter_row(percent: int, loss: RelativeLoss, draws: int) -> Row:

@@ -104,10 +104,11 @@ def _distrusted(
     session: Session, search: NamedSearch, attempt: _Attempt
 ) -> Generator[Batch, None, str | None]:
     """On which probe the estimator of a search failed; None if it did not."""
-    sought = dict.fromkeys(
-        Candidate(evaluation.measurement_times, evaluation.end)
-        for evaluation in session.built.study.probed(attempt.leaders, attempt.finalists)
-    )
+    # The sets that led the search, and those with which it ended, unless a race compares the latter
+    # by the squared error anyway.
+    races = session.built.study.racing(attempt.believed)
+    probed = attempt.leaders if races else [*attempt.leaders, *attempt.finalists]
+    sought = dict.fromkeys(Candidate(each.measurement_times, each.end) for each in probed)
     phase = _probing(session.built, search, tuple(sought))
     probe = yield from run_phase(phase, session)
     if probe and not judged(*probe).is_known:

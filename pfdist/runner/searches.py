@@ -13,7 +13,6 @@ import psutil
 from pfdist.bounds.relaxation import relaxation_within
 from pfdist.errors import JobError
 from pfdist.filters.engines import is_exact
-from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation
 from pfdist.job.job import Job
 from pfdist.job.online_section import Online
@@ -99,17 +98,6 @@ class Study:
             return METHODS[section.method].make(self.widest, draws, section.settings)
         except JobError as error:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
-
-    def probed(
-        self, leaders: Sequence[Evaluation], finalists: Sequence[Evaluation]
-    ) -> list[Evaluation]:
-        """Evaluations on which the estimator of a search is checked.
-
-        They are those that led the search, and those with which it ended, unless a race compares
-        the latter by the squared error anyway.
-        """
-        races = self.racing(dict.fromkeys(each.measurement_times for each in finalists))
-        return [*leaders] if races else [*leaders, *finalists]
 
     def racing(self, finalists: Iterable[Times]) -> tuple[Times, ...]:
         """The sets that race on fresh draws: all, if there are more of them than are sought."""

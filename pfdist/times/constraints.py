@@ -221,12 +221,8 @@ class Constraints:
         complete = self.with_required(times)
         if self.limits:
             return len(complete) + len(self.fitting(complete, self.allowed))
-        gaps = pairwise(self.with_ends(complete))
+        gaps = pairwise((-1, *complete, self.possible))  # every time is far from both ends
         return len(complete) + sum(self.capacity_between(first, last) for first, last in gaps)
-
-    def with_ends(self, times: Times) -> Times:
-        """These times between -1 and the end, from which every time is far enough."""
-        return (-1, *times, self.possible)
 
     def capacity_between(self, first: int, last: int) -> int:
         """The largest number of compatible times that fit between two times."""

@@ -273,7 +273,7 @@ class Feasible(Constraints):
     def _leaving_capacity(self, times: Times, new: list[int]) -> list[int]:
         """The new times that, added to a set, leave a capacity of N times in all."""
         complete = self.with_required(times)
-        ends, spare = self.with_ends(complete), self.capacity(times) - self.total
+        ends, spare = (-1, *complete, self.possible), self.capacity(times) - self.total
 
         def lost(time: int) -> int:
             if time in complete:
