@@ -210,7 +210,8 @@ def test_a_changed_problem_keeps_the_model_as_it_was() -> None:
     problem = Problem(model, filter_model=model, **IN_NUMPY)
     first = problem.job().origin.models["model"].fingerprint
     table[0] = 0.9
-    assert problem.with_changes(measurement_budget=4).job().origin.models["model"].fingerprint == first
+    fewer = problem.with_changes(measurement_budget=4)
+    assert fewer.job().origin.models["model"].fingerprint == first
     assert Problem(model, **IN_NUMPY).job().origin.models["model"].fingerprint != first
     changed = problem.with_changes(model=robot_of(0.8))
     assert changed.job().origin.models["filter_model"].fingerprint == first
