@@ -17,9 +17,8 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
 from pfdist.filters.particle_filter import filter_checked_sets
-from pfdist.filters.settings import filter_streams
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation
+from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 

@@ -55,6 +55,5 @@ def online(
     """
     settings = {"online": {} if draws is None else {"draws": draws}}
     job = as_job(job, changes, settings=settings)
-    return run(
-        job, folder_of(job, results, "" if job.names_online else "-online"), reuse=reuse, **options
-    )
+    results = folder_of(job, results, "" if job.origin.names_online else "-online")
+    return run(job, results, reuse=reuse, **options)

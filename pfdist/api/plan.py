@@ -55,7 +55,7 @@ def plan(
         As `pfdist.run` raises.
     """
     job = as_job(job, changes, sections=searched_by(search))
-    results = folder_of(job, results, PLANNED if job.names_its_searches else "")
+    results = folder_of(job, results, PLANNED if job.origin.names_searches else "")
     if bound_draws is None:
         bound_draws = 0 if job.budget else LEAST_DRAWS
     return run(job, results, bound_draws=bound_draws, reuse=reuse, **options)

@@ -114,7 +114,7 @@ def run_and_job(
     path, sections = folder_of(job, results), _AS_DEFAULT
     if not holds_run(path):
         planned = folder_of(job, results, PLANNED)
-        if not (job.names_its_searches and holds_run(planned)):
+        if not (job.origin.names_searches and holds_run(planned)):
             raise _no_run(job, results)
         path, sections = planned, searched_by(DEFAULT_METHOD)
     job = as_job(source, changes, sections, {"execution": execution})
@@ -128,10 +128,12 @@ def run_and_job(
 
 def _no_run(job: Job, results: str | Path | None) -> StoreError:
     """Make the error that says where a run was sought, and which command makes it."""
-    command, endings = ("run", ("", PLANNED)) if job.names_its_searches else ("plan", ("",))
+    origin = job.origin
+    command, endings = ("run", ("", PLANNED)) if origin.names_searches else ("plan", ("",))
     sought = dict.fromkeys(str(folder_of(job, results, ending)) for ending in endings)
     option = "" if results is None else f" --results {results}"
-    call = f"`pfdist {command} {job.path}{option}`" if job.is_file else f"pfdist.{command}(problem)"
+    of_file = f"`pfdist {command} {job.path}{option}`"
+    call = of_file if origin.is_file else f"pfdist.{command}(problem)"
     return StoreError(f"there is no run of this job in {' or '.join(sought)}: {call} makes it")
 
 

@@ -17,7 +17,6 @@ shortest path problem", Networks 51, 2008 (decremental state-space relaxation).
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,31 +27,12 @@ from pfdist.times.measurement_times import Times
 Array = NDArray[np.float64]
 
 
-class Least(NamedTuple):
-    """The least relaxed expected MSE of each sum that may be spent."""
-
-    mse: Array  # (..., most+1): for 0 to most units; inf if no set costs so much
-    # Measurement times that reach each value, for the first of the leading axes; empty if no set
-    # costs so much.
-    paths: list[Times]
-
-
-def least(relaxation: Relaxation, errors: Array, most: int) -> Least:
-    """Find the least relaxed expected MSE for each sum that may be spent, up to `most`.
-
-    `errors` (..., E) are expected errors of all windows at all instants at which they count, window
-    by window; see `Relaxation.offsets`. Leading axes, such as resamples of the draws, have
-    programmes of their own.
-    """
-    programmes = [Programme(relaxation, row, most) for row in errors.reshape(-1, errors.shape[-1])]
-    mse = np.array([programme.mse for programme in programmes])
-    paths = [programmes[0].path(spent) for spent in range(most + 1)]
-    return Least(mse.reshape(*errors.shape[:-1], most + 1), paths)
-
-
 @dataclass(frozen=True)
 class Programme:
-    """The programme for the errors (E,) of one group of draws; `most` is the largest sum.
+    """The programme for all sums that may be spent, up to `most`.
+
+    `errors` (E,) are expected errors of all windows at all instants at which they count, window by
+    window; see `Relaxation.offsets`.
 
     If measurements are counted, a set makes exactly as many as a sum says. Money may be left over.
     """
@@ -94,7 +74,7 @@ class Programme:
         cost = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
         cost[self.relaxation.index[START], 0] = 0.0
         for moves in self.relaxation.moves:
-            price = self._prices[moves.time]
+            price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 between = self._between(moves.before, self._instant(moves.time))
                 reached = between[:, None] + cost[moves.before, : self.most + 1 - price]
@@ -115,7 +95,7 @@ class Programme:
         left_over = 0 if relaxation.constraints.counted else self.most
         cost[:, : left_over + 1] = self._at_the_end[:, None]
         for moves in reversed(relaxation.moves):
-            price = self._prices[moves.time]
+            price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 after = relaxation.after[moves.before, moves.time]
                 between = self._between(moves.before, self._instant(moves.time))
@@ -172,10 +152,6 @@ class Programme:
         """The instant of a measurement, whose own error counts after it."""
         return time // self.relaxation.constraints.sensors
 
-    @property
-    def _prices(self) -> tuple[int, ...]:
-        return self.relaxation.prices
-
     @cached_property
     def _moves_by_time(self) -> dict[int, Moves]:
         return {moves.time: moves for moves in self.relaxation.moves}
@@ -185,7 +161,7 @@ class Programme:
         relaxation, times = self.relaxation, list[int]()
         while window != relaxation.index[START]:
             time = int(relaxation.last[window])
-            spent -= self._prices[time]
+            spent -= self.relaxation.prices[time]
             before = self._moves_by_time[time].leading_to(window)
             between = self._between(before, self._instant(time))
             window = int(before[np.argmin(between + self._to[before, spent])])
@@ -196,7 +172,8 @@ class Programme:
         """The times after a window's last, by following the programme to the end of the horizon."""
         following, times = self._onward[1], list[int]()
         while (time := int(following[window, spent])) != NOTHING:
-            window, spent = int(self.relaxation.after[window, time]), spent - self._prices[time]
+            window = int(self.relaxation.after[window, time])
+            spent -= self.relaxation.prices[time]
             times.append(time)
         return tuple(times)
 

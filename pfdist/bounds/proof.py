@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.programme import Programme, least
+from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.common.estimate import Estimate
 from pfdist.times.measurement_times import Times
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class Sums(NamedTuple):
     """Sums of errors over G groups of draws. A single group of one draw holds exact errors."""
 
-    # (G, E): errors of all windows of a relaxation, as `pfdist.bounds.programme.least` takes them
+    # (G, E): errors of all windows of a relaxation, as `pfdist.bounds.programme.Programme` takes
     relaxed: Array
     own: Array  # (G, C, T+1): errors of each known set
     draws: Array  # (G,): number of draws of each group
@@ -64,13 +64,14 @@ def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) 
     The jackknife, which gives the standard errors, leaves one group of draws out.
     """
     relaxed, own = sums.means()
-    lowest = least(relaxation, relaxed, most)
+    programmes = [Programme(relaxation, row, most) for row in relaxed]
+    lowest = np.array([programme.mse for programme in programmes])
     budgets = [relaxation.spent(times) for times in sets]
     return Proof(
-        [_jackknifed(bound) for bound in lowest.mse.T],
-        lowest.paths,
+        [_jackknifed(bound) for bound in lowest.T],
+        [programmes[0].path(spent) for spent in range(most + 1)],
         budgets,
-        [_jackknifed(own[:, i] - lowest.mse[:, budget]) for i, budget in enumerate(budgets)],
+        [_jackknifed(own[:, i] - lowest[:, budget]) for i, budget in enumerate(budgets)],
     )
 
 

@@ -19,7 +19,7 @@ from pfdist.filters.work import Estimation, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import squared_error
 from pfdist.sequential.filter import effective_sample_sizes
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 from pfdist.sequential.work import seen_at_instants
 from pfdist.times.measurement_times import Times
 
@@ -75,7 +75,7 @@ def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]"
     (times,), (stream,) = work.measurement_times, work.filter_streams
     draws = evaluator.draws(range(_SIZE_DRAWS), work.draws_stream)
     settings, engine = evaluator.settings(work.estimation), evaluator.computed_by.name
-    first = begin(evaluator.believed, settings, stream, engine=engine)
+    first = OneFilter(evaluator.believed, settings, stream, engine=engine)
     at, model = sorted({time // work.sensors for time in times}), evaluator.model
     sizes = [
         effective_sample_sizes(replace(first, draw=draw), at, seen_at_instants(model, y, times))

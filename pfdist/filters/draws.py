@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
-from pfdist.filters.cloud import Cloud, Indices, Prior
+from pfdist.filters.cloud import Cloud, Gaussian, Indices, Prior
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of, place_of_function
@@ -52,8 +52,18 @@ class Draws:
         return replace(self, x=self.x[:, t], y=self.y[:, t], z=self.z[:, t], weights=weights)
 
 
-def check_prior(prior: Prior, model: StateSpaceModel, horizon: int) -> None:
-    """Raise a `PriorError` if a prior does not fit a model, or its instant is not in 0..T."""
+def check_prior(
+    prior: Prior, model: StateSpaceModel, horizon: int, *, by_particles: bool = False
+) -> None:
+    """Raise a `PriorError` if a prior does not fit a model, or its instant is not in 0..T.
+
+    A filter with particles (`by_particles`) cannot start from a normal distribution.
+    """
+    if by_particles and isinstance(prior, Gaussian):
+        raise PriorError(
+            "particles must start from particles, got a normal distribution; it is for the engine "
+            "'kalman'"
+        )
     if not 0 <= prior.t <= horizon:
         raise PriorError(f"a prior must be of an instant in 0..{horizon}, got {prior.t}")
     components = prior.components

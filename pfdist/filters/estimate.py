@@ -169,22 +169,15 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
     if first.exact is not None and second.exact is not None:
         return Estimate(first.exact - second.exact)
     draws = min(first.draws, second.draws)
-    if first.is_worst:
-        return _difference_of_worst(first.first(draws), second.first(draws))
+    if first.is_worst:  # errors common to both sets cancel if both have the same worst scenario
+        first, second = first.first(draws), second.first(draws)
+        worst, other = first.worst, second.worst
+        if first.worst_scenario == second.worst_scenario:
+            return difference(worst, other)
+        error = math.hypot(worst.standard_error, other.standard_error)
+        return Estimate(worst.expected_mse - other.expected_mse, error)
     differences = first.mse[:draws] - second.mse[:draws]
     return Estimate.of_mean(differences[~np.isnan(differences)])
-
-
-def _difference_of_worst(first: Evaluation, second: Evaluation) -> Estimate:
-    """Mean of the first in its worst scenario, less that of the second in its own, on same draws.
-
-    If both have the same worst scenario, errors common to both sets cancel.
-    """
-    worst, other = first.worst, second.worst
-    if first.worst_scenario == second.worst_scenario:
-        return difference(worst, other)
-    error = math.hypot(worst.standard_error, other.standard_error)
-    return Estimate(worst.expected_mse - other.expected_mse, error)
 
 
 def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:

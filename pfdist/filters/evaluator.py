@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError, PriorError
+from pfdist.errors import ModelError
 from pfdist.filters import kalman
-from pfdist.filters.cloud import Gaussian, Prior
+from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
@@ -37,8 +37,6 @@ from pfdist.models import CarriedModel, StateSpaceModel
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import Times
-
-_TRAJECTORIES = ("mse", "estimate")
 
 _ANY = Estimation(particles=1)
 
@@ -78,19 +76,14 @@ class Evaluator:
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
         if self.prior is not None:
-            check_prior(self.prior, self.model, self.horizon)
-            check_prior(self.prior, self.believed, self.horizon)
+            for each in (self.model, self.believed):
+                check_prior(self.prior, each, self.horizon, by_particles=not self.exact)
         if self.exact and not self.of_scenarios:
             if self.believed != self.model:
                 raise ModelError(
                     f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
                 )
             cached_matrices(self.model, self.horizon)
-        elif isinstance(self.prior, Gaussian):
-            raise PriorError(
-                "particles must start from particles, got a normal distribution; it is for the "
-                f"engine {KALMAN.name!r}"
-            )
         for estimation in self.estimations:
             self.check(estimation)
 
@@ -295,12 +288,12 @@ class Evaluator:
                 return estimator
         return SQUARED_ERROR.name
 
-    def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
-        """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
-        return self.id_of(estimation, times, end, stream)
-
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
-        """A hash of the evaluator, an estimation, and other parts, which have JSON values."""
+        """A hash of the evaluator, an estimation, and other parts, which have JSON values.
+
+        With the times, the end and the stream it is the id of an evaluation: a hash of everything
+        on which the MSE of a draw depends.
+        """
         key = stream_key(
             KERNEL_VERSION,
             *(each.key for each in self.carried),
@@ -358,14 +351,7 @@ class Evaluator:
         for each in self.of_scenarios:
             each.check(estimation)
         if not self.exact:
-            check_filter(
-                self.believed,
-                self.model,
-                estimation.particles,
-                estimation.resampling,
-                estimation.estimator,
-                estimation.threshold,
-            )
+            check_filter(self.believed, self.model, estimation)
 
     @property
     def seconds_a_step(self) -> float:
@@ -446,10 +432,8 @@ class Evaluator:
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
             ]
-            mse, estimates = (
-                [getattr(result, name) for result in filtered] for name in _TRAJECTORIES
-            )
-            return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
+            mse = np.stack([each.mse for each in filtered], axis=1)
+            return Result(mse, draws.z, draws.y, np.stack([each.estimate for each in filtered]))
         values = np.empty((len(draws.index), len(work.measurement_times)))
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]

@@ -37,8 +37,8 @@ from numpy.typing import NDArray
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.settings import check_filter, check_start, filter_streams
-from pfdist.filters.work import Estimation
+from pfdist.filters.settings import check_filter, check_start
+from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
@@ -95,11 +95,11 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError,
         PriorError or ArgumentError.
         """
-        check_filter(model, draws.model, particles, resampling, threshold=threshold)
+        settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
+        check_filter(model, draws.model, settings)
         check_start(model, draws, prior)
         last, sensors = draws.instants[-1], len(model.parts)
         times = validated_from(draws.start, measurement_times, last, sensors)
-        settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws
@@ -132,60 +132,12 @@ def weighed(errors: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
 Array = NDArray[np.float64]
 
 
-def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
-    """A function `filter_checked_sets` that calls a filter of one set for each set.
-
-    Arguments are those of the functions of these names in `pfdist.filters.particle_filter`.
-    """
-
-    def filter_checked_sets(
-        model: StateSpaceModel,
-        draws: Draws,
-        sets: Sequence[Times],
-        ends: Sequence[int],
-        stream: int,
-        settings: Estimation,
-    ) -> Array:
-        each_set = _each_set(filter_checked_draws, model, draws, sets, ends, stream, settings)
-        estimator, instants = ALL_ESTIMATORS[settings.estimator], draws.z.shape[1]
-        columns = [
-            _mse(filters, some, estimator) * (some.z.shape[1] / instants)
-            for some, filters in each_set
-        ]
-        return np.stack(columns, axis=1)
-
-    return filter_checked_sets
+EachSet = Iterator[tuple[Draws, list[Filtered]]]
+"""For each set the draws up to its end, and a filter of them for each key of noise."""
 
 
-def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
-    """A function `sum_errors` that filters one set after another by a filter of one set.
-
-    Arguments are those of the functions of these names in `pfdist.filters.particle_filter`.
-    """
-
-    def sum_errors(
-        model: StateSpaceModel,
-        draws: Draws,
-        sets: Sequence[Times],
-        ends: Sequence[int],
-        stream: int,
-        settings: Estimation,
-    ) -> Array:
-        each_set = _each_set(filter_checked_draws, model, draws, sets, ends, stream, settings)
-        estimator = ALL_ESTIMATORS[settings.estimator]
-        sums = np.zeros((len(sets), draws.z.shape[1]))
-        for row, (some, filters) in zip(sums, each_set, strict=True):
-            with np.errstate(all="ignore"):
-                errors = _errors(filters, some, estimator).sum(axis=0)
-            row[: errors.size] = errors
-            if not np.isfinite(errors).all():
-                row[:] = np.nan
-        return sums
-
-    return sum_errors
-
-
-def _each_set(
+def one_by_one(
+    result: Callable[[EachSet, Draws, Estimator], Array],
     filter_checked_draws: Callable[..., Filtered],
     model: StateSpaceModel,
     draws: Draws,
@@ -193,12 +145,39 @@ def _each_set(
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
-) -> Iterator[tuple[Draws, list[Filtered]]]:
-    """Yield for each set the draws up to its end, and a filter of them for each key of noise."""
+) -> Array:
+    """The result of a filter of one set that is called for each set.
+
+    `result` is `mse_of_sets` or `sums_of_sets`. The other arguments are those of functions of
+    `pfdist.filters.particle_filter`.
+    """
     keys = filter_streams(stream, settings.estimator)
-    for times, end in zip(sets, ends, strict=True):
-        some = draws.upto(end)
-        yield some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys]
+    each_set = (
+        (some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys])
+        for times, some in zip(sets, map(draws.upto, ends), strict=True)
+    )
+    return result(each_set, draws, ALL_ESTIMATORS[settings.estimator])
+
+
+def mse_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array:
+    """The result of `pfdist.filters.particle_filter.filter_checked_sets`."""
+    instants = draws.z.shape[1]
+    columns = [
+        _mse(filters, some, estimator) * (some.z.shape[1] / instants) for some, filters in each_set
+    ]
+    return np.stack(columns, axis=1)
+
+
+def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array:
+    """The result of `pfdist.filters.particle_filter.sum_errors`."""
+    sums = list[Array]()
+    for some, filters in each_set:
+        with np.errstate(all="ignore"):
+            errors = _errors(filters, some, estimator).sum(axis=0)
+        row = np.zeros(draws.z.shape[1])
+        row[: errors.size] = errors
+        sums.append(row if np.isfinite(errors).all() else np.full_like(row, np.nan))
+    return np.stack(sums)
 
 
 def errors_by_variance(
@@ -222,18 +201,20 @@ def errors_by_variance(
 
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """The estimated error of each draw at each instant, (D, T+1)."""
-    if not estimator.for_any_filter:
-        moments, is_angle = _moments(filters), draws.model.is_angle
-        by_variance = errors_by_variance(*moments, estimator.weights, is_angle)
-        return weighed(by_variance, draws.instant_weights)
-    (estimate,), _ = _moments(filters)
     model = draws.model
-    errors = [
+    estimates, variances = (
+        np.array([getattr(each, name) for each in filters]) for name in ("estimate", "variance")
+    )
+    if not estimator.for_any_filter:
+        errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
+        return weighed(errors, draws.instant_weights)
+    (estimate,) = estimates
+    of_instants = [
         model.formulas["error"](tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
         for k, t in enumerate(draws.instants)
     ]
     shape = len(draws.index), 1
-    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in errors]
+    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in of_instants]
     weights = estimator.weights.squared_error * draws.instant_weights
     return weighed(np.concatenate(columns, axis=1), weights)
 
@@ -241,23 +222,8 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """The estimated MSE of each draw, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
-    weights = estimator.weights
     if estimator.for_any_filter:
-        return weights.squared_error * mse
-    estimates, variances = _moments(filters)
+        return estimator.weights.squared_error * mse
     with np.errstate(all="ignore"):
-        errors = errors_by_variance(estimates, variances, weights, draws.model.is_angle)
-        errors = weighed(errors, draws.instant_weights)
-        mean = np.mean(errors, axis=1)
-        if weights.squared_error:
-            mean += weights.squared_error * mse
+        mean = np.mean(_errors(filters, draws, estimator), axis=1)
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))
-
-
-def _moments(filters: Sequence[Filtered]) -> tuple[Array, Array]:
-    """Estimates and variances of filters, (F, D, T+1, q) each."""
-    estimates, variances = (
-        np.array([getattr(filtered, name) for filtered in filters])
-        for name in ("estimate", "variance")
-    )
-    return estimates, variances

@@ -12,7 +12,7 @@ Transactions on Automatic Control 49, 2004.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking, one_by_one, validated_from, weighed
+from pfdist.filters.interface import (
+    Filtered,
+    checking,
+    mse_of_sets,
+    one_by_one,
+    validated_from,
+    weighed,
+)
 from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
@@ -48,16 +55,6 @@ class LinearGaussian:
     # (S (T-s+1),): from (x(t), v) to y(t), for each instant and each of S sensors
     measurement: tuple[Affine, ...]
     quantity_of_interest: tuple[Affine, ...]  # (T-s+1,): from x(t) to z(t)
-
-    def since(self, start: int) -> "LinearGaussian":
-        """The matrices without those of the first `start` instants."""
-        sensors = len(self.measurement) // len(self.quantity_of_interest)
-        return LinearGaussian(
-            self.initial,
-            self.transition[start:],
-            self.measurement[start * sensors :],
-            self.quantity_of_interest[start:],
-        )
 
 
 class _SameModel:
@@ -190,24 +187,21 @@ def expected_errors(
     With a prior of x(s), the instants are s..T. Errors are raised as by `expected_mse`.
     """
     start = 0 if prior is None else prior.t
-    matrices = cached_matrices(model, horizon).since(start)
-    instants = horizon + 1 - start
-    sensors = len(model.parts)
-    measured = np.zeros((len(sets), instants * sensors), np.bool_)
+    matrices, sensors = cached_matrices(model, horizon), len(model.parts)
+    measured = np.zeros((len(sets), (horizon + 1) * sensors), np.bool_)
     for row, times in zip(measured, sets, strict=True):
-        valid = validated_from(start, times, horizon, sensors)
-        row[[time - start * sensors for time in valid]] = True
+        row[[*validated_from(start, times, horizon, sensors)]] = True
     _, begin = _begin(matrices, prior)
     covariance = np.repeat(begin[None], len(sets), axis=0)
-    errors = np.empty((len(sets), instants))
-    for t in range(instants):
+    errors = np.empty((len(sets), horizon + 1 - start))
+    for t in range(start, horizon + 1):
         for place in range(t * sensors, (t + 1) * sensors):
             here = measured[:, place]
             gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])
             covariance[here] -= gain @ observation_matrix @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
-        errors[:, t] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
-        if t + 1 < instants:
+        errors[:, t - start] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
+        if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     return errors
 
@@ -315,4 +309,4 @@ def _square(matrix: Array) -> Array:
 
 
 filter_draws = checking(filter_checked_draws)
-filter_checked_sets = one_by_one(filter_checked_draws)
+filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)

@@ -18,8 +18,7 @@ from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking
-from pfdist.filters.settings import filter_streams
-from pfdist.filters.work import Estimation
+from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS
 from pfdist.kernels.formulas import compiled_formulas

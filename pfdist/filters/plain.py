@@ -5,6 +5,7 @@ code. They are also the engine for models that Numba cannot compile, and about 1
 """
 
 import math
+from functools import partial
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.filters.interface import Filtered, checking, one_by_one, summed_one_by_one, weighed
+from pfdist.filters.interface import (
+    Filtered,
+    checking,
+    mse_of_sets,
+    one_by_one,
+    sums_of_sets,
+    weighed,
+)
 from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.guiding import plain_log_density
@@ -110,11 +118,9 @@ def _filter(
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     x, carried = _first(model, draws, stream, settings)
     for k, t in enumerate(draws.instants):
-        y, log_guide = (
-            tuple(np.repeat(values, particles) for values in draws.y[:, k].T),
-            np.zeros(1),
-        )
+        log_guide = np.zeros(1)
         if k > 0:
+            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
             seen = y if settings.guides(model) and t in times else None
             flat, log_guide = step(model, _flat(x), seen, t - 1, particles, stream, draws.index)
             x = _states(flat, cloud)
@@ -184,12 +190,6 @@ def step(
     return model.transition(x, t, w, model.p), log_guide
 
 
-def _effective_sizes(weight: Array) -> Array:
-    """Effective sample size of each draw's weights, (D, 1)."""
-    sizes: Array = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
-    return sizes[:, None]
-
-
 def _weighed(
     model: StateSpaceModel,
     draws: Draws,
@@ -220,7 +220,9 @@ def _weighed(
         log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p) + log_guide
         weight = plain_weights(_of_cloud(log_weight, cloud) + np.log(weight))
         if ALL_SCHEMES[settings.resampling].sorts:
-            x, weight = _in_line(x, weight)
+            order = plain_order(x[0], weight)
+            x = (np.take_along_axis(x[0], order, axis=1),)
+            weight = np.take_along_axis(weight, order, axis=1)
         degenerate |= ~weight.any(axis=1)
     return x, weight, degenerate
 
@@ -236,7 +238,8 @@ def _resampled(
     """Particles and weights after resampling; draws with even weights are left as they are."""
     particles = settings.particles
     ancestors = plain_ancestors(settings.resampling, weight, stream, index, key)
-    uneven = _effective_sizes(weight) < settings.threshold * particles
+    effective_sizes = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
+    uneven = (effective_sizes < settings.threshold * particles)[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
     x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return x, np.where(uneven, 1.0, weight)
@@ -250,12 +253,6 @@ def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]
         return mean, np.sum(share * angular_error(values, mean[:, None]), axis=1)
     mean = np.sum(share * values, axis=1)
     return mean, np.sum(share * (values - mean[:, None]) ** 2, axis=1)
-
-
-def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:
-    """Particles and their weights in the order of the states."""
-    order = plain_order(x[0], weight)
-    return (np.take_along_axis(x[0], order, axis=1),), np.take_along_axis(weight, order, axis=1)
 
 
 def _noise(
@@ -294,5 +291,5 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
 
 
 filter_draws = checking(filter_checked_draws)
-filter_checked_sets = one_by_one(filter_checked_draws)
-sum_errors = summed_one_by_one(filter_checked_draws)
+filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
+sum_errors = partial(one_by_one, sums_of_sets, filter_checked_draws)

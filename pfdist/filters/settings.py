@@ -2,12 +2,12 @@
 
 from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
-from pfdist.common.streams import stream_key
 from pfdist.errors import ArgumentError, ModelError, PriorError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.kernels.estimators import ALL_ESTIMATORS, ESTIMATORS, SQUARED_ERROR
-from pfdist.kernels.schemes import ALWAYS, SCHEMES
+from pfdist.filters.work import Estimation
+from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
+from pfdist.kernels.schemes import SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 
 RESAMPLING = tuple(SCHEMES)
@@ -42,19 +42,13 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
         )
 
 
-def check_filter(
-    model: StateSpaceModel,
-    truth: StateSpaceModel,
-    particles: int,
-    resampling: str,
-    estimator: str = SQUARED_ERROR.name,
-    threshold: float = ALWAYS,
-) -> None:
+def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation) -> None:
     """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
 
     An ArgumentError names a value that is not allowed, and a ModelError a setting or model that
     does not fit.
     """
+    resampling, estimator = settings.resampling, settings.estimator
     check_fits(model, truth)
     for name, got, allowed in (
         ("resampling", resampling, RESAMPLING),
@@ -70,31 +64,20 @@ def check_filter(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
             f"{model.components[0]} components of x"
         )
-    if model.sensors and threshold < ALWAYS:
+    if model.sensors and settings.carries:
         raise ModelError(
-            f"resample must be 'always' for a model with sensors, got 'below {threshold:g}' for "
-            f"{model.name}"
+            "resample must be 'always' for a model with sensors, got "
+            f"'below {settings.threshold:g}' for {model.name}"
         )
-    if not ESTIMATORS[estimator].for_any_filter:
-        _check_estimator(model, truth, estimator)
-    whole_argument("particles", particles, 1, MOST_PARTICLES)
-
-
-def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
-    """Raise a `ModelError` unless the model and the error allow an estimator by the variance."""
-    allowed = SQUARED_ERROR.name
-    if model != truth and ESTIMATORS[estimator].needs_truth:
+    always = SQUARED_ERROR.name
+    if ESTIMATORS[estimator].needs_truth and model != truth:
         raise ModelError(
             f"the estimator {estimator!r} needs a filter that knows the truth, got a filter with "
-            f"another model or other parameters; allowed: {allowed!r}"
+            f"another model or other parameters; allowed: {always!r}"
         )
-    if truth.error is not squared_error:
+    if not ESTIMATORS[estimator].for_any_filter and truth.error is not squared_error:
         raise ModelError(
             f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
-            f"model {truth.name}, which has its own error; allowed: {allowed!r}"
+            f"model {truth.name}, which has its own error; allowed: {always!r}"
         )
-
-
-def filter_streams(stream: int, estimator: str) -> list[int]:
-    """Keys of the noise of each filter that an estimator needs; the first is the given key."""
-    return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]
+    whole_argument("particles", settings.particles, 1, MOST_PARTICLES)

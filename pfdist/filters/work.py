@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
-from pfdist.filters.settings import filter_streams
-from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.estimators import ALL_ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
 from pfdist.models import StateSpaceModel
@@ -24,11 +24,6 @@ BLOCK = 24
 
 One task adds up a whole block, so results do not depend on the workers.
 """
-
-
-def in_blocks(draws: int) -> int:
-    """The number of draws, rounded up to whole blocks."""
-    return -(-draws // BLOCK) * BLOCK
 
 
 @dataclass(frozen=True)
@@ -62,7 +57,12 @@ class Estimation:
     @property
     def steps_an_instant(self) -> int:
         """Particle-steps of one instant, over all filters of the estimator."""
-        return self.particles * len(filter_streams(0, self.estimator))
+        return self.particles * ALL_ESTIMATORS[self.estimator].filters
+
+
+def filter_streams(stream: int, estimator: str) -> list[int]:
+    """Keys of the noise of each filter that an estimator needs; the first is the given key."""
+    return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]
 
 
 def with_truth(particles: int) -> Estimation:

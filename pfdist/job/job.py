@@ -62,16 +62,14 @@ def override(data: dict[str, Any], change: str) -> None:
     for part in path[:-1]:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
-            raise JobError(
-                f"change {shown_text(change)}: {shown_text(part)} is no section, so it has no keys",
-                argument="set",
-            )
+            raise _wrong(change, f"{shown_text(part)} is no section, so it has no keys")
     if not path:
-        raise JobError(
-            f"change {shown_text(change)}: name a key of the search, search.NAME.KEY=value",
-            argument="set",
-        )
+        raise _wrong(change, "name a key of the search, search.NAME.KEY=value")
     section[path[-1]] = value
+
+
+def _wrong(change: str, why: str) -> JobError:
+    return JobError(f"change {shown_text(change)}: {why}", argument="set")
 
 
 def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
@@ -116,69 +114,10 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
     names = [str(search.get("name", search.get("method"))) for search in searches]
     if name not in names:
         allowed = ", ".join(names) or "none, there is no [[search]]"
-        raise JobError(
-            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}"
-            f"{did_you_mean(name, names)}",
-            argument="set",
-        )
+        meant = did_you_mean(name, names)
+        raise _wrong(change, f"the job has no search {shown(name)}, allowed: {allowed}{meant}")
     section: dict[str, Any] = searches[names.index(name)]
     return section
-
-
-def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Times | None]:
-    """Instants of all sets that a job gives, by name, the reference first.
-
-    None stands for the regular times of the problem. The clock of the problem reads the times.
-    Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock, or
-    stands twice; it names the key.
-    """
-    first = comparison.reference_name
-    written = {name: (f"comparison.sets.{name}", times) for name, times in comparison.named.items()}
-    if first not in written:
-        written = {first: ("comparison.reference", comparison.reference), **written}
-    written = {first: written[first], **written}
-    references = problem.feasible.references if problem.sensors else {}
-    return {
-        name: None if times == REGULAR
-        else references[times[0]] if len(times) == 1 and times[0] in references
-        else validated_instants(times, problem.clock, key, key)
-        for name, (key, times) in written.items()
-    }  # fmt: skip
-
-
-def check_names(comparison: Comparison, searches: Iterable[str]) -> None:
-    """Check the names of the sets that a job gives, and those of its searches.
-
-    Raises `ValueError` if a name is reserved or stands twice, or if the reference is no set of the
-    job.
-    """
-    names = list(searches)
-    for name in names:
-        if name in RESERVED:
-            raise ValueError(
-                f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
-            )
-        if names.count(name) > 1:
-            raise ValueError(
-                f"search names must be unique, got {name!r} twice: give one of these searches "
-                'another name with name = "..."'
-            )
-        if name in comparison.named:
-            raise ValueError(
-                f"comparison.sets must have other names than the searches, got {name!r} in both"
-            )
-    reference = comparison.reference
-    if isinstance(reference, str) and reference not in (REGULAR, *comparison.named):
-        sets = ", ".join(map(repr, comparison.named)) or "which names none"
-        raise ValueError(
-            f"comparison.reference must be {REGULAR!r}, a list of times, for instance [0, 3, 6], "
-            f"or the name of a set of comparison.sets ({sets}), got {reference!r}"
-        )
-    if not names and not comparison.named:
-        raise ValueError(
-            "search must name at least one search, unless comparison.sets gives sets to compare, "
-            "got none"
-        )
 
 
 # --- the job --------------------------------------------------------------------------------------
@@ -251,7 +190,34 @@ class Job(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        check_names(self.comparison, (search.name for search in self.search))
+        """Check the names of searches and of given sets, and that the reference is one of these."""
+        named, names = self.comparison.named, [search.name for search in self.search]
+        for name in names:
+            if name in RESERVED:
+                raise ValueError(
+                    f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
+                )
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"search names must be unique, got {name!r} twice: give one of these searches "
+                    'another name with name = "..."'
+                )
+            if name in named:
+                raise ValueError(
+                    f"comparison.sets must have other names than the searches, got {name!r} in both"
+                )
+        reference = self.comparison.reference
+        if isinstance(reference, str) and reference not in (REGULAR, *named):
+            sets = ", ".join(map(repr, named)) or "which names none"
+            raise ValueError(
+                f"comparison.reference must be {REGULAR!r}, a list of times, for instance "
+                f"[0, 3, 6], or the name of a set of comparison.sets ({sets}), got {reference!r}"
+            )
+        if not names and not named:
+            raise ValueError(
+                "search must name at least one search, unless comparison.sets gives sets to "
+                "compare, got none"
+            )
         return self
 
     @model_validator(mode="after")
@@ -321,7 +287,10 @@ class Job(Section):
 
     @model_validator(mode="after")
     def _compares_sensors(self) -> Self:
-        """Compare with each sensor alone and with rotation, unless the job names its own sets."""
+        """Compare with each sensor alone and with rotation, unless the job names its own sets.
+
+        The times of all given sets must be those of the clock.
+        """
         feasible = self.problem.feasible
         if self.problem.sensors and self.comparison.sets is None and self.budget is None:
             sets = {
@@ -331,10 +300,6 @@ class Job(Section):
             }
             comparison = self.comparison.model_copy(update={"sets": sets or None})
             object.__setattr__(self, "comparison", comparison)
-        return self
-
-    @model_validator(mode="after")
-    def _given_sets_are_of_this_clock(self) -> Self:
         try:
             self.given_sets  # noqa: B018  made here, because it checks the times
         except MeasurementTimesError as error:
@@ -343,12 +308,30 @@ class Job(Section):
 
     @cached_property
     def given_sets(self) -> dict[str, Times | None]:
-        """Instants of the sets that the job gives, the reference first; None: regular times."""
-        return given_sets(self.comparison, self.problem)
+        """Instants of the sets that the job gives, the reference first; None: regular times.
+
+        Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock,
+        or stands twice; it names the key.
+        """
+        comparison, references = self.comparison, self.problem.feasible.references
+        first, named = comparison.reference_name, comparison.named
+        written = {name: (f"comparison.sets.{name}", times) for name, times in named.items()}
+        own = written.pop(first, ("comparison.reference", comparison.reference))
+        return {
+            name: None if times == REGULAR
+            else references[times[0]] if len(times) == 1 and times[0] in references
+            else validated_instants(times, self.problem.clock, key, key)
+            for name, (key, times) in {first: own, **written}.items()
+        }  # fmt: skip
 
     def feasible(self, measurement_budget: int) -> Feasible:
         """The feasible sets of another number of measurements."""
         return replace(self.problem.feasible, measurement_budget=measurement_budget)
+
+    @property
+    def origin(self) -> Origin:
+        """Where the job comes from."""
+        return self._origin
 
     @property
     def path(self) -> Path:
@@ -364,26 +347,6 @@ class Job(Section):
         """The job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
         return _validated(data, self._origin, overrides, settings)
-
-    @property
-    def names_its_searches(self) -> bool:
-        """Whether the job file has a [[search]]. Otherwise the job has the default search."""
-        return self._origin.names_searches
-
-    @property
-    def names_online(self) -> bool:
-        """Whether the job file has a section [online]."""
-        return self._origin.names_online
-
-    @property
-    def is_file(self) -> bool:
-        """Whether there is a job file. A problem in Python has none."""
-        return self._origin.is_file
-
-    @property
-    def models(self) -> "Mapping[str, CarriedModel]":
-        """Models that were given as objects in Python, for "model" and "filter_model"."""
-        return self._origin.models
 
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""
@@ -441,15 +404,11 @@ def toml_of_file(path: Path) -> dict[str, Any]:
             remedy = f": name the job of its run, which keeps it in {path / 'job.toml'}"
         raise JobError(f"a job must be a job file, got the folder {path}{remedy}") from error
     except OSError as error:
-        meant = did_you_mean_path(path, (path.parent, Path("jobs")), is_job_file)
+        folders = path.parent, Path("jobs")
+        meant = did_you_mean_path(path, folders, lambda other: other.suffix == ".toml")
         raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-
-
-def is_job_file(path: Path) -> bool:
-    """Whether a path may be that of a job file or a sweep file."""
-    return path.suffix == ".toml"
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:

@@ -68,14 +68,20 @@ def points_of(
     groups = [{key: values} for key, values in dotted(over).items()]
     groups += [dotted(group) for group in parallel]
     _check_keys([key for group in groups for key in group])
+    groups = [{key: _values(key, values) for key, values in group.items()} for group in groups]
     number = math.prod(map(_length, groups)) if groups else 0
     if not 1 <= number + len(points) <= MOST_POINTS:
         raise JobError(
             f"a sweep must have 1..{MOST_POINTS} points, got {number + len(points)}: give values "
             "of keys, for instance seed=1:10"
         )
-    products = itertools.product(*map(_together, groups)) if groups else iter(())
-    chosen = [dict(itertools.chain.from_iterable(each)) for each in products]
+    # The choices for keys that change together: for each, the values of all keys.
+    choices = [[*zip(*group.values(), strict=True)] for group in groups]
+    keys = [key for group in groups for key in group]
+    products = itertools.product(*choices) if groups else ()
+    chosen = [
+        dict(zip(keys, itertools.chain.from_iterable(each), strict=True)) for each in products
+    ]
     chosen += [dict(dotted(point)) for point in points]
     return tuple(_named(chosen))
 
@@ -145,19 +151,11 @@ def dotted(values: Values, before: str = "") -> dict[str, Any]:
 
 def _length(group: Values) -> int:
     """Number of values of each key of a group."""
-    lengths = {key: len(_values(key, values)) for key, values in group.items()}
+    lengths = {key: len(values) for key, values in group.items()}
     if len(set(lengths.values())) != 1:
         got = ", ".join(f"{count} of {key}" for key, count in lengths.items()) or "no key"
         raise JobError(f"keys that change together must have equally many values, got {got}")
     return next(iter(lengths.values()))
-
-
-def _together(group: Values) -> list[list[tuple[str, Any]]]:
-    """The choices for keys that change together; each choice is a list of pairs (key, value)."""
-    return [
-        [(key, _values(key, values)[position]) for key, values in group.items()]
-        for position in range(_length(group))
-    ]
 
 
 def _values(key: str, values: Any) -> Sequence[Any]:

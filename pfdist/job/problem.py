@@ -113,9 +113,9 @@ class Problem(Shown):
             )
         self._filter_model = None if believed is self._model else believed
         if keys.get("sensors") is None and isinstance(model, StateSpaceModel) and model.sensors:
-            costs = {name: sensor.cost for name, sensor in model.sensors.items()}
             keys["sensors"] = {
-                name: {} if cost is None else {"cost": cost} for name, cost in costs.items()
+                name: {} if sensor.cost is None else {"cost": sensor.cost}
+                for name, sensor in model.sensors.items()
             }
         self._arguments = {
             "model": self._model,
@@ -170,16 +170,11 @@ class Problem(Shown):
             Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
         )
         filled = {name: section for name, section in sections.items() if section is not None}
-        own = {"seed": _plain(seed), "model": self._models(), **self._scenarios, **self._keys}
-        data = {**own, **filled}
-        return Job(origin, **data)
-
-    def _models(self) -> dict[str, Any]:
-        """The section [model] of the job."""
         section = _section_of(self._model)
         if self._filter_model is not None and self._filter_model != self._model:
             section["filter"] = _section_of(self._filter_model)
-        return section
+        own = {"seed": _plain(seed), "model": section, **self._scenarios, **self._keys}
+        return Job(origin, **own | filled)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if hasattr(self, "_keys"):
@@ -279,11 +274,15 @@ def _plain_keys(keys: Mapping[str, Any]) -> dict[str, Any]:
 
 def _with_texts(value: Any) -> Any:
     """Times with texts such as "20-30" in place of ranges in steps of 1."""
-    if isinstance(value, range):
-        return [_text_of(value)] if _is_stretch(value) else value
-    if isinstance(value, tuple | list):
-        return [_text_of(each) if _is_stretch(each) else each for each in value]
-    return value
+    if not isinstance(value, range | tuple | list):
+        return value
+    entries = [value] if isinstance(value, range) else value
+    return [
+        f"{each[0]}-{each[-1]}"
+        if isinstance(each, range) and each.step == 1 and len(each) > 1 and each[0] >= 0
+        else each
+        for each in entries
+    ]
 
 
 def _plain(value: Any) -> Any:
@@ -311,15 +310,6 @@ def _order(entry: Any) -> tuple[bool, Any, str]:
     """Key that sorts the entries of a set: numbers first."""
     is_number = isinstance(entry, int | float)
     return not is_number, entry if is_number else 0, str(entry)
-
-
-def _is_stretch(times: Any) -> bool:
-    is_range = isinstance(times, range) and times.step == 1
-    return is_range and len(times) > 1 and times[0] >= 0
-
-
-def _text_of(times: range) -> str:
-    return f"{times[0]}-{times[-1]}"
 
 
 def _signature() -> inspect.Signature:

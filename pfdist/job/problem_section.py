@@ -15,6 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.job.sections import is_list_of
 from pfdist.times.clock import Clock, Time, plain_time
 from pfdist.times.constraints import Limit, Money, money
 from pfdist.times.feasible import Feasible
@@ -153,10 +154,7 @@ class ProblemSection(Section):
     def _are_numbers(cls, value: Any, info: ValidationInfo) -> Any:
         if value is None:
             return None
-        are_numbers = isinstance(value, (list, tuple)) and all(
-            type(number) in (int, float) for number in value
-        )
-        if not are_numbers:
+        if not is_list_of(value, int, float):
             raise ValueError(
                 f"problem.{info.field_name} must be a list of numbers, got {shown(value)}"
             )
@@ -175,7 +173,7 @@ class ProblemSection(Section):
     @field_validator("sensors", mode="before")
     @classmethod
     def _are_sensors(cls, value: Any) -> Any:
-        if isinstance(value, (list, tuple)) and all(isinstance(name, str) for name in value):
+        if is_list_of(value, str):
             value = {name: {} for name in value}
         if value is not None and not (isinstance(value, dict) and len(value) > 1):
             raise ValueError(
@@ -203,10 +201,7 @@ class ProblemSection(Section):
 
         Raises `MeasurementTimesError` if the values contradict each other; it begins with the key.
         """
-        clock = self._clock
-        if not self.sensors:
-            return clock
-        clock = replace(clock, sensors=tuple(self.sensors))
+        clock = replace(self._clock, sensors=tuple(self.sensors or ()))
         if clock.possible > _MOST_POSSIBLE:
             raise MeasurementTimesError(
                 f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {clock.possible:,}"
@@ -244,11 +239,12 @@ class ProblemSection(Section):
         if not self.has_clock and not (spacing is None and self.sensors):
             spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
         limits = self._limits
+        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
             forbidden=self._forbidden,
-            required=_union(self.required or (), clock, "required"),
+            required=tuple(sorted({*measurements_of(self.required or (), clock, "required")})),
             minimum_spacing=spacing or 0.0,
             cost=self._costs_of_instants,
             total_cost=None if self.total_cost is None else money(self.total_cost),
@@ -256,14 +252,14 @@ class ProblemSection(Section):
             # To sets within limits, money left over may buy nothing.
             smaller=bool(limits) and self.total_cost is not None,
             limits=limits,
-            cheapest=self._cheapest,
+            cheapest=costs.index(min(costs)),  # the first sensor if none has a cost
         )
 
     @property
     def _forbidden(self) -> Times:
         times = {*measurements_of(self.forbidden or (), self.clock, "forbidden", of_all=True)}
         for number, (name, sensor) in enumerate((self.sensors or {}).items()):
-            instants = instants_of(sensor.forbidden or (), self._clock, f"sensors.{name}.forbidden")
+            instants = instants_of(sensor.forbidden or (), self.clock, f"sensors.{name}.forbidden")
             times.update(t * len(self.clock.sensors) + number for t in instants)
         return tuple(sorted(times))
 
@@ -281,26 +277,10 @@ class ProblemSection(Section):
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
 
     @property
-    def _cheapest(self) -> int:
-        """Number of the sensor that measures at regular times: the cheapest, or the first."""
-        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
-        return costs.index(min(costs))
-
-    @property
     def _costs_of_sensors(self) -> list[tuple[Money, ...]]:
         """The cost of each sensor at each instant; empty for a sensor without a cost."""
-        instants = len(self._clock.times)
-        costs = list[tuple[Money, ...]]()
-        for name, sensor in (self.sensors or {}).items():
-            given, key = () if sensor.cost is None else sensor.cost, f"sensors.{name}.cost"
-            if isinstance(given, int | float):
-                given = (given,) * instants
-            costs.append(self._costs(key, given))
-            if given and len(costs[-1]) != instants:
-                raise MeasurementTimesError(
-                    f"{key} needs {instants} values, one for each instant, got {len(costs[-1])}"
-                )
-        return costs
+        sensors = (self.sensors or {}).items()
+        return [self._costs(f"sensors.{name}.cost", sensor.cost) for name, sensor in sensors]
 
     @cached_property
     def weights(self) -> tuple[float, ...] | None:
@@ -357,11 +337,20 @@ class ProblemSection(Section):
             raise MeasurementTimesError(f"sensors.{lacking[0]}.cost must be given with total_cost")
         return tuple(chain.from_iterable(zip(*self._costs_of_sensors, strict=True)))
 
-    def _costs(self, name: str, given: _Cost) -> tuple[Money, ...]:
-        """The cost of each instant."""
+    def _costs(self, name: str, given: Time | _Cost | None) -> tuple[Money, ...]:
+        """The cost of each instant; empty if no cost is given."""
+        clock, costs = self.clock, dict[int, Money]()
+        if given is None:
+            return ()
+        if isinstance(given, int | float):
+            return (money(given),) * len(clock.times)
         if not isinstance(given, dict):
+            if len(given) != len(clock.times):
+                raise MeasurementTimesError(
+                    f"{name} needs {len(clock.times)} values, one for each instant, got "
+                    f"{len(given)}"
+                )
             return tuple(map(money, given))
-        clock, costs = self._clock, dict[int, Money]()
         ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
         for key, cost in given.items():
             for t in instants_of(key, clock, name):
@@ -393,7 +382,3 @@ class ProblemSection(Section):
             bound = "at least 1" if value < 1 else f"at most {most}"
             raise MeasurementTimesError(f"{name} must be {bound}, got {shown(value)}")
         return value
-
-
-def _union(entries: Iterable[Time | str], clock: Clock, name: str) -> Times:
-    return tuple(sorted(set(measurements_of(entries, clock, name))))

@@ -12,7 +12,7 @@ from pfdist.common.scenario import Scenario
 from pfdist.common.section import Section
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
-from pfdist.job.sections import Parameter, checked_parameters
+from pfdist.job.sections import Parameter, checked_parameters, is_list_of
 
 MOST_SCENARIOS = 100
 _DISTRIBUTIONS = (
@@ -21,6 +21,7 @@ _DISTRIBUTIONS = (
 _KINDS = ("normal", "lognormal", "uniform")
 _Pair = tuple[float, float]
 _Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_Numbers = Annotated[tuple[_Above0, ...], Field(strict=False)]
 
 
 class Scenarios(Section):
@@ -53,8 +54,8 @@ class Scenarios(Section):
         Annotated[tuple[dict[str, Parameter], ...], Field(min_length=1, max_length=MOST_SCENARIOS)]
         | dict[str, dict[str, _Pair]]
     )
-    weights: tuple[_Above0, ...] | None = None
-    scales: tuple[_Above0, ...] | None = None
+    weights: _Numbers | None = None
+    scales: _Numbers | None = None
     count: Annotated[int, Field(ge=2, le=MOST_SCENARIOS)] | None = None
     criterion: Literal["mean", "worst"] = "mean"
     filter: Literal["nominal", "told"] = "nominal"
@@ -71,13 +72,6 @@ class Scenarios(Section):
                 f"{shown(value)}"
             )
         return tuple(checked_parameters(each, "scenarios.parameters") for each in value)
-
-    @field_validator("weights", "scales", mode="before")
-    @classmethod
-    def _are_floats(cls, value: Any) -> Any:
-        if not isinstance(value, list | tuple):
-            return value
-        return tuple(float(each) if type(each) is int else each for each in value)
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
@@ -137,7 +131,8 @@ def _distribution(name: str, given: Any) -> dict[str, tuple[float, float]]:
     """A checked distribution: its kind, and two numbers."""
     if isinstance(given, dict) and len(given) == 1:
         ((kind, numbers),) = given.items()
-        if kind in _KINDS and _are_two_numbers(numbers):
+        are_numbers = is_list_of(numbers, int, float) and np.isfinite(numbers).all()
+        if kind in _KINDS and are_numbers and len(numbers) == 2:
             first, second = map(float, numbers)
             above = first if kind == "uniform" else 0.0
             if second > above and (kind != "lognormal" or first > 0.0):
@@ -145,14 +140,6 @@ def _distribution(name: str, given: Any) -> dict[str, tuple[float, float]]:
     raise ValueError(
         f"scenarios.parameters.{name} must be {_DISTRIBUTIONS}, with an sd and a median above 0, "
         f"and low below high, got {shown(given)}"
-    )
-
-
-def _are_two_numbers(value: Any) -> bool:
-    return (
-        isinstance(value, list | tuple)
-        and [type(number) in (int, float) for number in value] == [True, True]
-        and bool(np.isfinite(value).all())
     )
 
 

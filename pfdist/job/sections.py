@@ -51,6 +51,11 @@ def _checked_text(text: str) -> str:
     return text
 
 
+def is_list_of(value: Any, *kinds: type) -> bool:
+    """Whether a value is a list whose entries have exactly one of these types."""
+    return isinstance(value, list | tuple) and all(type(entry) in kinds for entry in value)
+
+
 def checked_parameters(values: Any, section: str) -> Any:
     """Parameters, with tuples for lists; others than numbers and lists of numbers are refused."""
     if not isinstance(values, dict):
@@ -58,14 +63,13 @@ def checked_parameters(values: Any, section: str) -> Any:
     checked = {}
     for name, given in values.items():
         value = given.tolist() if hasattr(given, "tolist") else given
-        numbers = value if isinstance(value, list | tuple) and value else (value,)
-        if not all(type(number) in (int, float) for number in numbers):
+        is_list = is_list_of(value, int, float) and len(value) > 0
+        if not is_list and type(value) not in (int, float):
             raise ValueError(
                 f"{section}.{name} must be a number, a list with a number for each instant, or "
                 f'a column of a table, as {{file = "weather.csv", column = "rain"}}, got '
                 f"{shown(value)}"
             )
-        is_list = isinstance(value, list | tuple)
         checked[name] = tuple(map(float, value)) if is_list else float(value)
     return checked
 
@@ -88,13 +92,12 @@ def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
         )
     if isinstance(written, str):
         return written if written == REGULAR else (written,)
-    entries = written if isinstance(written, (list, tuple)) else (None,)
-    if not all(type(entry) in (int, float, str) for entry in entries):
+    if not is_list_of(written, int, float, str):
         raise ValueError(
             f"comparison.sets.{name} must be {REGULAR!r}, or times, as [0, 3, 6], and ranges, as "
             f"'0:60:3', got {shown(written)}"
         )
-    return tuple(map(plain_time, entries))
+    return tuple(map(plain_time, written))
 
 
 def _number_or_auto(value: Any, number: ValidatorFunctionWrapHandler) -> Any:
@@ -258,10 +261,7 @@ class Comparison(Section):
     def _is_name_or_times(cls, value: Any) -> Any:
         if isinstance(value, str):
             return value
-        are_times = isinstance(value, (list, tuple)) and all(
-            type(time) in (int, float, str) for time in value
-        )
-        if not are_times:
+        if not is_list_of(value, int, float, str):
             raise ValueError(
                 f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
                 f"[0, 3, 6], got {shown(value)}"

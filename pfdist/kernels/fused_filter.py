@@ -279,33 +279,6 @@ def fused_filter(
     `is_angle` says which components of z are angles, and `carries` whether the filter may carry
     weights from one measurement to the next. With several sensors it neither carries nor is guided.
     """
-    states, rows = components[0], components[2] + sum(is_angle)
-    noise_rows = max(1, *map(len, noise_kinds))
-    choices = (formulas, noise_kinds, components, parameters, resampling, is_angle, carries)
-    compiled = cached_on_disk(_filter_draws(*choices), formulas.all, *choices[1:])
-
-    def with_scratch(request, plan, results):
-        # All draws, filters and sets of this call share one scratch, and each call makes its own:
-        # threads filter at the same time. Python frees it even if a formula raises.
-        first_means = (results.mse.shape[1] if len(request.streams) > 1 else 0, request.y.shape[1])
-        scratch = filter_scratch(
-            (states, rows), noise_rows, request.particles, plan.clouds, first_means
-        )
-        compiled(request, plan, results, scratch)
-
-    return WithScratch(compiled, with_scratch)
-
-
-def _filter_draws(
-    formulas: FilterFormulas,
-    noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, tuple[int, ...], int],
-    parameters: tuple[tuple[str, ...], ...],
-    resampling: str,
-    is_angle: tuple[bool, ...],
-    carries: bool,
-) -> Callable[..., None]:
-    """The loop over draws, filters and sets of times, which is compiled when it is first called."""
     filter_draw = _filter_draw(formulas, noise_kinds, components, resampling, is_angle, carries)
     named, named_truth = map(naming, parameters)
     noise_rows = max(1, *map(len, noise_kinds))
@@ -326,7 +299,22 @@ def _filter_draws(
                     mse_of_filter = filter_draw(at, request, models, plan, results, sized)
                     mse[d, s] = mse_of_filter if k == 0 else mse[d, s] + mse_of_filter
 
-    return filter_draws
+    compiled = cached_on_disk(
+        filter_draws,
+        formulas.all,
+        *(noise_kinds, components, parameters, resampling, is_angle, carries),
+    )
+
+    def with_scratch(request, plan, results):
+        # All draws, filters and sets of this call share one scratch, and each call makes its own:
+        # threads filter at the same time. Python frees it even if a formula raises.
+        first_means = (results.mse.shape[1] if len(request.streams) > 1 else 0, request.y.shape[1])
+        scratch = filter_scratch(
+            (states, rows), noise_rows, request.particles, plan.clouds, first_means
+        )
+        compiled(request, plan, results, scratch)
+
+    return WithScratch(compiled, with_scratch)
 
 
 def _filter_draw(

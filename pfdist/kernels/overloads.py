@@ -18,6 +18,10 @@ from pfdist.kernels import elementary
 from pfdist.kernels.melting import MELTING, inlined
 
 
+def _is_number(kind):
+    return isinstance(kind, types.Float | types.Integer | types.Boolean)
+
+
 def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable[..., Any]:
     """A function that compiles to `scalar` on numbers and to NumPy's own on arrays."""
     arguments = inspect.signature(scalar).parameters  # the names must be the same
@@ -33,34 +37,19 @@ def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable
         "    return on_any_numbers if all(map(is_number, kinds)) else on_arrays\n"
         f"def overloaded({names}):\n    return chosen(({names},))\n"
     )
-    scope["is_number"] = lambda kind: isinstance(kind, types.Float | types.Integer | types.Boolean)
+    scope["is_number"] = _is_number
     scope["are_floats"] = lambda kinds: all(kind == types.float64 for kind in kinds)
     exec(source, scope)  # noqa: S102  the source above depends on a number only
     overload(scope["stub"], jit_options=MELTING)(scope["overloaded"])
     return scope["stub"]
 
 
+_NAMES = (
+    *("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "log2", "log10"),
+    *("sinh", "cosh", "tanh", "arcsin", "arccos", "arctan", "arctan2", "hypot"),
+)
 ELEMENTARY: dict[str, Callable[..., Any]] = {
-    function.__name__: _in_the_place_of(function, scalar)
-    for function, scalar in (
-        (np.sin, elementary.sin),
-        (np.cos, elementary.cos),
-        (np.tan, elementary.tan),
-        (np.exp, elementary.exp),
-        (np.expm1, elementary.expm1),
-        (np.log, elementary.log),
-        (np.log1p, elementary.log1p),
-        (np.log2, elementary.log2),
-        (np.log10, elementary.log10),
-        (np.sinh, elementary.sinh),
-        (np.cosh, elementary.cosh),
-        (np.tanh, elementary.tanh),
-        (np.arcsin, elementary.arcsin),
-        (np.arccos, elementary.arccos),
-        (np.arctan, elementary.arctan),
-        (np.arctan2, elementary.arctan2),
-        (np.hypot, elementary.hypot),
-    )
+    name: _in_the_place_of(getattr(np, name), getattr(elementary, name)) for name in _NAMES
 }
 """Replacements for NumPy's functions in formulas, by their names."""
 
@@ -107,10 +96,6 @@ CHOICES: dict[str, Callable[..., Any]] = {
     function.__name__: function for function in (where, clip, heaviside, interp, select)
 }
 """Replacements for NumPy's functions in formulas, by their names."""
-
-
-def _is_number(kind):
-    return isinstance(kind, types.Float | types.Integer | types.Boolean)
 
 
 def _is_none(kind):

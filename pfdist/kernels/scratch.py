@@ -6,6 +6,7 @@ made in Python, and passed to the compiled code.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,16 +25,16 @@ EQUAL, WEIGHTED = np.uintp(0), np.uintp(1)
 _CACHE_LINE = 64  # bytes
 
 
+@dataclass(frozen=True)
 class WithScratch:
     """A compiled function, and `call`, the function that makes its arrays and calls it."""
 
-    def __init__(self, compiled: Any, call: Callable[..., None]) -> None:
-        self.compiled = compiled
-        self._call = call
+    compiled: Any
+    call: Callable[..., None]
 
     def __call__(self, *arguments: Any) -> None:
         """Make the arrays, and call the compiled function."""
-        self._call(*arguments)
+        self.call(*arguments)
 
 
 class Scratch(NamedTuple):

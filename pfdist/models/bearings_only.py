@@ -23,6 +23,7 @@ import math
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 KNOT = 1.852 / 60  # km a minute
 FIRST_BEARING = math.radians(80)
@@ -78,8 +79,6 @@ def quantity_of_interest(x, t, p):
     return (x[0], x[1])
 
 
-NOT_NEGATIVE = (0.0, math.inf)
-
 model = StateSpaceModel(
     name="bearings_only",
     initial=initial,
@@ -108,7 +107,7 @@ model = StateSpaceModel(
         "speed_mean": NOT_NEGATIVE,
         "speed_sd": NOT_NEGATIVE,
         "acceleration_sd": NOT_NEGATIVE,
-        "bearing_sd": (1e-9, math.inf),
+        "bearing_sd": POSITIVE,
         "observer_speed": NOT_NEGATIVE,
         "turn": NOT_NEGATIVE,
     },

@@ -98,7 +98,11 @@ def _check_sensors(model: Any) -> None:
             f"model {model.name}: sensors must be at most {MOST_SENSORS}, got {len(names)}"
         )
     for name in names:
-        check_sensor_name(name, f"model {model.name}: sensors")
+        if not (isinstance(name, str) and _SENSOR_NAME.fullmatch(name)):  # as in ``12 x-ray``
+            raise ModelError(
+                f"model {model.name}: sensors must have names of a letter and up to 39 letters, "
+                f"digits, hyphens and underscores, got {shown(name)}"
+            )
     given = [name for name in MEASURING if getattr(model, name) is not formula_of_each_sensor]
     if names and (given or model.measurement_noise):
         raise ModelError(
@@ -108,15 +112,6 @@ def _check_sensors(model: Any) -> None:
     if not names and len(given) < len(MEASURING):
         raise ModelError(
             f"model {model.name}: measurement and log_likelihood must be given, or sensors"
-        )
-
-
-def check_sensor_name(name: Any, where: str) -> None:
-    """Raise a `ModelError` unless a name can stand behind a time, as in ``12 x-ray``."""
-    if not (isinstance(name, str) and _SENSOR_NAME.fullmatch(name)):
-        raise ModelError(
-            f"{where} must have names of a letter and up to 39 letters, digits, hyphens and "
-            f"underscores, got {shown(name)}"
         )
 
 

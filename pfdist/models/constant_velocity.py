@@ -20,6 +20,7 @@ import numpy as np
 
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.bearings_only import wrapped
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 
 def initial(w, p):
@@ -60,9 +61,6 @@ def log_likelihood(y, x, t, p):
 def quantity_of_interest(x, t, p):
     return (x[0], x[1])
 
-
-NOT_NEGATIVE = (0.0, math.inf)
-POSITIVE = (1e-9, math.inf)
 
 model = StateSpaceModel(
     name="constant_velocity",

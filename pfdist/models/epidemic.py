@@ -24,12 +24,11 @@ an epidemic using stochastic dynamical systems", Biostatistics 14, 2013. Rogan, 
 prevalence from the results of a screening test", American Journal of Epidemiology 107, 1978.
 """
 
-import math
-
 import numpy as np
 
 from pfdist.elementwise import where
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 SUBSTEPS = 4  # between two instants
 TESTS = 200  # persons in a sample
@@ -79,7 +78,6 @@ def quantity_of_interest(x, t, p):
     return (100 * x[1],)
 
 
-ABOVE_0 = (1e-9, math.inf)
 LIKELY = (0.5, 1 - 1e-9)  # a sure test would give impossible counts a log-likelihood of -inf
 
 model = StateSpaceModel(
@@ -103,12 +101,12 @@ model = StateSpaceModel(
         "specificity": 0.99,
     },
     parameter_ranges={
-        "reproduction_number": ABOVE_0,
-        "infectious_days": ABOVE_0,
-        "return_days": ABOVE_0,
-        "transmission_sd": (0.0, math.inf),
+        "reproduction_number": POSITIVE,
+        "infectious_days": POSITIVE,
+        "return_days": POSITIVE,
+        "transmission_sd": NOT_NEGATIVE,
         "first_infectious": (0.0, 1.0),
-        "first_infectious_sd": (0.0, math.inf),
+        "first_infectious_sd": NOT_NEGATIVE,
         "sensitivity": LIKELY,
         "specificity": LIKELY,
     },

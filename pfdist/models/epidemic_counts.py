@@ -17,12 +17,12 @@ of infectious disease", Journal of the Royal Statistical Society A 159, 1996 (Po
 reports with a background).
 """
 
-import math
 from dataclasses import replace
 
 from pfdist.densities.draws import poisson_draw
 from pfdist.densities.log_densities import poisson_logpmf
 from pfdist.models import epidemic
+from pfdist.models.parameters import POSITIVE
 
 
 def mean_count(x, p):
@@ -54,10 +54,10 @@ model = replace(
         if name not in _OF_THE_TESTS
     }
     | {
-        "registered": epidemic.ABOVE_0,
+        "registered": POSITIVE,
         "consulting": (0.0, 1.0),
         # Without any background, a count would be impossible where nobody is infectious.
-        "background": (1e-9, math.inf),
+        "background": POSITIVE,
     },
     normalised=True,
     y_names=("patients",),

@@ -35,7 +35,8 @@ import numpy as np
 
 from pfdist.errors import ModelError
 from pfdist.models.mistakes import place_of_function, ships
-from pfdist.models.syntax import node_of, source_of, syntax_of
+from pfdist.models.seeing import home_of, names_in
+from pfdist.models.syntax import codes_in, node_of, source_of, syntax_of
 
 Fingerprint = dict[str, Any]
 """Hashes, numbers and versions by labels: ``formulas``, ``helper.C``, ``parameters.sd``, ..."""
@@ -85,8 +86,11 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     entries[FORMULAS] = digest([entries[FORMULAS], *map(repr, settings)])
     names = {name: ", ".join(map(str, given)) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
-    fingerprint = entries | names | files | parameters_of(model.parameters)
-    return Inspection(fingerprint, walk.modules, walk.texts)
+    parameters = {
+        f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
+        for name, value in model.parameters.items()
+    }
+    return Inspection(entries | names | files | parameters, walk.modules, walk.texts)
 
 
 def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
@@ -95,14 +99,6 @@ def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
         return digest([repr(sorted(_Walk(model, formulas).fingerprint().items()))])
     except ModelError:
         return None
-
-
-def parameters_of(values: Mapping[str, Any]) -> Fingerprint:
-    """Parameters as entries of a fingerprint: numbers, and hashes of sequences."""
-    return {
-        f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
-        for name, value in values.items()
-    }
 
 
 def digest(parts: Iterable[str | bytes]) -> str:
@@ -119,7 +115,7 @@ class _Walk:
 
     def __init__(self, model: str, formulas: Mapping[str, Any]) -> None:
         self._model, self._formulas = model, formulas
-        self._own = {_home(formula) for formula in formulas.values()}
+        self._own = {home_of(formula) for formula in formulas.values()}
         self._functions: list[types.FunctionType] = []  # in the order in which they were met
         self._syntax: list[bytes] = []
         self._values: Fingerprint = {}
@@ -150,7 +146,7 @@ class _Walk:
             return
         self._functions.append(function)
         if _is_users(function.__code__.co_filename):
-            self.modules.add(_home(function))
+            self.modules.add(home_of(function))
             self.texts[function.__code__.co_filename] = source_of(function)
         node, syntax = node_of(function), syntax_of(function)
         if node is None or syntax is None:
@@ -174,7 +170,7 @@ class _Walk:
         keywords = (function.__kwdefaults__ or {}).items()
         for name, value in [*zip(names, defaults, strict=True), *sorted(keywords)]:
             self._variable(f"{label}.{name}", value, node, name)
-        scope, module = function.__globals__, self._prefix(_home(function))
+        scope, module = function.__globals__, self._prefix(home_of(function))
         for name in sorted(_globals_of(function.__code__) & scope.keys()):
             self._variable(f"{module}{name}", scope[name], node, name)
 
@@ -246,7 +242,7 @@ class _Walk:
     def _refuse_dynamic(self, function: types.FunctionType, label: str) -> None:
         code = function.__code__
         names = _globals_of(code) - function.__globals__.keys()
-        dynamic_names = sorted(_DYNAMIC & names) + sorted(_HIDDEN & set(_names_of(code)))
+        dynamic_names = sorted(_DYNAMIC & names) + sorted(_HIDDEN & names_in(code))
         imported = next(_steps(code, "IMPORT_NAME"), None)
         if imported is not None:
             self._refuse(label, f"imports {imported} when it is called: import it above")
@@ -325,10 +321,6 @@ def _is_function(value: Any) -> bool:
     return callable(value) and hasattr(value, "__name__") and not isinstance(value, type)
 
 
-def _home(function: types.FunctionType) -> str:
-    return str(function.__globals__.get("__name__"))
-
-
 def file_of(module: types.ModuleType) -> str | None:
     """The file of a module, or the folder of a package without a file."""
     return module.__dict__.get("__file__") or next(iter(getattr(module, "__path__", ())), None)
@@ -380,16 +372,7 @@ def _globals_of(code: types.CodeType) -> set[str]:
     return {*_steps(code, "LOAD_GLOBAL"), *_steps(code, "LOAD_NAME")}
 
 
-def _names_of(code: types.CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _names_of(constant)
-
-
 def _steps(code: types.CodeType, kind: str) -> Iterator[str]:
     """Arguments of a function's instructions of a kind, also in the functions that it defines."""
-    yield from (each.argval for each in dis.get_instructions(code) if each.opname == kind)
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _steps(constant, kind)
+    for inner in codes_in(code):
+        yield from (each.argval for each in dis.get_instructions(inner) if each.opname == kind)

@@ -25,6 +25,7 @@ import math
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 SUBSTEPS = 10  # between two instants
 START = (1.508870, -1.531271, 25.46091)
@@ -63,8 +64,6 @@ def quantity_of_interest(x, t, p):
     return x
 
 
-NOT_NEGATIVE = (0.0, math.inf)
-
 model = StateSpaceModel(
     name="lorenz63",
     initial=initial,
@@ -88,6 +87,6 @@ model = StateSpaceModel(
         "step": (0.0, 0.2),
         "diffusion": NOT_NEGATIVE,
         "initial_sd": NOT_NEGATIVE,
-        "measurement_sd": (1e-9, math.inf),
+        "measurement_sd": POSITIVE,
     },
 )

@@ -20,11 +20,10 @@ stochastic biochemical network models using particle Markov chain Monte Carlo", 
 2011.
 """
 
-import math
-
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 SUBSTEPS = 10  # between two instants
 PREY, PREDATORS = 71.0, 79.0  # at first
@@ -66,8 +65,6 @@ def quantity_of_interest(x, t, p):
     return (np.log(x[0]), np.log(x[1]))
 
 
-NOT_NEGATIVE = (0.0, math.inf)
-
 model = StateSpaceModel(
     name="lotka_volterra",
     initial=initial,
@@ -92,6 +89,6 @@ model = StateSpaceModel(
         "death": NOT_NEGATIVE,
         "step": NOT_NEGATIVE,
         "initial_sd": NOT_NEGATIVE,
-        "measurement_sd": (1e-9, math.inf),
+        "measurement_sd": POSITIVE,
     },
 )

@@ -1,5 +1,6 @@
 """Parameters of models: numbers, and sequences with a number for each instant."""
 
+import math
 from collections import namedtuple
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -10,6 +11,9 @@ from pfdist.errors import ModelError
 
 Parameter = float | Sequence[float]
 """A number, or a number for each instant 0..T."""
+
+NOT_NEGATIVE, POSITIVE = (0.0, math.inf), (1e-9, math.inf)
+"""Ranges of parameters of the models that ship."""
 
 _INSTANTS = 100  # length of the clock of a trial call, which is made for t = 0
 

@@ -25,11 +25,10 @@ Pharmacokinetics 59, 2020. Tornoe et al., "Stochastic differential equations in 
 Pharmaceutical Research 22, 2005 (noise of the amounts).
 """
 
-import math
-
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 
 def initial(w, p):
@@ -82,9 +81,6 @@ def quantity_of_interest(x, t, p):
     return (_log_concentration(x),)
 
 
-NOT_NEGATIVE = (0.0, math.inf)
-ABOVE_0 = (1e-9, math.inf)
-
 model = StateSpaceModel(
     name="pharmacokinetics",
     initial=initial,
@@ -107,15 +103,15 @@ model = StateSpaceModel(
         "measurement_sd": 0.15,
     },
     parameter_ranges={
-        "dose": ABOVE_0,
-        "clearance": ABOVE_0,
-        "central_volume": ABOVE_0,
-        "exchange": ABOVE_0,
-        "peripheral_volume": ABOVE_0,
+        "dose": POSITIVE,
+        "clearance": POSITIVE,
+        "central_volume": POSITIVE,
+        "exchange": POSITIVE,
+        "peripheral_volume": POSITIVE,
         "clearance_sd": NOT_NEGATIVE,
         "volume_sd": NOT_NEGATIVE,
         "process_sd": NOT_NEGATIVE,
-        "measurement_sd": ABOVE_0,
+        "measurement_sd": POSITIVE,
     },
     x_names=(
         "central amount [mg]",

@@ -9,9 +9,8 @@ Harvey, "Forecasting, structural time series models and the Kalman filter", 1989
 model.
 """
 
-import math
-
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 model = StateSpaceModel(
     name="random_walk",
@@ -25,9 +24,9 @@ model = StateSpaceModel(
     measurement_noise=("normal",),
     parameters={"initial_sd": 5.0, "step_sd": 1.0, "measurement_sd": 1.0},
     parameter_ranges={
-        "initial_sd": (0.0, math.inf),
-        "step_sd": (0.0, math.inf),
-        "measurement_sd": (1e-9, math.inf),
+        "initial_sd": NOT_NEGATIVE,
+        "step_sd": NOT_NEGATIVE,
+        "measurement_sd": POSITIVE,
     },
     linear_gaussian=True,
 )

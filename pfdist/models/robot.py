@@ -25,6 +25,7 @@ from pfdist.densities.draws import von_mises_draw
 from pfdist.densities.log_densities import von_mises_logpdf
 from pfdist.elementwise import where
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE
 
 BEACONS = ((0.0, 12.0), (15.0, -5.0))  # m, east and north
 
@@ -72,8 +73,6 @@ def log_likelihood(y, x, t, p):
 def quantity_of_interest(x, t, p):
     return (x[2],)
 
-
-NOT_NEGATIVE = (0.0, math.inf)
 
 model = StateSpaceModel(
     name="robot",

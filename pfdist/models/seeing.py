@@ -15,6 +15,7 @@ from numba.extending import is_jitted
 
 from pfdist.errors import ModelError
 from pfdist.models.mistakes import place_of_function, ships
+from pfdist.models.syntax import codes_in
 
 _PLACE = {"__file__", "__path__"}  # show that a module is the user's
 _LIBRARIES = sys.stdlib_module_names | {
@@ -36,10 +37,7 @@ def is_library(module: str) -> bool:
 
 def names_in(code: types.CodeType) -> set[str]:
     """Names of globals and attributes in a function and in the functions that it defines."""
-    inner = [
-        names_in(constant) for constant in code.co_consts if isinstance(constant, types.CodeType)
-    ]
-    return set(code.co_names).union(*inner)
+    return {name for each in codes_in(code) for name in each.co_names}
 
 
 def seeing(
@@ -104,12 +102,13 @@ def with_named_modules(formulas: Mapping[str, Any]) -> dict[str, types.FunctionT
     """
     copies: _Copies = {}
     return {
-        name: function if is_library(_home(function)) else _in_python(function, (), copies)[0]
+        name: function if is_library(home_of(function)) else _in_python(function, (), copies)[0]
         for name, function in formulas.items()
     }
 
 
-def _home(function: types.FunctionType) -> str:
+def home_of(function: types.FunctionType) -> str:
+    """The name of the module in which a function is defined."""
     return str(function.__globals__.get("__name__"))
 
 
@@ -128,7 +127,7 @@ def _in_python(
         nonlocal changed
         replacement = value.py_func if is_jitted(value) else value
         if isinstance(replacement, types.FunctionType):
-            if is_library(_home(replacement)) or replacement in called_by:
+            if is_library(home_of(replacement)) or replacement in called_by:
                 return replacement
             replacement, inside = _in_python(replacement, called_by, copies)
             changed |= inside or is_jitted(value)

@@ -10,11 +10,10 @@ Shephard, Chib, "Stochastic volatility: likelihood inference and comparison with
 Review of Economic Studies 65, 1998.
 """
 
-import math
-
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE
 
 
 def initial(w, p):  # stationary
@@ -48,5 +47,5 @@ model = StateSpaceModel(
     process_noise=("normal",),
     measurement_noise=("normal",),
     parameters={"mu": -0.87, "phi": 0.98, "sigma": 0.16},
-    parameter_ranges={"phi": (-0.999999, 0.999999), "sigma": (0.0, math.inf)},
+    parameter_ranges={"phi": (-0.999999, 0.999999), "sigma": NOT_NEGATIVE},
 )

@@ -69,16 +69,17 @@ def _parsed(
     for node in ast.walk(tree):
         if isinstance(node, Function):
             nodes[_first_line(node), getattr(node, "name", "<lambda>")].append(node)
-    for inner in _codes(code):
+    for inner in codes_in(code):
         codes[inner.co_firstlineno, inner.co_name].append(inner)
     return nodes, codes
 
 
-def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+def codes_in(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Yield the code of a function, or of a source, and of all functions that it defines."""
+    yield code
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            yield constant
-            yield from _codes(constant)
+            yield from codes_in(constant)
 
 
 @cache

@@ -10,12 +10,11 @@ Aspeel, Gouverneur, Jungers, Macq, "Optimal intermittent particle filter", IEEE 
 Signal Processing, 2022 (arXiv 2204.06265).
 """
 
-import math
-
 import numpy as np
 
 from pfdist.elementwise import clip
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 AMPLITUDE = (8.8, 24.0)
 FREQUENCY = (0.52, 0.84)  # radians a step
@@ -54,8 +53,6 @@ def quantity_of_interest(x, t, p):
     return (position(x, t),)
 
 
-NOT_NEGATIVE = (0.0, math.inf)
-
 model = StateSpaceModel(
     name="tumour",
     initial=initial,
@@ -76,6 +73,6 @@ model = StateSpaceModel(
         "amplitude_sd": NOT_NEGATIVE,
         "frequency_sd": NOT_NEGATIVE,
         "offset_sd": NOT_NEGATIVE,
-        "measurement_sd": (1e-9, math.inf),
+        "measurement_sd": POSITIVE,
     },
 )

@@ -22,11 +22,10 @@ update on population pharmacokinetic analyses of vancomycin, part I: in adults",
 Pharmacokinetics 59, 2020.
 """
 
-import math
-
 import numpy as np
 
 from pfdist.models.base import Sensor, StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 from pfdist.models.pharmacokinetics import after
 
 
@@ -64,9 +63,6 @@ def quantity_of_interest(x, t, p):
     return (x[0] / p.central_volume,)
 
 
-NOT_NEGATIVE = (0.0, math.inf)
-ABOVE_0 = (1e-9, math.inf)
-
 model = StateSpaceModel(
     name="two_compartments",
     initial=initial,
@@ -92,15 +88,15 @@ model = StateSpaceModel(
         "chromatography_sd": 0.5,
     },
     parameter_ranges={
-        "dose": ABOVE_0,
+        "dose": POSITIVE,
         "dose_sd": NOT_NEGATIVE,
-        "clearance": ABOVE_0,
-        "central_volume": ABOVE_0,
-        "exchange": ABOVE_0,
-        "peripheral_volume": ABOVE_0,
+        "clearance": POSITIVE,
+        "central_volume": POSITIVE,
+        "exchange": POSITIVE,
+        "peripheral_volume": POSITIVE,
         "process_sd": NOT_NEGATIVE,
-        "immunoassay_sd": ABOVE_0,
-        "chromatography_sd": ABOVE_0,
+        "immunoassay_sd": POSITIVE,
+        "chromatography_sd": POSITIVE,
     },
     linear_gaussian=True,
     x_names=("central amount [mg]", "peripheral amount [mg]"),

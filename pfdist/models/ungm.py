@@ -9,11 +9,10 @@ filtering", ICIP 2020. Kitagawa, "Monte Carlo filter and smoother for non-Gaussi
 state space models", 1996.
 """
 
-import math
-
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 
 def initial(w, p):
@@ -37,8 +36,6 @@ def quantity_of_interest(x, t, p):
     return (x[0],)
 
 
-POSITIVE = (1e-9, math.inf)
-
 model = StateSpaceModel(
     name="ungm",
     initial=initial,
@@ -51,8 +48,8 @@ model = StateSpaceModel(
     measurement_noise=("normal",),
     parameters={"initial_sd": 5.0, "process_sd": 1.0, "measurement_sd": 1.0},
     parameter_ranges={
-        "initial_sd": (0.0, math.inf),
-        "process_sd": (0.0, math.inf),
+        "initial_sd": NOT_NEGATIVE,
+        "process_sd": NOT_NEGATIVE,
         "measurement_sd": POSITIVE,
     },
 )

@@ -26,6 +26,7 @@ import math
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
 
 def initial(w, p):
@@ -93,8 +94,6 @@ def log_likelihood(y, x, t, p):
 def quantity_of_interest(x, t, p):
     return (x[0], x[1], x[2])
 
-
-NOT_NEGATIVE, POSITIVE = (0.0, math.inf), (1e-9, math.inf)
 
 model = StateSpaceModel(
     name="xray_tumour",

@@ -92,17 +92,9 @@ class BlockSums:
         self.id = evaluator.id_of(estimation, sets, instants, noise, "sums")
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._counted = counted
-        self._work = Work(
-            measurement_times=sets,
-            ends=ends,
-            filter_streams=(noise,) * len(sets),
-            draws_stream=draws,
-            draws=(0, 0),
-            estimation=estimation,
-            ids=(self.id,),
-            since=since,
-            knows_truth=knows_truth,
-            sensors=evaluator.sensors,
+        given = sets, noise, draws, (0, 0), estimation
+        self._work = evaluator.work(
+            *given, ends=ends, since=since, ids=(self.id,), knows_truth=knows_truth
         )
 
     def steps(self, blocks: int) -> int:

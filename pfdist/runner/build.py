@@ -208,7 +208,7 @@ def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:
 
 
 def _model_of(job: Job, part: str, section: Model | FilterModel, folder: Path) -> CarriedModel:
-    given = job.models.get(part)
+    given = job.origin.models.get(part)
     try:
         if given is not None and given.name == section.name:
             return given.with_parameters(section.parameters)

@@ -49,8 +49,9 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     references = references_of(names, built.job.identity())
     interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
-    for table in study.first_draws:
-        first_draws = TABLES[table](built, work)
+    tables = (trajectories, repeated, distances, variances) if built.job.budget is None else ()
+    for table in tables:
+        first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
     evaluator = built.evaluator
@@ -95,18 +96,12 @@ def comparison_steps(built: Built) -> int:
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """All sets on the same draws, each with filter noise of its own; the draws are still open."""
-    job, purpose, horizon = built.job, built.study.purpose, built.job.problem.feasible.horizon
+    seed, purpose = built.job.seed, built.study.purpose
     last = built.job.problem.clock.possible - 1
-    return Work(
-        measurement_times=tuple(validated(times, last, name) for name, times in sets.items()),
-        ends=(horizon,) * len(sets),
-        filter_streams=tuple(stream_of(purpose, job.seed, "filter", name) for name in sets),
-        draws_stream=stream_of(purpose, job.seed, "draws"),
-        draws=(0, 0),
-        estimation=built.comparing,
-        ids=tuple(sets),
-        sensors=built.evaluator.sensors,
-    )
+    checked = [validated(times, last, name) for name, times in sets.items()]
+    streams = tuple(stream_of(purpose, seed, "filter", name) for name in sets)
+    given = checked, 0, stream_of(purpose, seed, "draws"), (0, 0), built.comparing
+    return built.evaluator.work(*given, filter_streams=streams, ids=tuple(sets))
 
 
 def _publish(store: Store, draws: int) -> None:
@@ -134,23 +129,10 @@ class InterimGains:
     ) -> None:
         self._statistics = ComparisonStatistics(names, references=references)
         self._draws, self._half_width = draws, half_width
-        self._waiting: dict[int, _Block] = {}
+        # For each block of draws, their MSE, which arrive in any order, and whether each is missing
+        self._waiting: dict[int, tuple[NDArray[np.float64], NDArray[np.bool_]]] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
         self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
-
-    def _gains_now(self) -> tuple[SetGain, ...]:
-        return tuple(
-            SetGain(
-                name,
-                gain.relative.mean,
-                gain.interval,
-                gain.positive / gain.relative.count,
-                gain.of_means,
-                gain.of_means_interval,
-            )
-            for name, gain in self._statistics.gains.items()
-            if gain.relative.count
-        )
 
     def learn(self, index: range, values: NDArray[np.float64]) -> None:
         """Add the MSE of draws, (D, S), and then every whole block that has no gap before it."""
@@ -158,29 +140,33 @@ class InterimGains:
             start = number * BLOCK
             if number not in self._waiting:
                 size = min(BLOCK, self._draws - start)
-                self._waiting[number] = _Block(size, values.shape[1])
+                self._waiting[number] = np.empty((size, values.shape[1])), np.ones(size, np.bool_)
             first, last = max(index.start, start), min(index.stop, start + BLOCK)
             part = values[first - index.start : last - index.start]
-            block, places = self._waiting[number], slice(first - start, last - start)
-            block.values[places], block.missing[places] = part, False
+            (mse, missing), places = self._waiting[number], slice(first - start, last - start)
+            mse[places], missing[places] = part, False
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
-            self.so_far = self._gains_now()  # after each block, because outcomes come more often
+            self.so_far = tuple(  # after each block, because outcomes come more often
+                SetGain(
+                    name,
+                    gain.relative.mean,
+                    gain.interval,
+                    gain.positive / gain.relative.count,
+                    gain.of_means,
+                    gain.of_means_interval,
+                )
+                for name, gain in self._statistics.gains.items()
+                if gain.relative.count
+            )
             if self._half_width and self._statistics.half_width() <= self._half_width:
                 self.enough = self._statistics.draws
 
     def _next(self) -> NDArray[np.float64] | None:
         number = self._statistics.draws // BLOCK
-        if number in self._waiting and not self._waiting[number].missing.any():
-            return self._waiting.pop(number).values
+        if number in self._waiting and not self._waiting[number][1].any():
+            return self._waiting.pop(number)[0]
         return None
-
-
-class _Block:
-    """A block of draws that arrive in any order."""
-
-    def __init__(self, draws: int, sets: int) -> None:
-        self.values, self.missing = np.empty((draws, sets)), np.ones(draws, np.bool_)
 
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are stored
@@ -232,17 +218,11 @@ def repeated(built: Built, work: Work) -> FirstDraws:
 
     It shows how much the noise of the filters alone changes a relative gain.
     """
-    job = built.job
+    job, rows = built.job, schema("repeated")
     stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
-    again = replace(
-        work,
-        measurement_times=work.measurement_times[:1],
-        ends=work.ends[:1],
-        filter_streams=(stream,),
-        ids=work.ids[:1],
-        draws=(0, min(REPEATED, job.comparison.draws)),
-    )
-    return FirstDraws("repeated", schema("repeated"), again, _repeated_columns)
+    reference = work.part((0, min(REPEATED, job.comparison.draws)), [0])
+    again = replace(reference, filter_streams=(stream,))
+    return FirstDraws("repeated", rows, again, partial(_columns_by_set, rows))
 
 
 def distances(built: Built, work: Work) -> FirstDraws | None:
@@ -296,23 +276,9 @@ def _by_set(
     return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
 
 
-TABLES = {
-    "trajectories": trajectories,
-    "repeated": repeated,
-    "filter_distance": distances,
-    "filter_variance": variances,
-}
-"""Functions that make each table, or None, from the built job and the comparison's work."""
-
-
 def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:
     columns = (pa.array(mse, from_pandas=True) for mse in result.mse.T)
     return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
-
-
-def _repeated_columns(piece: Work, result: Result) -> dict[str, Any]:
-    mse = pa.array(result.mse[:, 0], from_pandas=True)
-    return {"draw": np.arange(*piece.draws), "mse": mse}
 
 
 def _trajectory_columns(model: StateSpaceModel, piece: Work, result: Result) -> dict[str, Any]:

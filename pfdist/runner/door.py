@@ -222,7 +222,8 @@ class Session:
         self._held = dict[str, bool]()  # by table; see `held`
         # Names of sessions sort in the order in which they started.
         self._name, self._commits = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}", 0
-        self._rows: dict[tuple[str, str], list[tuple[str, pa.Table]]] = {}
+        # Rows that wait for the next commit, with the key of their work, by phase and table
+        self.rows: dict[tuple[str, str], list[tuple[str, pa.Table]]] = {}
         self._outcomes: dict[str, list[Outcome]] = {}
         self._later: list[Callable[[], None]] = []
         self._began = self._last_commit = time.monotonic()
@@ -230,17 +231,12 @@ class Session:
 
     def keep(self, phase: str, table: str, key: str, rows: pa.Table) -> None:
         """Let rows wait for the next commit; the key names the work that they come from."""
-        self._rows.setdefault((phase, table), []).append((key, rows))
+        self.rows.setdefault((phase, table), []).append((key, rows))
         self._waiting += rows.num_rows
 
     def note(self, phase: str, outcome: Outcome) -> None:
         """Let the timing of a task wait for the next commit."""
         self._outcomes.setdefault(phase, []).append(outcome)
-
-    @property
-    def has_waiting_rows(self) -> bool:
-        """Whether rows wait for the next commit."""
-        return bool(self._rows)
 
     def held(self, table: str) -> bool:
         """Whether the store had rows of a table when this session first needed them.
@@ -294,7 +290,7 @@ class Session:
         # Taken out first: if a write fails, closing the driver commits again, and must not repeat
         # it.
         later, self._later = self._later, []
-        rows, self._rows, self._waiting = self._rows, {}, 0
+        rows, self.rows, self._waiting = self.rows, {}, 0
         outcomes, self._outcomes = self._outcomes, {}
         for phase, table in sorted(rows, key=lambda each: each[1] == EVALUATIONS):
             waiting = rows[phase, table]
@@ -493,7 +489,7 @@ class Loop:
         If that fails, the driver of the store gets the error, and its rows are computed again.
         """
         driver, lender = self._lending.get(store, (None, None))
-        if driver is None or lender is None or not lender.has_waiting_rows:
+        if driver is None or lender is None or not lender.rows:
             return True
         error = _error_of(lender.commit)
         if error is not None:

@@ -7,7 +7,6 @@ draws of the comparison are always enough.
 
 import math
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,14 +34,6 @@ Array = NDArray[np.float64]
 _DEGENERATE = GapParts(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """A filter of the sets: how it estimates, and whether it uses the true model."""
-
-    estimation: Estimation
-    knows_truth: bool
-
-
 def _draws(built: Built, compared: int, of_bound: int) -> int:
     """Number of draws of a set alone.
 
@@ -65,7 +56,7 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int
     draws = _draws(built, compared, of_bound)
     kinds = _kinds(built, estimation, are_compared=draws <= compared).values()
     instants = draws * sets * (built.evaluator.horizon + 1)
-    return sum(instants * kind.estimation.steps_an_instant for kind in kinds)
+    return sum(instants * own.steps_an_instant for own, _ in kinds)
 
 
 def gap_parts(
@@ -92,7 +83,7 @@ def gap_parts(
     session.reporter.begin("sets alone")
     errors = dict[str, dict[str, Array]]()
     for name, kind in kinds.items():
-        errors[name] = yield from _per_draw(session, sets, kind, draws_stream, draws)
+        errors[name] = yield from _per_draw(session, sets, *kind, draws_stream, draws)
     squared, whole = errors.get("squared"), dict[str, Moments]()
     if squared is None:
         rows, statistics = run.table("comparison", draws), statistics_of(run)
@@ -115,31 +106,38 @@ def gap_parts(
     }
 
 
-def _kinds(built: Built, estimation: Estimation, *, are_compared: bool) -> dict[str, _Kind]:
-    """The filters of the sets; the squared error only if the draws were not compared."""
-    kinds = {"variance": _Kind(estimation, knows_truth=True)}
+def _kinds(
+    built: Built, estimation: Estimation, *, are_compared: bool
+) -> dict[str, tuple[Estimation, bool]]:
+    """The filters of the sets: how each estimates, and whether it uses the true model.
+
+    The squared error is there only if the draws were not compared.
+    """
+    kinds = {"variance": (estimation, True)}
     if built.evaluator.truth is not built.evaluator:
-        kinds["by_truth"] = _Kind(built.comparing, knows_truth=True)
+        kinds["by_truth"] = built.comparing, True
     if not are_compared:
-        kinds["squared"] = _Kind(built.comparing, knows_truth=False)
+        kinds["squared"] = built.comparing, False
     return kinds
 
 
 def _per_draw(
-    session: Session, sets: Mapping[str, Times], kind: _Kind, draws_stream: int, draws: int
+    session: Session,
+    sets: Mapping[str, Times],
+    estimation: Estimation,
+    knows_truth: bool,
+    draws_stream: int,
+    draws: int,
 ) -> Generator[Batch, None, dict[str, Array]]:
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
     horizon, noise = built.evaluator.horizon, stream_of("bound", built.job.seed, "filter of a set")
-    evaluator = built.evaluator.truth if kind.knows_truth else built.evaluator
-    evaluator.compile(kind.estimation)  # before the first task, whose time is limited
+    evaluator = built.evaluator.truth if knows_truth else built.evaluator
+    evaluator.compile(estimation)  # before the first task, whose time is limited
     key = stream_key(noise, draws_stream)
-    ids = {
-        name: evaluator.evaluation_id(times, horizon, key, kind.estimation)
-        for name, times in sets.items()
-    }
-    given = [*sets.values()], noise, draws_stream, (0, draws), kind.estimation
-    work = evaluator.work(*given, ids=tuple(ids.values()), knows_truth=kind.knows_truth)
+    ids = {name: evaluator.id_of(estimation, times, horizon, key) for name, times in sets.items()}
+    given = [*sets.values()], noise, draws_stream, (0, draws), estimation
+    work = evaluator.work(*given, ids=tuple(ids.values()), knows_truth=knows_truth)
     errors = {id_: np.full(draws, math.nan) for id_ in work.ids}
     start, done = reporter.progress.done, 0
 

@@ -8,7 +8,7 @@ and finds their draws by the ids of the evaluations.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -25,6 +25,7 @@ from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import EVALUATIONS, Batch, Session
+from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
@@ -66,13 +67,6 @@ def evaluation_rows(
     ]
     columns = {name: _column(name, records) for name in table.names}
     return pa.Table.from_pydict(columns, schema=table)
-
-
-def committed_generations(store: Store, phase: str) -> set[int]:
-    """Generations of a phase that are committed."""
-    if not store.has("evaluations", phase):
-        return set()
-    return set(store.read("evaluations", phase=phase)["generation"])
 
 
 def unpublished(store: Store, phases: Iterable[str]) -> bool:
@@ -131,6 +125,7 @@ class Request:
     known_draws: int = 0
 
 
+@dataclass(eq=False)
 class Phase:
     """An optimiser with the purpose of its draws and the settings of its evaluations.
 
@@ -139,27 +134,21 @@ class Phase:
     `pfdist.search.probe.new_leaders`.
     """
 
-    def __init__(
-        self,
-        name: str,
-        optimiser: Optimiser,
-        purpose: str,
-        settings: Settings,
-        built: Built,
-        *,
-        keep_leaders: bool = False,
-        additive: bool = False,
-    ) -> None:
-        if purpose not in CHOOSING:
-            raise ValueError(f"no search may choose by draws with the purpose {purpose!r}")
-        self.name, self.optimiser, self.purpose = name, optimiser, purpose
-        self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
-        # Searches that add errors of instants, and are told means whatever the criterion is.
-        self.additive = additive
-        # MSE of each draw by the evaluation's id, of this session, for sets that are requested
-        # again.
-        self.evaluated: dict[str, NDArray[np.float64]] = {}
-        self.leaders: list[Evaluation] = []
+    name: str
+    optimiser: Optimiser
+    purpose: str
+    settings: Settings
+    built: Built
+    keep_leaders: bool = False
+    # Searches that add errors of instants, and are told means whatever the criterion is.
+    additive: bool = False
+    # MSE of each draw by the evaluation's id, of this session, for sets that are requested again
+    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    leaders: list[Evaluation] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.purpose not in CHOOSING:
+            raise ValueError(f"no search may choose by draws with the purpose {self.purpose!r}")
 
     def steps(self) -> float:
         """Particle-steps of the phase, approximately."""
@@ -180,7 +169,7 @@ class Phase:
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
         estimation = self.built.comparing if squared else self.settings.estimation
-        id_ = self.built.evaluator.evaluation_id(times, last, stream, estimation)
+        id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
         return Request(id_, candidate, last, stream, estimation, mse)
 
@@ -208,15 +197,13 @@ class Phase:
     def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
-        policy = self.settings.degenerate_policy
-        scenarios = None
+        draws, scenarios = range(request.mse.size), None
         if exact is None:
-            draws = range(request.mse.size)
             scenarios = self.built.evaluator.scenarios_of(request.stream, draws)
         return Evaluation(
             times,
             request.mse,
-            policy,
+            self.settings.degenerate_policy,
             exact,
             end,
             purpose=self.purpose,
@@ -231,7 +218,9 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
     """
     optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
-    committed = committed_generations(session.store, name)
+    committed = set[int]()
+    if session.store.has(EVALUATIONS, name):
+        committed.update(session.store.read(EVALUATIONS, phase=name)["generation"])
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
@@ -245,11 +234,13 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         requests = [phase.request(each, generation) for each in copies if each.since is None]
         windows = [each for each in copies if each.since is not None]
         finalists = optimiser.finalists(state)
-        record = _Generation(
-            phase, session, copies, generation, (start, share), shows_best=not finalists
-        )
-        if windows:
-            for candidate, evaluation in (yield from _errors(phase, windows, session)):
+        about, before = (generation, optimiser.generations), reporter.progress.evaluations
+        record = _Generation(reporter, *about, copies, (start, share), before, not finalists)
+        if windows:  # the errors of each instant, on the same blocks of draws
+            blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
+            given = session, phase.sums, blocks, phase.purpose
+            by_errors, _ = yield from evaluated_by_errors(windows, *given)
+            for candidate, evaluation in zip(windows, by_errors, strict=True):
                 record(candidate, evaluation)
             record.show()
         if phase.built.evaluator.exact:
@@ -283,43 +274,39 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     ]
 
 
+@dataclass(eq=False)
 class _Generation:
     """The evaluations of a generation so far, and the progress that they make."""
 
-    def __init__(
-        self,
-        phase: Phase,
-        session: Session,
-        copies: Counter[Candidate],
-        generation: int,
-        steps: tuple[float, float],
-        *,
-        shows_best: bool,
-    ) -> None:
-        self.evaluations: dict[Candidate, Evaluation] = {}
-        self._reporter, self._copies = session.reporter, copies
-        self._generations, self._generation = phase.optimiser.generations, generation
-        self._steps, self._shows_best, self._least = steps, shows_best, math.inf
-        self._before, self._recorded = session.reporter.progress.evaluations, 0
+    reporter: Reporter
+    number: int
+    generations: int  # expected
+    copies: Counter[Candidate]
+    steps: tuple[float, float]  # done before the search, and those of a generation
+    before: int  # number of evaluations of former generations
+    shows_best: bool
+    evaluations: dict[Candidate, Evaluation] = field(default_factory=dict)
+    recorded: int = 0
+    least: float = math.inf
 
     def __call__(self, candidate: Candidate, evaluation: Evaluation) -> None:
         """Record the evaluation of a candidate."""
         self.evaluations[candidate] = evaluation
-        self._recorded += self._copies[candidate]
-        if self._shows_best:
-            self._least = min(self._least, *_whole_costs([evaluation]), math.inf)
+        self.recorded += self.copies[candidate]
+        if self.shows_best:
+            self.least = min(self.least, *_whole_costs([evaluation]), math.inf)
 
     def show(self) -> None:
         """Report the evaluations that were recorded so far."""
-        reporter, (start, share) = self._reporter, self._steps
-        if math.isfinite(self._least):
-            reporter.note(best=self._least)
-        part = self._generation + len(self.evaluations) / len(self._copies)
+        reporter, (start, share) = self.reporter, self.steps
+        if math.isfinite(self.least):
+            reporter.note(best=self.least)
+        part = self.number + len(self.evaluations) / len(self.copies)
         reporter.reach(
-            start + share * min(part, self._generations),
-            evaluations=self._before + self._recorded,
-            generation=self._generation + 1,
-            generations=max(self._generation + 1, self._generations),
+            start + share * min(part, self.generations),
+            evaluations=self.before + self.recorded,
+            generation=self.number + 1,
+            generations=max(self.number + 1, self.generations),
         )
 
 
@@ -380,24 +367,7 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
         if first < size:
             together[request.stream, request.estimation, (first, size)].append(request)
     for (stream, estimation, draws), group in together.items():
-        yield Work(
-            measurement_times=tuple(request.candidate.measurement_times for request in group),
-            ends=tuple(request.end for request in group),
-            filter_streams=(stream,) * len(group),
-            draws_stream=stream,
-            draws=draws,
-            estimation=estimation,
-            ids=tuple(request.id for request in group),
-            sensors=phase.built.evaluator.sensors,
-        )
-
-
-def _errors(
-    phase: Phase, windows: list[Candidate], session: Session
-) -> Generator[Batch, None, list[tuple[Candidate, Evaluation]]]:
-    """Evaluations of candidates with the errors of each instant, on the same blocks of draws."""
-    blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
-    evaluations, _ = yield from evaluated_by_errors(
-        windows, session, phase.sums, blocks, phase.purpose
-    )
-    return list(zip(windows, evaluations, strict=True))
+        sets = [request.candidate.measurement_times for request in group]
+        ends, ids = zip(*((request.end, request.id) for request in group), strict=True)
+        given = sets, stream, stream, draws, estimation
+        yield phase.built.evaluator.work(*given, ends=ends, ids=ids)

@@ -174,8 +174,10 @@ class Prover:
         parts = yield from gap_parts(session, run, sets, self._estimation, most)
         if not self.shares:
             return parts
-        worst = self._worst(run, sets)
-        return {name: _of_worst(parts[name], worst[name]) for name in sets}
+        for name, worst in self._worst(run, sets).items():
+            weighting = worst.plus(parts[name].expected_mse.times(-1.0))
+            parts[name] = replace(parts[name], expected_mse=worst, weighting=weighting)
+        return parts
 
     def _weigh_scenarios(
         self, session: Session, sets: Iterable[Times]
@@ -332,12 +334,6 @@ class Prover:
             for position, gap in enumerate(look.gaps)
         ]
         return pa.Table.from_pylist(rows, schema=schema("bound", *shares))
-
-
-def _of_worst(parts: GapParts, worst: Estimate) -> GapParts:
-    """The parts of a gap from the expected MSE of the worst scenario."""
-    weighting = worst.plus(parts.expected_mse.times(-1.0))
-    return replace(parts, expected_mse=worst, weighting=weighting)
 
 
 def _doubled(blocks: int) -> list[int]:

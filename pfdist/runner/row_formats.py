@@ -7,6 +7,7 @@ once.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,7 @@ class BlockOfSums:
         return pa.Table.from_pylist([row], schema=schema(self.table))
 
 
+@dataclass(eq=False)
 class RowsByDraw:
     """Rows of a run's own table, which the number of the draw names.
 
@@ -110,15 +112,10 @@ class RowsByDraw:
     that need the results that the store has; other drivers only need that these rows are there.
     """
 
-    is_shared = False
-
-    def __init__(
-        self,
-        table: str,
-        rows: Callable[[Work, Result], pa.Table],
-        results: Callable[[pa.Table], Result] | None = None,
-    ) -> None:
-        self.table, self.rows, self._results = table, rows, results
+    table: str
+    rows: Callable[[Work, Result], pa.Table]
+    results: Callable[[pa.Table], Result] | None = None
+    is_shared: bool = False
 
     def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
         """The works that a store lacks, and the results that it has.
@@ -137,14 +134,14 @@ class RowsByDraw:
         return lacking, self._stored_results(store, works, most)
 
     def _stored_results(self, store: Store, works: list[Work], most: int) -> StoredResults:
-        if self._results is None or not works:
+        if self.results is None or not works:
             return
         # Read block by block when the driver learns, so memory does not grow with the table.
         for rows in store.blocks(self.table, "draw", BLOCK, most):
             draws = rows["draw"].to_numpy()
             for first, last in cut(draws, BLOCK):
                 place = int(np.searchsorted(draws, first))
-                result = self._results(rows.slice(place, last - first))
+                result = self.results(rows.slice(place, last - first))
                 yield works[0].part((first, last)), result
 
 

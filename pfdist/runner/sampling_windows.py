@@ -10,6 +10,7 @@ draws: the draws that chose the windows would flatter them.
 import math
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -34,18 +35,6 @@ Row = dict[str, Any]
 Move = tuple[int, int]  # the instant of a measurement, and the instant to which it is moved
 
 
-@dataclass(frozen=True)
-class _Side:
-    """The feasible instants from a measurement to a neighbour, outwards, with the moved sets."""
-
-    t: int  # the measurement
-    sets: list[tuple[int, Times]]  # each instant, and the set whose measurement is moved there
-
-    def part(self, first: int, stop: int) -> dict[Move, Times]:
-        """The moves first..stop-1, counted from the measurement, with their sets."""
-        return {(self.t, instant): times for instant, times in self.sets[first:stop]}
-
-
 def sampling_windows(
     session: Session, name: str, times: Times, draws: int
 ) -> Generator[Batch, None, list[Row]]:
@@ -62,15 +51,15 @@ def sampling_windows(
     start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
     sides, rows = _sides(times, feasible), list[Row]()
     while not first or sides:
-        moves = {move: moved for side in sides for move, moved in side.part(first, size).items()}
+        moves = dict(chain.from_iterable(side[first:size] for side in sides))
         rows_of_sets = yield from _rows(session, name, (times, *moves.values()), draws, share)
         unmoved, losses = rows_of_sets[0], dict(zip(moves, rows_of_sets[1:], strict=True))
         if not first:
             rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | unmoved for t in times]
         for side in list(sides):
-            tried, ended = _up_to_the_first_beyond(side.part(first, size), losses)
+            tried, ended = _up_to_the_first_beyond(dict(side[first:size]), losses)
             rows += tried
-            if ended or len(side.sets) <= size:
+            if ended or len(side) <= size:
                 sides.remove(side)
         first, size, share = size, 2 * size, share / 2
     reporter.reach(start + 1)
@@ -95,17 +84,17 @@ def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Time
     }
 
 
-def _sides(times: Times, feasible: Feasible) -> list[_Side]:
-    """Both sides of every measurement that have a feasible instant."""
-    step, sides = feasible.sensors, []
+def _sides(times: Times, feasible: Feasible) -> list[list[tuple[Move, Times]]]:
+    """The feasible moves of each measurement to one side, outwards, with the moved sets."""
+    step, sides = feasible.sensors, list[list[tuple[Move, Times]]]()
     for t in times:
         own = [other for other in times if other % step == t % step]  # of the same sensor
         ends = (-1, *own, feasible.possible)
         before, _, after = ends[own.index(t) :][:3]
         for instants in (range(t - step, before, -step), range(t + step, after, step)):
-            sets = ((to, moved(times, t, to, feasible)) for to in instants)
-            side = _Side(t, [(to, changed) for to, changed in sets if changed is not None])
-            sides += [side] if side.sets else []
+            sets = (((t, to), moved(times, t, to, feasible)) for to in instants)
+            side = [(move, changed) for move, changed in sets if changed is not None]
+            sides += [side] if side else []
     return sides
 
 
@@ -234,57 +223,57 @@ def jittered(times: Times, windows: Windows, feasible: Feasible, *key: Any) -> T
     return tuple(sorted(present))
 
 
+@dataclass(frozen=True)
 class _Jittering:
     """Errors of the original times and of random times for each level, on the same draws."""
 
-    def __init__(
-        self, session: Session, name: str, times: Times, windows: Mapping[int, Windows]
-    ) -> None:
-        self._session, self._built = session, session.built
-        self._name, self._times, self._windows = name, times, windows
+    session: Session
+    name: str
+    times: Times
+    windows: Mapping[int, Windows]
 
     def pieces(self, draws: int) -> list[tuple[int, int]]:
         """Ranges of draws, each of which takes about as long as a task."""
-        evaluator = self._built.evaluator
+        evaluator = self.session.built.evaluator
         if evaluator.exact:
             return cut(range(draws), _BLOCK)
-        seconds = MOST_SECONDS / (1 + len(self._windows))
-        pieces = evaluator.pieces(self._work((0, draws), (self._times,)), seconds)
+        seconds = MOST_SECONDS / (1 + len(self.windows))
+        pieces = evaluator.pieces(self._work((0, draws), (self.times,)), seconds)
         return [piece.draws for piece in pieces]
 
     def mse(self, draws: range) -> Generator[Batch, None, NDArray[np.float64]]:
         """MSE of each draw, (D, 1+L): with the original times, and with those of L levels."""
-        evaluator = self._built.evaluator
+        evaluator = self.session.built.evaluator
         sets = [self._sets(draw) for draw in draws]
         if not evaluator.exact:
             works = [
                 self._work((draw, draw + 1), of_a_draw)
                 for draw, of_a_draw in zip(draws, sets, strict=True)
             ]
-            return (yield from mse_of_sets(self._session, works))
+            return (yield from mse_of_sets(self.session, works))
         different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
         cost_of_set = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
         return np.array([[cost_of_set[times] for times in of_a_draw] for of_a_draw in sets])
 
     def _sets(self, draw: int) -> tuple[Times, ...]:
         """The original times, and the random times of a draw for each level."""
-        problem, seed = self._built.job.problem, self._built.job.seed
+        problem, seed = self.session.built.job.problem, self.session.built.job.seed
         random_sets = (
             jittered(
-                self._times,
+                self.times,
                 windows,
                 problem.feasible,
-                stream_of("why", seed, "jitter times", self._name, percent, draw),
+                stream_of("why", seed, "jitter times", self.name, percent, draw),
             )
-            for percent, windows in self._windows.items()
+            for percent, windows in self.windows.items()
         )
-        return (self._times, *random_sets)
+        return (self.times, *random_sets)
 
     def _work(self, draws: tuple[int, int], sets: tuple[Times, ...]) -> Work:
-        seed = self._built.job.seed
-        noise = stream_of("why", seed, "jitter filter", self._name)
-        of_draws = stream_of("why", seed, "jitter draws")
-        return self._built.evaluator.work(sets, noise, of_draws, draws, self._built.comparing)
+        built = self.session.built
+        noise = stream_of("why", built.job.seed, "jitter filter", self.name)
+        of_draws = stream_of("why", built.job.seed, "jitter draws")
+        return built.evaluator.work(sets, noise, of_draws, draws, built.comparing)
 
 
 def _jitter_row(percent: int, loss: RelativeLoss, draws: int) -> Row:

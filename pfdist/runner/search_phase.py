@@ -61,95 +61,92 @@ class _Attempt:
         return believed
 
 
-class _Runner:
-    """Runs the phases of searches, one after another.
+def _ended(session: Session, search: NamedSearch, name: str) -> Generator[Batch, None, SearchEnd]:
+    """Winners of a search, which is run again with the squared error if its estimator fails.
 
-    The session receives a line if the estimator of a search fails or cannot be checked.
+    The tables have the name of the search, and the winners the given name.
     """
+    attempt, again = (yield from _attempted(session, search)), search.again
+    distrust = (yield from _distrusted(session, search, attempt)) if again else None
+    if again is None or distrust is None:
+        raced = yield from _raced(session, search, attempt)
+        wrong = misordered(attempt.believed, raced) if again and raced else None
+        if again is None or wrong is None:
+            return SearchEnd(_winners(session, name, attempt, raced))
+        distrust = wrong_order(*wrong)
+    estimation = search.settings.estimation
+    estimator = f"{estimation.estimator} of {estimation.particles} particles"
+    distrust = f"{estimator} cannot be believed: {distrust}"
+    say, reporter = session.say, session.reporter
+    say(f"search {search.name}: {distrust}; searching again by the squared error")
+    reporter.foresee(search_steps(session.built, again))
+    end = yield from _ended(session, again, name)
+    return replace(end, distrust=distrust)
 
-    def __init__(self, session: Session) -> None:
-        self._session, self._built, self._study = session, session.built, session.built.study
 
-    def run(self, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-        """Winners of a search, which is run again with the squared error if its estimator fails."""
-        attempt, again = (yield from self.attempt(search)), search.again
-        distrust = (yield from self.distrust(search, attempt)) if again else None
-        if again is None or distrust is None:
-            raced = yield from self.race(search, attempt)
-            wrong = misordered(attempt.believed, raced) if again and raced else None
-            if again is None or wrong is None:
-                return SearchEnd(self.winners(search.name, attempt, raced))
-            distrust = wrong_order(*wrong)
-        estimation = search.settings.estimation
-        estimator = f"{estimation.estimator} of {estimation.particles} particles"
-        distrust = f"{estimator} cannot be believed: {distrust}"
-        say, reporter = self._session.say, self._session.reporter
-        say(f"search {search.name}: {distrust}; searching again by the squared error")
-        reporter.foresee(search_steps(self._built, again))
-        attempt = yield from self.attempt(again)
-        raced = yield from self.race(again, attempt)
-        return SearchEnd(self.winners(search.name, attempt, raced), distrust)
+def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
+    """The finalists of a search, of which the best are polished."""
+    searching = _searching(session.built, search)
+    finalists = yield from _finalists(session, searching)
+    leaders = searching.leaders
+    polishes = bool(search.polishing) and not _is_too_long(session.built, search)
+    if finalists and search.polishing and not polishes:
+        session.say(f"search {search.name}: exchanges would take too long, and are left out")
+    if finalists and polishes:
+        polishing = _polishing(session.built, search, finalists[0].measurement_times)
+        polished = yield from _finalists(session, polishing)
+        leaders = [*leaders, *polished[:1]]
+        finalists = [*polished[:_POLISHED], *finalists[:_UNPOLISHED]]
+    return _Attempt(finalists, leaders, polishes)
 
-    def attempt(self, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
-        """The finalists of a search, of which the best are polished."""
-        searching = _searching(self._built, search)
-        finalists = yield from self._finalists(searching)
-        leaders = searching.leaders
-        polishes = bool(search.polishing) and not _is_too_long(self._built, search)
-        if finalists and search.polishing and not polishes:
-            self._session.say(
-                f"search {search.name}: exchanges would take too long, and are left out"
-            )
-        if finalists and polishes:
-            polishing = _polishing(self._built, search, finalists[0].measurement_times)
-            polished = yield from self._finalists(polishing)
-            leaders = [*leaders, *polished[:1]]
-            finalists = [*polished[:_POLISHED], *finalists[:_UNPOLISHED]]
-        return _Attempt(finalists, leaders, polishes)
 
-    def distrust(
-        self, search: NamedSearch, attempt: _Attempt
-    ) -> Generator[Batch, None, str | None]:
-        """On which probe the estimator of a search failed; None if it did not."""
-        sought = dict.fromkeys(
-            Candidate(evaluation.measurement_times, evaluation.end)
-            for evaluation in self._study.probed(attempt.leaders, attempt.finalists)
+def _distrusted(
+    session: Session, search: NamedSearch, attempt: _Attempt
+) -> Generator[Batch, None, str | None]:
+    """On which probe the estimator of a search failed; None if it did not."""
+    # The sets that led the search, and those with which it ended, unless a race compares the latter
+    # by the squared error anyway.
+    races = session.built.study.racing(attempt.believed)
+    probed = attempt.leaders if races else [*attempt.leaders, *attempt.finalists]
+    sought = dict.fromkeys(Candidate(each.measurement_times, each.end) for each in probed)
+    phase = _probing(session.built, search, tuple(sought))
+    probe = yield from run_phase(phase, session)
+    if probe and not judged(*probe).is_known:
+        estimator = search.settings.estimation.estimator
+        session.say(
+            f"search {search.name}: {estimator} could not be checked: {unchecked_probe(*probe)}"
         )
-        phase = _probing(self._built, search, tuple(sought))
-        probe = yield from run_phase(phase, self._session)
-        if probe and not judged(*probe).is_known:
-            estimator = search.settings.estimation.estimator
-            self._session.say(
-                f"search {search.name}: {estimator} could not be checked: {unchecked_probe(*probe)}"
-            )
-            return None
-        return failed_probe(*probe) if probe else None
+        return None
+    return failed_probe(*probe) if probe else None
 
-    def race(
-        self, search: NamedSearch, attempt: _Attempt
-    ) -> Generator[Batch, None, list[Evaluation] | None]:
-        """Evaluations of the sets that raced, the winner first; None if there was no race."""
-        sets = self._study.racing(attempt.believed)
-        if not sets:
-            return None
-        return (yield from self._finalists(_racing(self._built, search, sets)))
 
-    def winners(
-        self, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
-    ) -> dict[str, Evaluation]:
-        """Sets that are compared, by name, with the search's own evaluation of each."""
-        believed = attempt.believed
-        ranked = list(believed)
-        if raced is not None:
-            order = _uncontradicted(ranked, raced) if attempt.polished else raced
-            ranked = [evaluation.measurement_times for evaluation in order]
-        winners = self._study.winners(name, ranked)
-        return {key: believed[times] for key, times in winners.items()}
+def _raced(
+    session: Session, search: NamedSearch, attempt: _Attempt
+) -> Generator[Batch, None, list[Evaluation] | None]:
+    """Evaluations of the sets that raced, the winner first; None if there was no race."""
+    sets = session.built.study.racing(attempt.believed)
+    if not sets:
+        return None
+    return (yield from _finalists(session, _racing(session.built, search, sets)))
 
-    def _finalists(self, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
-        """Finalists of a phase whose cost is finite: no degenerate draw has killed them."""
-        finalists = yield from run_phase(phase, self._session)
-        return [evaluation for evaluation in finalists if np.isfinite(evaluation.cost)]
+
+def _winners(
+    session: Session, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
+) -> dict[str, Evaluation]:
+    """Sets that are compared, by name, with the search's own evaluation of each."""
+    believed = attempt.believed
+    ranked = list(believed)
+    if raced is not None:
+        order = _uncontradicted(ranked, raced) if attempt.polished else raced
+        ranked = [evaluation.measurement_times for evaluation in order]
+    winners = session.built.study.winners(name, ranked)
+    return {key: believed[times] for key, times in winners.items()}
+
+
+def _finalists(session: Session, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
+    """Finalists of a phase whose cost is finite: no degenerate draw has killed them."""
+    finalists = yield from run_phase(phase, session)
+    return [evaluation for evaluation in finalists if np.isfinite(evaluation.cost)]
 
 
 def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> list[Evaluation]:
@@ -171,7 +168,7 @@ def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, 
     """Winners of a search, which runs to its end."""
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
-    end = yield from _Runner(session).run(search)
+    end = yield from _ended(session, search, search.name)
     redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
     # Searches may end sooner or later than foreseen: progress goes on from the forecast.
     reporter.note(done=start + search_steps(built, search) + redone)

@@ -13,8 +13,7 @@ import psutil
 from pfdist.bounds.relaxation import relaxation_within
 from pfdist.errors import JobError
 from pfdist.filters.engines import is_exact
-from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Estimation, in_blocks
+from pfdist.filters.work import BLOCK, Estimation
 from pfdist.job.job import Job
 from pfdist.job.online_section import Online
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
@@ -48,12 +47,6 @@ class Study:
     def purpose(self) -> str:
         """The purpose of the comparison's draws."""
         return "comparison" if self.job.budget is None else "budget"
-
-    @property
-    def first_draws(self) -> tuple[str, ...]:
-        """Tables that keep the first draws of the comparison."""
-        tables = ("trajectories", "repeated", "filter_distance", "filter_variance")
-        return tables if self.job.budget is None else ()
 
     @property
     def references(self) -> dict[str, Times]:
@@ -105,17 +98,6 @@ class Study:
             return METHODS[section.method].make(self.widest, draws, section.settings)
         except JobError as error:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
-
-    def probed(
-        self, leaders: Sequence[Evaluation], finalists: Sequence[Evaluation]
-    ) -> list[Evaluation]:
-        """Evaluations on which the estimator of a search is checked.
-
-        They are those that led the search, and those with which it ended, unless a race compares
-        the latter by the squared error anyway.
-        """
-        races = self.racing(dict.fromkeys(each.measurement_times for each in finalists))
-        return [*leaders] if races else [*leaders, *finalists]
 
     def racing(self, finalists: Iterable[Times]) -> tuple[Times, ...]:
         """The sets that race on fresh draws: all, if there are more of them than are sought."""
@@ -227,7 +209,7 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
     """
     settings = Settings.from_job(job, section.evaluation, guide)
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
-        settings = replace(settings, draws=in_blocks(settings.draws))
+        settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)

@@ -19,7 +19,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.sequential.filter import effective_sample_sizes
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.moves import moved
@@ -90,7 +90,7 @@ def _effective_sizes(
     """Mean effective sample size after each measurement; NaN for exact engines."""
     if built.evaluator.exact or not times:
         return [math.nan] * len(times)
-    first = begin(built.evaluator.believed, built.comparing, stream, 0, built.evaluator.engine)
+    first = OneFilter(built.evaluator.believed, built.comparing, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [
             effective_sample_sizes(replace(first, draw=draw), times, y)

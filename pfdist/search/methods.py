@@ -103,7 +103,10 @@ def method(
         } | {
             field.name: (hints[field.name], field.default)
             for field in fields(optimiser)
-            if any(isinstance(bound, FieldInfo) for bound in _bounds(hints[field.name]))
+            if any(
+                isinstance(bound, FieldInfo)
+                for bound in getattr(hints[field.name], "__metadata__", ())
+            )
         }
         section = create_model(
             f"{optimiser.__name__}Section",
@@ -125,7 +128,3 @@ def any_section(*, online: bool = False) -> Any:
     methods = [method for method in METHODS.values() if method.online or not online]
     sections = reduce(or_, (method.section for method in methods))
     return Annotated[sections, Field(discriminator="method")]
-
-
-def _bounds(hint: Any) -> tuple[Any, ...]:
-    return getattr(hint, "__metadata__", ())

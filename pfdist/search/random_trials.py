@@ -19,7 +19,7 @@ class RandomState:
     """Progress of the search."""
 
     evaluated: int = 0  # number of evaluated sets
-    best: Evaluation | None = None  # of these sets
+    best: tuple[Evaluation, ...] = ()  # of these sets
 
 
 @method("random", evaluation=EvaluationSettings(), curve="trials")
@@ -53,14 +53,13 @@ class RandomTrials:
 
     def tell(self, state: RandomState, evaluations: Sequence[Evaluation]) -> RandomState:
         """Count the evaluations and keep the best set."""
-        former_best = [] if state.best is None else [state.best]
-        best = min([*former_best, *evaluations], key=lambda evaluation: evaluation.cost)
-        return RandomState(state.evaluated + len(evaluations), best)
+        best = min([*state.best, *evaluations], key=lambda evaluation: evaluation.cost)
+        return RandomState(state.evaluated + len(evaluations), (best,))
 
     def done(self, state: RandomState) -> bool:
         """Whether all sets were evaluated."""
         return state.evaluated >= self.evaluations
 
-    def finalists(self, state: RandomState) -> list[Evaluation]:
+    def finalists(self, state: RandomState) -> tuple[Evaluation, ...]:
         """The best of all sets."""
-        return [] if state.best is None else [state.best]
+        return state.best

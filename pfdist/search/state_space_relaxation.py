@@ -168,12 +168,14 @@ class StateSpaceRelaxation:
 
     def ask(self, state: RelaxationState, rng: np.random.Generator) -> list[Candidate]:
         """The windows whose errors are missing, and the best sets of the last programme."""
-        relaxation = state.relaxation
+        relaxation, draws = state.relaxation, None  # the number of the search's settings
+        if state.level < len(_SCREENING):
+            draws = max(1, self.draws // _SCREENING[state.level])
         windows = [
             Candidate(
                 relaxation.filtered(relaxation.windows[number]),
                 int(relaxation.ends[number]),
-                draws=self._draws(state.level),
+                draws=draws,
                 since=int(relaxation.first[number]),
             )
             for number in state.lacking
@@ -269,10 +271,6 @@ class StateSpaceRelaxation:
         if self.start is not None:
             return self.start
         return relaxation_within(self.feasible, self.feasible.measurements, MOST_CELLS)
-
-    def _draws(self, level: int) -> int | None:
-        """Number of draws of the windows; None for the number of the search's settings."""
-        return max(1, self.draws // _SCREENING[level]) if level < len(_SCREENING) else None
 
 
 def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:

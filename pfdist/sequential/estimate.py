@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +26,6 @@ PREDICTIVE = 20_000
 """Least number of simulated measurements behind a p-value. The p-value of a component that lies
 beyond all of them is below 2 over their number."""
 _ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
-
-
-class Belief(Protocol):
-    """A filter's belief about z(t): a distribution of each component."""
-
-    def effective_sample_size(self) -> float | None:
-        """Number of particles of equal weight that are worth as much; None without particles."""
-
-    def quantiles(self, levels: Array) -> Array:
-        """Quantiles of each component of z, (L, q), at levels in 0..1, (L,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +65,10 @@ class Normal:
         """Quantiles of the normal distributions, (L, q)."""
         quantiles: Array = self.mean + self.standard_deviation * ndtri(levels)[:, None]
         return quantiles
+
+
+Belief = Particles | Normal
+"""A filter's belief about z(t): a distribution of each component."""
 
 
 # --- particles ----------------------------------------------------------------------------------

@@ -4,11 +4,12 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
@@ -17,12 +18,11 @@ from pfdist.errors import (
     EngineWarning,
     MeasurementsError,
     ModelError,
-    PriorError,
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
-from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER, is_exact
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.settings import check_filter
 from pfdist.filters.work import Estimation
@@ -40,7 +40,7 @@ from pfdist.sequential.estimate import (
     surprise_of_particles,
 )
 from pfdist.sequential.measurements import checked_instant, checked_measurement
-from pfdist.sequential.one_filter import OneFilter, begin, formatted_instant
+from pfdist.sequential.one_filter import OneFilter, formatted_instant
 from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
@@ -117,8 +117,13 @@ class Filter:
         draw: int = 0,
         horizon: int = LAST,
     ) -> None:
-        self.model = _loaded(model)
-        _check_integers(seed=seed, draw=draw, horizon=horizon)
+        if not isinstance(model, StateSpaceModel | str):
+            raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
+        self.model = load_model(model) if isinstance(model, str) else model
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
+            raise ArgumentError(f"seed must be an integer, got {shown(seed)}")
+        draw = whole_argument("draw", draw, 0, _LARGEST_DRAW)
+        horizon = whole_argument("horizon", horizon, 0, LAST)
         if engine not in (AUTO, *ENGINES):
             allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
             meant = did_you_mean(engine, ENGINES)
@@ -127,19 +132,20 @@ class Filter:
         self.stream = stream_of("filter", int(seed))
         """Key of the filter's noise, 64 bits."""
         start = None if prior is None else as_prior(prior, self.model)
-        self._check_prior(start, engine)
+        if start is not None:
+            check_prior(start, self.model, horizon, by_particles=not is_exact(engine))
         try:
             threshold = threshold_of(resample)
         except ValueError as error:
             raise ArgumentError(str(error)) from error
-        check_filter(self.model, self.model, particles, resampling, threshold=threshold)
         settings = Estimation(particles, resampling, prior=start, threshold=threshold)
+        check_filter(self.model, self.model, settings)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
-        self._many = begin(self.model, many, self.stream, draw, self._filter.engine)
+        self._many = OneFilter(self.model, many, self.stream, draw, self._filter.engine)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
         self._now = self._estimate(mean[-1], variance[-1])
@@ -258,15 +264,6 @@ class Filter:
         """Predict up to t, from the last prediction if that is on the way."""
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
-    def _check_prior(self, prior: Prior | None, engine: str) -> None:
-        if prior is not None:
-            check_prior(prior, self.model, self.horizon)
-        if isinstance(prior, Gaussian) and engine != "kalman":
-            raise PriorError(
-                "particles must start from particles, got a normal distribution; it is for the "
-                "engine 'kalman'"
-            )
-
     def _begun(
         self, settings: Estimation, engine: str, draw: int
     ) -> tuple[OneFilter, Array, Array]:
@@ -274,7 +271,7 @@ class Filter:
         name = COMPILED.name if engine == AUTO else engine
         if name == "kalman":
             matrices_of(self.model, 0)
-        first = begin(self.model, settings, self.stream, draw, name)
+        first = OneFilter(self.model, settings, self.stream, draw, name)
         try:
             return first.at(first.t)
         except CompileError as error:
@@ -286,7 +283,7 @@ class Filter:
                 EngineWarning,
                 stacklevel=3,
             )
-        first = begin(self.model, settings, self.stream, draw, NUMPY.name)
+        first = OneFilter(self.model, settings, self.stream, draw, NUMPY.name)
         return first.at(first.t)
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
@@ -334,25 +331,8 @@ class Filter:
         return surprise_of_particles(self.model, cloud, y, self.stream, self._many.draw)
 
 
-def _loaded(model: StateSpaceModel | str) -> StateSpaceModel:
-    if isinstance(model, StateSpaceModel):
-        return model
-    if isinstance(model, str):
-        return load_model(model)
-    raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
-
-
 def _prior(at: OneFilter) -> Prior:
     return cast(Prior, at.settings.prior)  # every filter has one after its first instant
-
-
-def _check_integers(**values: Any) -> None:
-    for name, value in values.items():
-        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        most = math.inf if name == "seed" else LAST if name == "horizon" else _LARGEST_DRAW
-        if not whole or not (name == "seed" or 0 <= value <= most):
-            bounds = "" if name == "seed" else f" in 0..{most}"
-            raise ArgumentError(f"{name} must be an integer{bounds}, got {shown(value)}")
 
 
 def effective_sample_sizes(filtering: OneFilter, times: Sequence[int], y: Array) -> list[float]:

@@ -31,9 +31,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OneFilter:
-    """A filter's knowledge of one system at an instant. Use `begin` to make the first."""
+    """A filter's knowledge of one system at an instant.
 
-    model: StateSpaceModel  # the filter's model, with the squared error
+    The error is the squared error: without a truth, a model's own error might fail.
+    """
+
+    model: StateSpaceModel  # the filter's model
     # The prior in them is the distribution of x(t). Without a prior, the filter starts from
     # `initial`.
     settings: Estimation
@@ -41,6 +44,10 @@ class OneFilter:
     draw: int = 0  # index of the draw in the stream
     engine: str = COMPILED.name  # "compiled", "numpy" or "kalman"
     measured: bool = False  # whether the instant t was measured
+
+    def __post_init__(self) -> None:
+        if self.model.error is not squared_error:
+            object.__setattr__(self, "model", replace(self.model, error=squared_error))
 
     @property
     def t(self) -> int:
@@ -102,16 +109,3 @@ def made(model: StateSpaceModel, t: int, y: Array) -> Times:
         return (t,)
     parts = enumerate(model.parts)
     return tuple(t * len(model.parts) + k for k, part in parts if not np.isnan(y[part.y]).all())
-
-
-def begin(
-    model: StateSpaceModel,
-    settings: Estimation,
-    stream: int,
-    draw: int = 0,
-    engine: str = COMPILED.name,
-) -> OneFilter:
-    """The filter before anything is measured; see `OneFilter`."""
-    if model.error is not squared_error:  # without a truth, a model's own error might fail
-        model = replace(model, error=squared_error)
-    return OneFilter(model, settings, stream, draw, engine)

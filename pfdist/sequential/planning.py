@@ -6,12 +6,11 @@ a feasible plan is replaced only by a better plan, except by chance.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
@@ -147,33 +146,10 @@ class Replanner:
         `draws` is the number of simulated systems, and `draw` the index of the system. Raises
         `ModelError` if a formula failed.
         """
-        evaluator = replace(self.evaluator, prior=now.prior, estimations=())
-        ends = [evaluator.horizon] * len(plans)
-        stream = stream_key(self.stream, draw, now.first, "expected")
-        simulated = None if evaluator.exact else evaluator.draws(range(draws), stream)
-        errors = _errors_of_sets(evaluator, simulated, plans, ends, stream, estimation)
-        return [
-            Evaluation(plan, mse, _POLICY, exact, purpose="evaluate")
-            for plan, (mse, exact) in zip(plans, errors, strict=True)
-        ]
-
-
-def _errors_of_sets(
-    evaluator: Evaluator,
-    draws: Draws | None,
-    sets: Sequence[Times],
-    ends: Sequence[int],
-    stream: int,
-    estimation: Estimation,
-) -> Iterator[tuple[NDArray[np.float64], float | None]]:
-    """Yield the MSE of each draw with each set, (D,), or without draws the exact expected MSE."""
-    if draws is None:
-        for exact in evaluator.expected_mse(sets, ends).tolist():
-            yield np.empty(0), exact
-        return
-    noise = stream_key(stream, "filter")
-    mse = evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
-    yield from ((column, None) for column in np.ascontiguousarray(mse.T))
+        outlook = _Outlook(self, now, stream_key(self.stream, draw, now.first, "expected"))
+        ends = [self.evaluator.horizon] * len(plans)
+        evaluations = outlook.of_sets(outlook.draws(range(draws)), plans, ends, estimation)
+        return [replace(evaluation, purpose="evaluate") for evaluation in evaluations]
 
 
 def check_plannable(evaluator: Evaluator) -> None:
@@ -206,7 +182,7 @@ class _Outlook:
         The list is empty if, for every plan, all draws are degenerate.
         """
         planning = self.replanner.planning
-        optimiser, draws = planning.optimiser(rest, start), self._draws(range(planning.draws))
+        optimiser, draws = planning.optimiser(rest, start), self.draws(range(planning.draws))
         state, generation = optimiser.init(), 0
         while not optimiser.done(state):
             candidates = optimiser.ask(state, generator(self.stream, "search", generation))
@@ -228,14 +204,15 @@ class _Outlook:
         planning = self.replanner.planning
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
         candidates = [Candidate(times) for times in plans]
-        first, new = self._evaluated(self._draws(fresh), candidates, planning.judging)
+        first, new = self._evaluated(self.draws(fresh), candidates, planning.judging)
         gain = difference(new, first)
         rounding = _ROUNDING * first.cost if math.isfinite(first.cost) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
         # The difference uses only draws that are degenerate with neither plan.
         return plans[1] if lower and new.degenerate_draws <= first.degenerate_draws else plans[0]
 
-    def _draws(self, index: range) -> Draws | None:
+    def draws(self, index: range) -> Draws | None:
+        """Simulated systems; None if the engine is exact."""
         return None if self.evaluator.exact else self.evaluator.draws(index, self.stream)
 
     def _evaluated(
@@ -249,18 +226,35 @@ class _Outlook:
         ends = [last if each.end is None else first + each.end for each in candidates]
         if draws is not None:
             draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
-        errors = _errors_of_sets(evaluator, draws, sets, ends, self.stream, estimation)
+        evaluations = self.of_sets(draws, sets, ends, estimation)
         return [
-            Evaluation(
-                each.measurement_times,
-                mse[: each.draws],
-                _POLICY,
-                exact,
-                each.end,
+            replace(
+                evaluation,
+                measurement_times=each.measurement_times,
+                mse=evaluation.mse[: each.draws],
+                end=each.end,
                 purpose="online",
             )
-            for each, (mse, exact) in zip(candidates, errors, strict=True)
+            for each, evaluation in zip(candidates, evaluations, strict=True)
         ]
+
+    def of_sets(
+        self,
+        draws: Draws | None,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        estimation: Estimation,
+    ) -> list[Evaluation]:
+        """Evaluations of sets up to their ends on common draws with common noise."""
+        if draws is None:
+            costs = self.evaluator.expected_mse(sets, ends).tolist()
+            each_set = zip(sets, costs, strict=True)
+            return [Evaluation(times, np.empty(0), _POLICY, cost) for times, cost in each_set]
+        noise = stream_key(self.stream, "filter")
+        mse = np.ascontiguousarray(
+            self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation).T
+        )
+        return [Evaluation(times, row, _POLICY) for times, row in zip(sets, mse, strict=True)]
 
     @property
     def evaluator(self) -> Evaluator:

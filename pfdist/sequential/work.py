@@ -11,7 +11,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
 from pfdist.models import StateSpaceModel
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -65,7 +65,7 @@ class OnlineWork(Work):
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]
-        filtering = begin(evaluator.believed, self.estimation, noise, draw, engine)
+        filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
         taken, (plan,) = Times(), self.measurement_times
         while plan:
             t = plan[0] // self.sensors

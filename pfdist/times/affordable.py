@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.errors import MeasurementTimesError
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
 
@@ -38,8 +39,8 @@ class Affordable:
         remain, the one whose last time is the earliest is chosen, then whose last but one, and so
         on. `wanted` takes a number of times, and returns so many wanted times, sorted.
         """
-        most = self._keys(())[self._last_required :].max(axis=0)  # for each sum spent
-        spent = int(np.flatnonzero(most > 0)[-1])
+        most = self._keys(())[self._last_required :].max(axis=0, initial=0)  # for each sum spent
+        spent = max(np.flatnonzero(most).tolist(), default=0)
         number = int(most[spent]) // self._count
         times = wanted(number)
         return self._followed_back(self._keys(times), spent, times)
@@ -84,7 +85,8 @@ class Affordable:
 
     def _followed_back(self, keys: Keys, spent: int, wanted: Times) -> Times:
         """The times of the best set that spends this sum, found from the last to the first."""
-        first, key = self._last_required, int(keys[self._last_required :, spent].max())
+        first = self._last_required
+        key = int(keys[first:, spent].max(initial=0))
         stop, times = len(self.usable), list[int]()
         for target in reversed(wanted):
             index = first + int((keys[first:stop, spent] == key).argmax())
@@ -95,3 +97,24 @@ class Affordable:
             first = max(before, default=0)
             stop = bisect_right(self.usable, self.spacing.before(time))
         return tuple(reversed(times))
+
+
+def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> Times:
+    """The set of N usable times that is nearest to a set of N wanted times; all are sorted.
+
+    It is the set of `Affordable.nearest` where each time has the price 1. The set contains the
+    required times, and no other usable time lies within their spacing. A `MeasurementTimesError`
+    says that fewer than N usable times are far enough apart.
+
+    >>> spacing = Spacing.constant(3, horizon=10)
+    >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=spacing)
+    (1, 4, 9)
+    """
+    price = (1,) * len(spacing.successors)
+    affordable = Affordable(usable, required, spacing, price, len(wanted))
+    times = affordable.nearest(lambda number: wanted[:number])
+    if len(times) < len(wanted):
+        raise MeasurementTimesError(
+            f"there must be {len(wanted)} usable times far enough apart, got {usable}"
+        )
+    return times

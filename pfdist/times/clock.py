@@ -71,8 +71,9 @@ class Clock:
                 f"horizon must be a multiple of time_step = {step:g}, got {shown(horizon)}; the "
                 f"nearest are {below:.10g} and {below + step:.10g}"
             )
-        times = (_rounded(t * horizon / steps) for t in range(steps + 1))
-        return cls(tuple(times), unit)
+        # As a person would write a multiple of a step: 3 * 0.1 is 0.3.
+        times = tuple(float(f"{t * horizon / steps:.12g}") for t in range(steps + 1))
+        return cls(times, unit)
 
     @property
     def horizon(self) -> int:
@@ -174,15 +175,16 @@ class Clock:
         return tuple(self._measurement(entry) for entry in written)
 
     def _measurement(self, written: Time | str) -> int:
-        time, _, sensor = str(written).strip().rpartition(" ")
-        if sensor not in self.sensors:
+        time, _, name = str(written).strip().rpartition(" ")
+        try:
+            number, sensor = float(time), self.sensors.index(name)
+        except ValueError as error:
             raise MeasurementTimesError(
                 f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
                 f"{shown(written)}; sensors: {', '.join(self.sensors)}"
-            )
-        number = float(time)
-        instant = self.instants([int(number) if number.is_integer() else number])[0]
-        return instant * len(self.sensors) + self.sensors.index(sensor)
+            ) from error
+        (instant,) = self.instants([int(number) if number.is_integer() else number])
+        return instant * len(self.sensors) + sensor
 
     def formatted(self, instant: int) -> str:
         """The time of an instant as text, with the unit."""
@@ -240,8 +242,3 @@ def _counted(time: Time) -> int:
             f"measurement_times must be whole numbers without a clock, got {time:.10g}"
         )
     return int(time)
-
-
-def _rounded(time: float) -> float:
-    """A multiple of a step as a person would write it: 3 * 0.1 is 0.3."""
-    return float(f"{time:.12g}")

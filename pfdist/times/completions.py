@@ -84,9 +84,6 @@ class Completions:
             last, left = time, left - self.cost[time]
         return tuple(times)
 
-    def _first_after(self, last: int) -> int:
-        return self.spacing.after(last)
-
     def _next(self, times: tuple[int, ...], first: int) -> int:
         """The earliest of some times that is not before `first`; T + 1 if there is none."""
         index = bisect_left(times, first)
@@ -94,7 +91,7 @@ class Completions:
 
     def _window(self, last: int) -> range:
         """The range of the next time: a later time would omit a required or a cheap time."""
-        first = self._first_after(last)
+        first = self.spacing.after(last)
         cheap, required = self._next(self.cheap, first), self._next(self.required, last + 1)
         stop = min(self.spacing.after(cheap), required + 1, self.horizon + 1)
         return range(first, max(first, stop))
@@ -114,7 +111,7 @@ class Completions:
         nothing_more = self.horizon + 1
         return (
             left in self.left_over
-            and self._next(self.cheap, self._first_after(last)) == nothing_more
+            and self._next(self.cheap, self.spacing.after(last)) == nothing_more
             and self._next(self.required, last + 1) == nothing_more
         )
 

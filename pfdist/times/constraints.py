@@ -88,9 +88,7 @@ class Constraints:
     @cached_property
     def allowed(self) -> Times:
         """Times that a set may contain: neither forbidden nor too near to a required time."""
-        barred = {*self.forbidden}
-        for time in self.required:
-            barred.update({*self.spacing.near(time)} - {time})
+        barred = {*self.forbidden} | (self.spacing.near(self.required) - {*self.required})
         return tuple(time for time in range(self.possible) if time not in barred)
 
     @cached_property
@@ -198,31 +196,21 @@ class Constraints:
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""
         complete = self.with_required(times)
-        left = self.total - self.spent(complete)
+        left, near = self.total - self.spent(complete), self.spacing.near(complete)
         return [
             time
             for time in (self.optional if left > 0 else ())
             if self.price[time] <= left
-            and self._is_apart(time, complete)
+            and time not in near
             and (not self.limits or self.is_within_limits(sorted({*complete, time})))
         ]
 
     def distance(self, time: int, times: Times) -> int:
         """The distance to the nearest of these times in instants; T + 1 if there are none."""
-        return min(
-            (
-                abs(time // self.sensors - neighbour // self.sensors)
-                for neighbour in _neighbours(time, times)
-            ),
-            default=self.horizon + 1,
-        )
-
-    def _is_apart(self, time: int, times: Times) -> bool:
-        """Whether a time is far enough from all of these times, which are sorted."""
-        return all(
-            self.spacing.apart(sorted((time, neighbour))) and time != neighbour
-            for neighbour in _neighbours(time, times)
-        )
+        index, instant = bisect_left(times, time), time // self.sensors
+        neighbours = times[max(0, index - 1) : index + 1]
+        distances = (abs(instant - neighbour // self.sensors) for neighbour in neighbours)
+        return min(distances, default=self.horizon + 1)
 
     def formatted(self, time: int) -> str:
         """A time as the user reads it."""
@@ -232,49 +220,29 @@ class Constraints:
         """The largest number of compatible times that contain these and the required times."""
         complete = self.with_required(times)
         if self.limits:
-            return len(complete) + len(self.within_limits(complete, self.allowed))
-        gaps = pairwise(self.with_ends(complete))
+            return len(complete) + len(self.fitting(complete, self.allowed))
+        gaps = pairwise((-1, *complete, self.possible))  # every time is far from both ends
         return len(complete) + sum(self.capacity_between(first, last) for first, last in gaps)
-
-    def with_ends(self, times: Times) -> Times:
-        """These times between -1 and the end, from which every time is far enough."""
-        return (-1, *times, self.possible)
 
     def capacity_between(self, first: int, last: int) -> int:
         """The largest number of compatible times that fit between two times."""
         if (first, last) not in self._capacities:
-            self._capacities[first, last] = len(self.packed(first, last, self.allowed))
+            self._capacities[first, last] = len(self.spacing.packed(first, last, self.allowed))
         return self._capacities[first, last]
 
-    def packed(self, first: int, last: int, among: Times) -> Times:
-        """As many of some allowed times as fit between two times, each as early as can be."""
-        chosen: list[int] = []
-        index, latest = bisect_left(among, self.spacing.after(first)), self.spacing.before(last)
-        while index < len(among) and among[index] <= latest:
-            chosen.append(among[index])
-            index = bisect_left(among, self.spacing.after(among[index]))
-        return tuple(chosen)
+    def fitting(self, times: Times, among: Times) -> Times:
+        """As many of some allowed times as fit beside these; all are sorted.
 
-    def within_limits(self, times: Times, among: Iterable[int]) -> Times:
-        """As many of some sorted times as fit beside these within the limits of the sensors.
-
-        The sensors do not depend on each other, because this is asked without a spacing of all.
+        With limits the sensors do not depend on each other, because these are asked without a
+        spacing of all.
         """
-        offered, chosen = [*among], list[int]()
+        if not self.limits:
+            return self.spacing.fitting(times, among)
+        chosen = list[int]()
         for sensor, limit in enumerate(self.limits):
-            own = self.of_sensor(sensor, times)
-            spacing = limit.spacing or Spacing.constant(1, self.horizon)
-            new, last = list[int](), -1
-            for t in self.of_sensor(sensor, offered):
-                place = bisect_left(own, t)
-                last = max([last, *own[max(0, place - 1) : place]])
-                if (
-                    t not in own
-                    and t >= spacing.after(last)
-                    and spacing.apart((t, *own[place:][:1]))
-                ):
-                    new.append(t)
-                    last = t
+            own, spacing = self.of_sensor(sensor, times), limit.spacing
+            spacing = spacing or Spacing.constant(1, self.horizon)
+            new = spacing.fitting(own, self.of_sensor(sensor, among))
             left = len(new) if limit.most is None else max(0, limit.most - len(own))
             chosen += [t * self.sensors + sensor for t in new[:left]]
         return tuple(sorted(chosen))
@@ -294,9 +262,3 @@ class Constraints:
     @cached_property
     def _allowed(self) -> frozenset[int]:
         return frozenset(self.allowed)
-
-
-def _neighbours(time: int, times: Times) -> Times:
-    """The times before and after a time among sorted times."""
-    index = bisect_left(times, time)
-    return times[max(0, index - 1) : index + 1]

@@ -16,7 +16,7 @@ def check(constraints: Constraints) -> None:
     _check_times(constraints)
     _check_limits(constraints)
     _check_budget_or_cost(constraints)
-    _check_that_a_set_exists(constraints)
+    (_check_number if constraints.counted else _check_money)(constraints)
 
 
 def _check_times(constraints: Constraints) -> None:
@@ -82,12 +82,9 @@ def _check_budget_or_cost(constraints: Constraints) -> None:
         raise MeasurementTimesError(f"cost must be above 0, got {min(cost)}")
 
 
-def _check_that_a_set_exists(constraints: Constraints) -> None:
-    """Refuse constraints that no set satisfies."""
-    if constraints.measurement_budget is None:
-        _check_money(constraints)
-        return
-    budget, possible = constraints.measurement_budget, constraints.possible
+def _check_number(constraints: Constraints) -> None:
+    """Refuse a number of measurements that no set has."""
+    budget, possible = constraints.total, constraints.possible
     if budget > possible:
         what = "instants" if constraints.sensors == 1 else "possible measurements"
         raise MeasurementTimesError(
@@ -108,6 +105,7 @@ def _check_that_a_set_exists(constraints: Constraints) -> None:
 
 
 def _check_money(constraints: Constraints) -> None:
+    """Refuse money that pays for no set, or that has too many units."""
     money, required = constraints.total_cost or 0, constraints.cost_of(constraints.required)
     if money < required:
         raise MeasurementTimesError(

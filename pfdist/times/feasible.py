@@ -12,11 +12,11 @@ from math import comb
 import numpy as np
 
 from pfdist.errors import MeasurementTimesError
-from pfdist.times.affordable import Affordable
+from pfdist.times.affordable import Affordable, nearest
 from pfdist.times.completions import Completions
 from pfdist.times.constraints import Constraints
 from pfdist.times.contradictions import check
-from pfdist.times.measurement_times import Times, nearest, random, random_below, regular
+from pfdist.times.measurement_times import Times, random, random_below, regular
 
 _MOST_COUNTED = 1_000_000  # sets that are counted one by one
 
@@ -83,10 +83,8 @@ class Feasible(Constraints):
         """The regular times, or in their place a feasible set like them.
 
         With N measurements these are the times of the paper's equation 13; a single time is in the
-        middle. On an uneven clock they are the instants nearest to evenly spaced times. If they are
-        not feasible, the nearest feasible set takes their place (see
-        `pfdist.times.measurement_times.nearest`). With money, see
-        `pfdist.times.affordable.Affordable.nearest`.
+        middle. On an uneven clock they are the instants nearest to evenly spaced times. With money,
+        or if they are not feasible, see `pfdist.times.affordable.Affordable.nearest`.
         """
         return self._nearest_regular
 
@@ -115,12 +113,10 @@ class Feasible(Constraints):
             return []
         lacking = {*self.required} - {*times}
         new = sorted({*lacking, *self.affordable(times)})
-        if self.limits and self.counted:
-            larger = [tuple(sorted({*times, time})) for time in new]
-            return [each for each in larger if self._can_be_completed(each)]
-        if self.counted and not self._free:
+        if self.counted and not self._free and not self.limits:
             new = self._leaving_capacity(times, new)
-        return [tuple(sorted({*times, time})) for time in new]
+        larger = [tuple(sorted({*times, time})) for time in new]
+        return [*filter(self._can_be_completed, larger)] if self.limits else larger
 
     def removals(self, times: Times) -> list[Times]:
         """The sets with one time less that still contain a feasible set."""
@@ -219,7 +215,7 @@ class Feasible(Constraints):
         if len(complete) > self.total or not self.is_within_limits(complete):
             return False
         later = [other for other in self.allowed if other > t]
-        return len(complete) + len(self.within_limits(complete, later)) >= self.total
+        return len(complete) + len(self.fitting(complete, tuple(later))) >= self.total
 
     @property
     def _free(self) -> bool:
@@ -277,7 +273,7 @@ class Feasible(Constraints):
     def _leaving_capacity(self, times: Times, new: list[int]) -> list[int]:
         """The new times that, added to a set, leave a capacity of N times in all."""
         complete = self.with_required(times)
-        ends, spare = self.with_ends(complete), self.capacity(times) - self.total
+        ends, spare = (-1, *complete, self.possible), self.capacity(times) - self.total
 
         def lost(time: int) -> int:
             if time in complete:
@@ -297,12 +293,7 @@ class Feasible(Constraints):
         if not self.counted:
             every = (completions.every() for completions in self._completions_of(usable))
             return next(chain.from_iterable(every), None)
-        if self.limits:
-            packed = [*self.within_limits(self.required, usable)]
-            contained = self.with_required(packed[: self.total - len(self.required)])
-            return contained if len(contained) == self.total else None
-        gaps = pairwise(self.with_ends(self.required))
-        packed = [time for first, last in gaps for time in self.packed(first, last, usable)]
+        packed = self.fitting(self.required, usable)
         contained = self.with_required(packed[: self.total - len(self.required)])
         return contained if len(contained) == self.total else None
 
@@ -336,19 +327,17 @@ class Feasible(Constraints):
 
     @cached_property
     def _nearest_regular(self) -> Times:
-        spacing = self.spacing
         if self.sensors > 1:
             times = self._in_turn((self.cheapest,))
             number = min(self.total, self.horizon + 1)
             start = self._regular_times(number) if times is None else times
             return self.repair(start, np.random.default_rng(0))
-        if not self.counted:
-            affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
-            return affordable.nearest(self._regular_times)
-        wanted = self._regular_times(self.total)
-        if self.compatible(wanted) and {*self.required}.issubset(wanted):
-            return wanted
-        return nearest(wanted, self.allowed, self.required, spacing)
+        if self.counted:  # quicker if regular times are feasible
+            wanted = self._regular_times(self.total)
+            if self.accepts(wanted):
+                return wanted
+        affordable = Affordable(self.allowed, self.required, self.spacing, self.price, self.total)
+        return affordable.nearest(self._regular_times)
 
     def _near(self, time: int, reach: int | None) -> Times:
         if reach is None:

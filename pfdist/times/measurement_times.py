@@ -1,4 +1,4 @@
-"""A set of measurement times: its check, and regular, random and nearest sets."""
+"""A set of measurement times: its check, and regular and random sets."""
 
 from collections.abc import Iterable
 from itertools import pairwise
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.times.spacing import Spacing
 
 Times = tuple[int, ...]
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
@@ -86,50 +85,6 @@ def random(
         )
     order = rng.permuted(np.tile(np.arange(horizon + 1), (sets, 1)), axis=1)
     return np.sort(order[:, :measurement_budget], axis=1)
-
-
-def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> Times:
-    """The set of N usable times that is nearest to a set of N wanted times; all are sorted.
-
-    The set has the smallest sum of distances to the wanted times, both in order. If several sets
-    have it, the set whose last time is the earliest is given, then the last but one, and so on. The
-    set contains the required times, and no other usable time lies within their spacing. A
-    `MeasurementTimesError` says that fewer than N usable times are far enough apart.
-
-    >>> spacing = Spacing.constant(3, horizon=10)
-    >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=spacing)
-    (1, 4, 9)
-    """
-    times, last = np.array(usable), len(usable) - 1
-    fixed = np.isin(times, required).nonzero()[0].tolist()
-    # A dynamic programme (Bellman, 1957): the least distance of the first times that end at each
-    # usable time. The times from start to stop may precede a time: they are far enough away from
-    # it, and no required time lies between.
-    latest = [spacing.before(time) for time in usable]
-    stops = np.searchsorted(times, latest, side="right").tolist()
-    starts = [max((i for i in fixed if i < index), default=0) for index in range(len(times))]
-    first_fixed, last_fixed = (fixed[0], fixed[-1]) if fixed else (last, 0)
-    distance = np.full(len(times), np.inf)
-    before: list[list[int]] = []
-    for number, time in enumerate(wanted):
-        here = np.abs(times - time).astype(np.float64)
-        if number == 0:
-            here[first_fixed + 1 :] = np.inf
-        else:
-            before.append([])
-            for index, (start, stop) in enumerate(zip(starts, stops, strict=True)):
-                best = start + int(distance[start:stop].argmin()) if start < stop else -1
-                before[-1].append(best)
-                here[index] += distance[best] if best >= 0 else np.inf
-        distance = here
-    if wanted and not np.isfinite(distance[last_fixed:]).any():
-        raise MeasurementTimesError(
-            f"there must be {len(wanted)} usable times far enough apart, got {usable}"
-        )
-    indices = [last_fixed + int(distance[last_fixed:].argmin())] if wanted else []
-    for previous in reversed(before):
-        indices.append(previous[indices[-1]])
-    return tuple(int(times[index]) for index in reversed(indices))
 
 
 def random_below(bound: int, rng: np.random.Generator) -> int:

@@ -1,5 +1,6 @@
 """The feasible sets of the measurements that are left, over what is left of the horizon."""
 
+from dataclasses import replace
 from functools import partial
 
 from pfdist.times.constraints import Limit
@@ -24,27 +25,23 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         return None
     start = first * feasible.sensors
     left = range(start, feasible.possible)
-    near = {t for time in taken for t in feasible.spacing.near(time)}
-    barred = near.union(feasible.forbidden)
+    barred = feasible.spacing.near(taken).union(feasible.forbidden)
     limits = list[Limit]()
     for sensor, limit in enumerate(feasible.limits):
         own, spacing = feasible.of_sensor(sensor, taken), limit.spacing
         if spacing is not None:
-            near = {t for time in own for t in spacing.near(time)}
-            barred |= {t * feasible.sensors + sensor for t in near}
+            barred |= {t * feasible.sensors + sensor for t in spacing.near(own)}
             spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
         most = None if limit.most is None else max(0, limit.most - len(own))
         limits.append(Limit(most, spacing))
     required = [time for time in feasible.required if time in left and time not in barred]
     make = partial(
-        Feasible,
+        replace,
+        feasible,
         horizon=feasible.horizon - first,
         forbidden=tuple(time - start for time in left if time in barred),
-        minimum_spacing=feasible.minimum_spacing,
         clock=None if feasible.clock is None else feasible.clock.since(first),
-        smaller=feasible.smaller,
         limits=tuple(limits),
-        cheapest=feasible.cheapest,
     )
     if feasible.cost is not None and feasible.total_cost is not None:
         money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[start:]

@@ -1,9 +1,12 @@
 """How far apart the measurement times of a set must be, counted in instants."""
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
+
+from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
@@ -62,9 +65,25 @@ class Spacing:
         """Whether all times, in ascending order, are far enough apart."""
         return all(later >= self.after(time) for time, later in pairwise(times))
 
-    def near(self, time: int) -> range:
-        """The instants that are too close to a time, and the time itself."""
-        return range(self.before(time) + 1, min(self.after(time), len(self.successors)))
+    def near(self, times: Iterable[int]) -> set[int]:
+        """The instants that are too close to one of some times, and these times."""
+        last = len(self.successors)
+        ranges = (range(self.before(time) + 1, min(self.after(time), last)) for time in times)
+        return set(chain.from_iterable(ranges))
+
+    def packed(self, first: int, last: int, among: Times) -> Times:
+        """As many of some sorted times as fit between two times, each as early as can be."""
+        chosen: list[int] = []
+        index, latest = bisect_left(among, self.after(first)), self.before(last)
+        while index < len(among) and among[index] <= latest:
+            chosen.append(among[index])
+            index = bisect_left(among, self.after(among[index]))
+        return tuple(chosen)
+
+    def fitting(self, times: Times, among: Times) -> Times:
+        """As many of some sorted times as fit beside these, each as early as can be."""
+        gaps = pairwise((-1, *times, len(self.successors)))
+        return tuple(chain.from_iterable(self.packed(*gap, among) for gap in gaps))
 
     @cached_property
     def _predecessors(self) -> tuple[int, ...]:

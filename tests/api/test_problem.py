@@ -208,12 +208,13 @@ def test_a_changed_problem_keeps_the_model_as_it_was() -> None:
     table = np.array([gain, 0.3])
     model = replace(robot_of(gain), transition=lambda x, t, w, p: (table[0] * x[0] + w[0],))
     problem = Problem(model, filter_model=model, **IN_NUMPY)
-    first = problem.job().models["model"].fingerprint
+    first = problem.job().origin.models["model"].fingerprint
     table[0] = 0.9
-    assert problem.with_changes(measurement_budget=4).job().models["model"].fingerprint == first
-    assert Problem(model, **IN_NUMPY).job().models["model"].fingerprint != first
+    fewer = problem.with_changes(measurement_budget=4)
+    assert fewer.job().origin.models["model"].fingerprint == first
+    assert Problem(model, **IN_NUMPY).job().origin.models["model"].fingerprint != first
     changed = problem.with_changes(model=robot_of(0.8))
-    assert changed.job().models["filter_model"].fingerprint == first
+    assert changed.job().origin.models["filter_model"].fingerprint == first
 
 
 def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
@@ -295,7 +296,7 @@ def test_an_installed_model_is_known_by_its_name_and_travels_with_its_constants(
     for model in (epidemic.model, fewer, pfdist.load_model("epidemic")):
         assert Problem(model, **keys).job().model.name == "epidemic"
     monkeypatch.setattr(epidemic, "SUBSTEPS", 16)
-    changed = Problem(fewer, **keys).job().models["model"]
+    changed = Problem(fewer, **keys).job().origin.models["model"]
     assert (changed.name, changed.fingerprint["SUBSTEPS"]) == ("epidemic", "int 16")
 
 

@@ -16,7 +16,7 @@ from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 from pfdist.sequential.work import seen
 
 BUDGET = 6
@@ -74,7 +74,7 @@ def test_a_filter_that_stops_at_each_measurement_has_the_bits_of_one_that_does_n
     settings = Estimation(50, "systematic")
     draws = simulate(model, HORIZON, range(1), 5)
     whole = particle_filter.filter_draws(model, draws, times, 50, 3, "systematic", True)
-    filtering = begin(model, settings, 3)
+    filtering = OneFilter(model, settings, 3)
     for t in sorted({time // 3 for time in times}):
         here = tuple(time for time in times if time // 3 == t)
         filtering, mean, _ = filtering.at(t, seen(model, draws.y[0, t], here))

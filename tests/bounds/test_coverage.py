@@ -17,7 +17,7 @@ from oracles.grid import grid_filter
 from oracles.windows import counted
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 from pfdist.analysis import Moments
-from pfdist.bounds.programme import least
+from pfdist.bounds.programme import Programme
 from pfdist.bounds.proof import Sums, consistent, gap_of, prove
 from pfdist.bounds.relaxation import NOTHING, Relaxation, Window, relaxation_with
 from pfdist.filters.draws import Draws
@@ -155,7 +155,8 @@ def _repeated(
         proof = prove(relaxation, sums, [known], BUDGET)
         alone = parts_of(whole, squared, squared, variance)
         gap = consistent({"set": gap_of("set", known, alone, proof, 0, 0.95)})["set"]
-        of_batches = least(relaxation, sums.relaxed / IN_GROUP, BUDGET).mse[:, BUDGET]
+        programmes = [Programme(relaxation, row, BUDGET) for row in sums.relaxed / IN_GROUP]
+        of_batches = np.array([programme.mse[BUDGET] for programme in programmes])
         own = sums.own[:, 0].mean(axis=1) / IN_GROUP
         total, scale = proof.slack[0].plus(alone.both), gap.expected_mse.value
         batch_gap = float(np.mean(own - of_batches)) + alone.both.value

@@ -17,7 +17,7 @@ from oracles.windows import (
     satisfying,
 )
 from pfdist import StateSpaceModel, linear_gaussian
-from pfdist.bounds.programme import Programme, least
+from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import NOTHING, START, relaxation_with
 from pfdist.filters.kalman import expected_mse
 from pfdist.times.clock import Clock
@@ -128,13 +128,14 @@ def test_windows_give_bounds_that_rise_with_their_length_to_the_optimum(
         before = np.zeros(feasible.total + 1)
         for window in range(1, longest + 1):
             relaxation = relaxation_with(feasible, window, gap)
-            found = least(relaxation, counted_errors(model, relaxation), feasible.total)
+            found = Programme(relaxation, counted_errors(model, relaxation), feasible.total)
             assert (before <= found.mse * (1 + ROUNDING)).all()
             assert (found.mse <= optima * (1 + ROUNDING)).all()
             before = found.mse
     np.testing.assert_allclose(found.mse, optima, rtol=ROUNDING)  # with no longest gap
-    assert costs[found.paths[-1]] == pytest.approx(optima[-1], rel=ROUNDING)
-    assert feasible.spent(found.paths[-1]) <= feasible.total
+    path = found.path(feasible.total)
+    assert costs[path] == pytest.approx(optima[-1], rel=ROUNDING)
+    assert feasible.spent(path) <= feasible.total
 
 
 @systems
@@ -147,7 +148,7 @@ def test_prices_rounded_down_to_coarser_units_leave_a_bound(
     coarse = replace(fine, unit=unit)
     errors = counted_errors(model, fine)
     bound, cheaper = (
-        float(least(each, errors, each.total).mse[each.total]) for each in (fine, coarse)
+        float(Programme(each, errors, each.total).mse[each.total]) for each in (fine, coarse)
     )
     assert cheaper <= bound * (1 + ROUNDING)
     for times in feasible.every():  # no set costs more than before
@@ -172,8 +173,8 @@ def test_where_errors_explode_without_a_measurement_small_ones_keep_their_digits
     errors = counted_errors(model, relaxation)
     assert errors.max() > 1e17
     # Two instants are not measured: three measurements say which, in the middle of the horizon.
-    found = least(relaxation, errors, 28)
+    found = Programme(relaxation, errors, 28)
     optimum = expected_mse(model, 29, list(feasible.every())).min()
     assert found.mse[28] <= optimum * (1 + ROUNDING)
-    relaxed = relaxed_errors(relaxation, errors, found.paths[28])
+    relaxed = relaxed_errors(relaxation, errors, found.path(28))
     assert found.mse[28] == pytest.approx(np.sum(relaxed) / 30, rel=ROUNDING)

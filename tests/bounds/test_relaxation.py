@@ -23,7 +23,8 @@ from oracles.windows import (
     satisfying,
 )
 from pfdist import StateSpaceModel
-from pfdist.bounds.programme import Programme, least
+from pfdist.bounds.programme import Programme
+from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import NOTHING, START, Relaxation, Window, relaxation_with
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.times.constraints import Constraints
@@ -128,7 +129,7 @@ def test_more_windows_never_lower_the_bound(model: StateSpaceModel, name: str) -
         relaxations += [longer, longer.grown((), longer.overreached(of_a_set))]
     optimum = expected_mse(model, HORIZON, sets).min()
     bounds = [
-        float(least(each, counted_errors(model, each), feasible.total).mse[feasible.total])
+        float(Programme(each, counted_errors(model, each), feasible.total).mse[-1])
         for each in relaxations
     ]
     assert all(lower <= higher * (1 + ROUNDING) for lower, higher in pairwise(bounds))
@@ -137,7 +138,7 @@ def test_more_windows_never_lower_the_bound(model: StateSpaceModel, name: str) -
     paths = affordable(relaxations[-1], feasible.total)
     every = relaxations[-1].grown((NOTHING, *times) for times in paths)
     every = every.grown((), [window for times in paths for window in every.overreached(times)])
-    (bound,) = least(every, counted_errors(model, every), feasible.total).mse[-1:]
+    bound = Programme(every, counted_errors(model, every), feasible.total).mse[-1]
     assert bound == pytest.approx(optimum, rel=ROUNDING)
 
 
@@ -160,11 +161,15 @@ def test_the_relaxed_error_is_at_most_the_sets_own_at_every_instant(
 
 def test_each_resample_of_the_draws_has_a_programme_of_its_own() -> None:
     relaxation = relaxation_with(FEASIBLE["required"], 2, 4)
-    shape = (3, 2, int(relaxation.offsets[-1]))
-    errors = np.random.default_rng(1).exponential(size=shape)
-    together = least(relaxation, errors, BUDGET).mse
-    for place in np.ndindex(shape[:2]):
-        np.testing.assert_array_equal(together[place], least(relaxation, errors[place], BUDGET).mse)
+    errors = np.random.default_rng(1).exponential(size=(3, int(relaxation.offsets[-1])))
+    own = np.ones((3, 1, relaxation.horizon + 1))
+    sums, known = Sums(errors, own, np.ones(3)), FEASIBLE["required"].regular()
+    resamples = sums.means()[0]
+    whole, *without = (Programme(relaxation, row, BUDGET).mse[BUDGET] for row in resamples)
+    bound = prove(relaxation, sums, [known], BUDGET).bounds[BUDGET]
+    assert bound.value == whole
+    jackknifed = np.std(without) * np.sqrt(2)
+    assert bound.standard_error == pytest.approx(jackknifed, rel=1e-9)
 
 
 def test_errors_of_a_far_window_count_to_the_horizon() -> None:

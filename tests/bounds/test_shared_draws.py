@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 from oracles.windows import Array, counted
-from pfdist.bounds.programme import least
+from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import Relaxation, relaxation_with
 from pfdist.filters.estimate import Evaluation
 from pfdist.search import Candidate, StateSpaceRelaxation
@@ -57,7 +57,7 @@ class Draws:
 
     def bound(self, relaxation: Relaxation) -> float:
         errors = np.array([self.errors(times) for times in relaxation.sets])
-        return float(least(relaxation, counted(relaxation, errors), BUDGET).mse[BUDGET])
+        return float(Programme(relaxation, counted(relaxation, errors), BUDGET).mse[BUDGET])
 
 
 def _chosen(draws: Draws, paths: int) -> Relaxation:

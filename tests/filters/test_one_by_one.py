@@ -15,9 +15,8 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
-from pfdist.filters.settings import filter_streams
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, Work, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
 

@@ -86,7 +86,7 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     right = build(job_with(tmp_path))
     wrong = build(job_with(tmp_path, "[model.filter]", 'name = "other.py:model"'))
     assert wrong.evaluator.filter_model.name == "other"
-    ids = {built.evaluator.evaluation_id((0, 1), 12, 1, Estimation(40)) for built in (right, wrong)}
+    ids = {built.evaluator.id_of(Estimation(40), (0, 1), 12, 1) for built in (right, wrong)}
     assert len(ids) == 2
     times = [0, 4, 8, 12]
     believing = pfdist.evaluate(wrong.job, times, draws=200)

@@ -127,7 +127,7 @@ def test_who_waits_for_a_run_that_cannot_commit_what_a_third_needs_goes_on(
     commit, learnt = Session.commit, list[tuple[str, str]]()
 
     def failing(session: Session) -> None:
-        if session.store.path.name == "lender" and session.has_waiting_rows:
+        if session.store.path.name == "lender" and session.rows:
             raise StoreError("the disk is full")
         commit(session)
 

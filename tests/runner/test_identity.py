@@ -117,7 +117,7 @@ def test_a_value_that_changes_the_key_alone_is_refused_by_its_name(
 def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job: Job) -> None:
     def evaluation(**change: str) -> str:
         evaluator = build(written(small_job, **change)).evaluator
-        return evaluator.evaluation_id((0, 1), 12, 1, Estimation(40))
+        return evaluator.id_of(Estimation(40), (0, 1), 12, 1)
 
     same = {evaluation(), evaluation(helper=HELPER + "# so\n")}
     assert len(same) == 1

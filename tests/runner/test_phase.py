@@ -62,7 +62,7 @@ def test_what_the_build_has_checked_no_task_checks_again(
 ) -> None:
     """The number of checks depends on the sets alone, not on draws, tasks and filters."""
     calls: list[str] = []
-    for place in ("filters.evaluator", "filters.particle_filter"):
+    for place in ("filters.evaluator", "filters.interface"):
         for name in ("check_filter", "validated_from"):
             counted = partial(_counted, calls, resolve_name(f"pfdist.{place}:{name}"))
             monkeypatch.setattr(f"pfdist.{place}.{name}", counted)

@@ -33,7 +33,7 @@ def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:
 
 def test_a_killed_set_is_never_the_best_while_another_lives() -> None:
     killed, alive = Evaluation((1, 2, 3), np.array([np.nan])), Evaluation((4, 5, 6), np.ones(1))
-    assert TRIALS.finalists(TRIALS.tell(TRIALS.init(), [killed, alive])) == [alive]
+    assert TRIALS.finalists(TRIALS.tell(TRIALS.init(), [killed, alive])) == (alive,)
 
 
 def test_an_exhaustive_search_finds_what_brute_force_finds() -> None:

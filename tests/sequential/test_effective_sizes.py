@@ -8,7 +8,7 @@ import pytest
 from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.filters.work import Estimation
 from pfdist.sequential.filter import effective_sample_sizes
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 
 P = 4000
 
@@ -34,7 +34,7 @@ def test_a_normal_likelihood_has_the_size_of_the_closed_form(sd: float) -> None:
         return float(np.sqrt(variance / (1 + variance)) * np.exp(-(y**2) / (2 * (1 + variance))))
 
     expected = P * mean_of_power(1) ** 2 / mean_of_power(2)
-    first = begin(_walk(sd), Estimation(P), 5, engine="numpy")
+    first = OneFilter(_walk(sd), Estimation(P), 5, engine="numpy")
     sizes = [
         effective_sample_sizes(replace(first, draw=draw), (0,), np.array([[y]]))[0]
         for draw in range(50)
@@ -46,7 +46,7 @@ def test_a_normal_likelihood_has_the_size_of_the_closed_form(sd: float) -> None:
 
 def test_a_measurement_that_says_nothing_leaves_all_particles(ungm: StateSpaceModel) -> None:
     vague = replace(ungm, log_likelihood=lambda y, x, t, p: 0.0 * x[0])
-    first = begin(vague, Estimation(100), 5, engine="numpy")
+    first = OneFilter(vague, Estimation(100), 5, engine="numpy")
     sizes = effective_sample_sizes(first, (0, 4, 5), np.zeros((3, 1)))
     assert sizes == pytest.approx([100, 100, 100])
 
@@ -54,7 +54,7 @@ def test_a_measurement_that_says_nothing_leaves_all_particles(ungm: StateSpaceMo
 def test_from_a_measurement_that_no_particle_explains_there_is_no_size(
     ungm: StateSpaceModel,
 ) -> None:
-    first = begin(ungm, Estimation(100), 5, engine="numpy")
+    first = OneFilter(ungm, Estimation(100), 5, engine="numpy")
     sizes = effective_sample_sizes(first, (0, 4, 5), np.array([[0.0], [np.nan], [0.0]]))
     assert sizes[0] > 1
     assert np.isnan(sizes[1:]).all()

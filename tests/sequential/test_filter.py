@@ -26,7 +26,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.sequential.estimate import PREDICTIVE
 from pfdist.sequential.filter import SUSPICIOUS
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 
 HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
@@ -158,7 +158,7 @@ def test_one_step_over_several_instants_gives_the_estimates_of_each(
     model, settings = _model_of(engine, ungm), Estimation(100, "systematic")
     draws = simulate(model, HORIZON, range(2), 7)
     for d, (mean, variance, _) in enumerate(_batch(engine, model, draws, 9, settings)):
-        filtering, before = begin(model, settings, 9, d, engine), 0
+        filtering, before = OneFilter(model, settings, 9, d, engine), 0
         for t in (*TIMES, HORIZON):
             y = (draws.y[d, t],) if t in TIMES else ()
             filtering, means, variances = filtering.at(t, *y)
@@ -418,7 +418,7 @@ def test_a_missing_component_needs_the_models_word() -> None:
 
 def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
     with pytest.raises(MeasurementsError, match=r"no particle of 10 explains .* at t = 3"):
-        begin(ungm, Estimation(10), 1).at(3, np.array([np.nan]))
+        OneFilter(ungm, Estimation(10), 1).at(3, np.array([np.nan]))
 
 
 @pytest.mark.slow
@@ -442,8 +442,8 @@ def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() ->
         ({"engine": "gpu"}, ValueError, "engine must be one of 'auto', 'compiled', .* got 'gpu'"),
         ({"engine": "kalman"}, ModelError, "declares itself linear_gaussian, got ungm"),
         ({"seed": 1.5}, ValueError, r"seed must be an integer, got 1\.5"),
-        ({"draw": -1}, ValueError, r"draw must be an integer in 0\.\.4294967295, got -1"),
-        ({"horizon": 32_001}, ValueError, r"horizon must be an integer in 0\.\.32000, got 32,?001"),
+        ({"draw": -1}, ValueError, "draw must be at least 0, got -1"),
+        ({"horizon": 32_001}, ValueError, "horizon must be at most 32,000, got 32,?001"),
         ({"model": 3}, ModelError, "a model must be a StateSpaceModel or a name, got 3"),
         ({"prior": np.ones((2, 5))}, PriorError, "as many components of x .* ungm, 1, got 2"),
         ({"prior": "mine"}, PriorError, "a Cloud, a DataFrame or an array .*, got 'mine'"),

@@ -16,7 +16,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.job.online_section import PLANNING
 from pfdist.search.methods import METHODS
-from pfdist.sequential.one_filter import begin
+from pfdist.sequential.one_filter import OneFilter
 from pfdist.sequential.planning import Now, Planning, Replanner, _Outlook
 from pfdist.times.feasible import Feasible
 
@@ -39,7 +39,7 @@ def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name:
     replanner = Replanner(evaluator, feasible, SEARCHED, 5)
     draws = simulate(model, 12, range(3), 7)
     for d in range(3):
-        filtering, taken, plan = begin(model, Estimation(1), 3, d, "kalman"), (), best
+        filtering, taken, plan = OneFilter(model, Estimation(1), 3, d, "kalman"), (), best
         while plan:
             filtering, *_ = filtering.at(plan[0], draws.y[d, plan[0]])
             taken = (*taken, plan[0])
@@ -109,7 +109,7 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     planned, with_truth, realised = np.empty((3, systems))
     estimation = Estimation(20, "systematic")
     for d in range(systems):
-        filtering = begin(model, settings, 3, d)
+        filtering = OneFilter(model, settings, 3, d)
         for t in range(3):
             filtering, *_ = filtering.at(t, draws.y[d, t])
         now = Now(filtering.settings.prior, measured=True)
@@ -135,7 +135,7 @@ def test_exact_costs_never_rise_with_a_heuristic_search(name: str) -> None:
     model, feasible = EXACT[name].as_model(), Feasible(20, 6)
     evaluator = Evaluator(model, 20, engine="kalman")
     replanner, first = Replanner(evaluator, feasible, QUICK, 5), feasible.regular()
-    filtering, taken, plan = begin(model, Estimation(1), 3, 0, "kalman"), (), first
+    filtering, taken, plan = OneFilter(model, Estimation(1), 3, 0, "kalman"), (), first
     y = simulate(model, 20, range(1), 7).y[0]
     costs = [evaluator.expected_mse([first])[0]]
     while plan:

@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 from pfdist.errors import MeasurementTimesError
-from pfdist.times.measurement_times import nearest, random, regular, validated
+from pfdist.times.affordable import nearest
+from pfdist.times.measurement_times import random, regular, validated
 from pfdist.times.spacing import Spacing
 
 

@@ -150,6 +150,12 @@ def test_a_wrong_measurement_is_named(written: str, said: str) -> None:
         measurements_of(written, CLOCK)
 
 
+@pytest.mark.parametrize("written", ["x ct", "ct", "3 cat", "3", 3])
+def test_a_measurement_without_a_time_or_a_sensor_is_named(written: str | int) -> None:
+    with pytest.raises(MeasurementTimesError, match="must name a time and a sensor, as '12 ct'"):
+        CLOCK.measurements([written])
+
+
 def test_n_measurements_under_limits_and_a_spacing_of_all_are_refused() -> None:
     with pytest.raises(MeasurementTimesError, match="minimum_spacing must be left out"):
         replace(LIMITED, minimum_spacing=1)
