@@ -5,6 +5,7 @@ answer.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -85,21 +86,19 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
     percent : int
         The level: the largest loss, in per cent.
     """
-    tried: dict[tuple[Time, str], list[Mapping[Hashable, Any]]] = {}
+    tried = defaultdict[tuple[Time, str], list[Mapping[Hashable, Any]]](list)
     for row in sorted(rows, key=lambda row: row["moved_to"]):
-        tried.setdefault((row["t"], str(row.get("sensor", ""))), []).append(row)
+        tried[row["t"], str(row.get("sensor", ""))].append(row)
     windows = []
     for (t, sensor), rows_at_t in sorted(tried.items()):
-        states = [
-            (
-                row["moved_to"],
-                int(row.get("moved_to_instant", row["moved_to"])),
-                row[f"within_{percent}"],
-            )
-            for row in rows_at_t
-        ]
-        inside = {to: instant for to, instant, state in states if to == t or state == INSIDE}
-        left_open = {to: instant for to, instant, state in states if to != t and state == OPEN}
+        places = {
+            row["moved_to"]: row.get("moved_to_instant", row["moved_to"]) for row in rows_at_t
+        }
+        states = {row["moved_to"]: row[f"within_{percent}"] for row in rows_at_t} | {t: INSIDE}
+        inside, left_open = (
+            {to: int(place) for to, place in places.items() if states[to] == state}
+            for state in (INSIDE, OPEN)
+        )
         windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, sensor))
     return windows
 
