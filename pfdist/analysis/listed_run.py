@@ -9,7 +9,7 @@ from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.run import Run, open_run
 from pfdist.analysis.stored_run import exact_costs, found_sets, statistics_of
 from pfdist.errors import StoreError, one_line, shown_text
-from pfdist.store import check_not_held
+from pfdist.store import is_held
 from pfdist.store.folder import extent
 
 RUNNING, FINISHED, UNFINISHED, DAMAGED = "running", "finished", "unfinished", "damaged"
@@ -93,9 +93,7 @@ def listed_run(path: Path, name: str) -> ListedRun:
 
 
 def _state(run: Run) -> str:
-    try:
-        check_not_held(run.path)
-    except StoreError:
+    if is_held(run.path):
         return RUNNING
     return FINISHED if run.state == "finished" else UNFINISHED
 

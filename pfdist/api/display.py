@@ -3,7 +3,6 @@
 import sys
 import time
 from html import escape
-from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
@@ -38,10 +37,6 @@ class NotebookCell:
     def show(self, line: str) -> None:
         """Write the line anew."""
         self._handle.update(_Line(line))
-
-    def close(self) -> None:
-        """Remove the line."""
-        self._handle.update(_Line(""))
 
 
 class _Line:
@@ -120,16 +115,11 @@ class Display:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._task is not None:
             self._bar.stop()
         if self._cell is not None:
-            self._cell.close()
+            self._cell.show("")
 
     def say(self, line: str) -> None:
         """Print one line."""
@@ -144,8 +134,9 @@ class Display:
             self._start, self._start_time, self._answered = state, now, True
         self._last = state.evaluations
         line = "  ".join([*_position(state), *self._rate(state, now)])
+        percent = 100 * state.done / state.total
         if self._cell is not None:
-            self._cell.show(f"{100 * state.done / state.total:.1f} %  {line}")
+            self._cell.show(f"{percent:.1f} %  {line}")
             return
         if self._live:
             self._show_live(state, line)
@@ -153,7 +144,6 @@ class Display:
         finished = state.done == state.total and state.done != self._last_done
         if finished or now - self._last_time >= LINE_SECONDS:
             self._last_done, self._last_time = state.done, now
-            percent = 100 * state.done / state.total
             self.say(f"{percent:5.1f} %  {line}  {self._time_left(state, now)}")
 
     def _show_live(self, state: State, line: str) -> None:

@@ -116,8 +116,7 @@ class FilteredMeasurements(Shown):
             **({"time_unit": self.time_unit} if self.time_unit else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }
-        values: dict[str, Any] = finite(answer)
-        return values
+        return finite(answer)
 
     def _page(self) -> Page:
         return filtered_answer(self.as_json())

@@ -1,12 +1,13 @@
 """Choose when to measure one real system next, from all that was measured so far."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.api.options import MOST_DRAWS
 from pfdist.api.planned_run import filter_of
 from pfdist.common.arguments import whole_argument
 from pfdist.common.formatted_times import formatted_time
@@ -28,7 +29,6 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.written import validated_instants
 
-MOST_DRAWS = 100_000_000
 EXPECTED_DRAWS = 2000
 """Simulated systems on which an expected MSE is estimated."""
 _FIRST_SEARCH = METHODS["survivors"].section()
@@ -181,9 +181,8 @@ class Planner:
         MeasurementsError
             The time is wrong.
         """
-        if t is None:
-            return self._on_clock(self._filter.now)
-        return self._on_clock(self._filter.predict(instant_on(self.clock, t)))
+        now = self._filter.now
+        return self._on_clock(now if t is None else self._filter.predict(instant_on(self.clock, t)))
 
     def expected(self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS) -> list[Evaluation]:
         """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
@@ -214,10 +213,9 @@ class Planner:
                 )
         estimation = self._built.comparing
         evaluations = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
-        times: Iterator[Any] = (tuple(self.clock.written_of(plan)) for plan in wanted)
         return [
-            replace(each, measurement_times=plan)
-            for each, plan in zip(evaluations, times, strict=True)
+            replace(each, measurement_times=tuple(self.clock.written_of(plan)))
+            for each, plan in zip(evaluations, wanted, strict=True)
         ]
 
     def _begin(
@@ -241,8 +239,6 @@ class Planner:
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
         """An estimate whose time is one on the clock."""
-        if self.clock.counts:
-            return estimate
         time: Any = self.clock.time(estimate.t)
         return replace(estimate, t=time)
 

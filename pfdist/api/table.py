@@ -3,8 +3,9 @@
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -25,7 +26,7 @@ from pfdist.errors import ArgumentError, shown
 from pfdist.store import holds_run, write_file
 from pfdist.store.files import check_replaceable
 from pfdist.store.folder import runs_below
-from pfdist.store.tables import read_schema, write_table
+from pfdist.store.tables import holds_table, write_table
 
 _MARK = b"runs"  # the metadata "table" of a Parquet file
 _COMMENT = "% A table of runs by pfdist. It needs the package booktabs.\n"
@@ -160,9 +161,9 @@ def write_table_of_runs(frame: pd.DataFrame, path: Path) -> None:
     StoreError
         The file cannot be written, or another file has this name.
     """
-    kind = _KINDS[path.suffix.lower()]
-    check_replaceable(path, kind.is_earlier)
-    write_file(path, lambda temporary: kind.write(frame, temporary))
+    write, is_earlier = _KINDS[path.suffix.lower()]
+    check_replaceable(path, is_earlier)
+    write_file(path, lambda temporary: write(frame, temporary))
 
 
 def tex(frame: pd.DataFrame) -> str:
@@ -239,23 +240,12 @@ def _arrow(column: "pd.Series[Any]") -> pa.Array:
     try:
         return pa.array(values)
     except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeEncodeError):  # a path need not be UTF-8
-        return pa.array([None if value is None else _in_utf8(value) for value in values])
-
-
-def _in_utf8(value: Any) -> str:
-    return formatted_value(value).encode(errors="replace").decode()
+        texts = [None if value is None else formatted_value(value) for value in values]
+        return pa.array([text and text.encode(errors="replace").decode() for text in texts])
 
 
 def _write_tex(frame: pd.DataFrame, path: Path) -> None:
     path.write_text(tex(frame), encoding="utf-8", errors="replace")
-
-
-def _is_earlier_parquet(path: Path) -> bool:
-    try:
-        metadata = read_schema(path).metadata or {}
-    except pa.ArrowException:
-        return False
-    return bool(metadata.get(b"table") == _MARK)
 
 
 def _is_earlier_csv(path: Path) -> bool:
@@ -268,16 +258,9 @@ def _is_earlier_tex(path: Path) -> bool:
         return file.read(len(_COMMENT)) == _COMMENT.encode()
 
 
-class _Kind(NamedTuple):
-    """How a table is written, and how an earlier table of this kind is known."""
-
-    write: Callable[[pd.DataFrame, Path], None]
-    is_earlier: Callable[[Path], bool]
-
-
-_KINDS = {
-    ".csv": _Kind(_write_csv, _is_earlier_csv),
-    ".parquet": _Kind(_write_parquet, _is_earlier_parquet),
-    ".tex": _Kind(_write_tex, _is_earlier_tex),
+_KINDS: dict[str, tuple[Callable[[pd.DataFrame, Path], None], Callable[[Path], bool]]] = {
+    ".csv": (_write_csv, _is_earlier_csv),
+    ".parquet": (_write_parquet, partial(holds_table, name=_MARK)),
+    ".tex": (_write_tex, _is_earlier_tex),
 }
-"""The allowed endings."""
+"""How a table is written, and how an earlier table is known, by each allowed ending."""

@@ -29,10 +29,13 @@ def write_table(table: pa.Table, path: Path) -> None:
         pq.write_table(table, file, compression="zstd", write_page_checksum=True)
 
 
-def read_schema(path: Path) -> pa.Schema:
-    """The schema of a Parquet file."""
-    with pa.OSFile(os.fsencode(path)) as file:
-        return pq.read_schema(file)
+def holds_table(path: Path, name: bytes) -> bool:
+    """Whether a file is a Parquet file whose metadata give its table this name."""
+    try:
+        with pa.OSFile(os.fsencode(path)) as file:
+            return bool((pq.read_schema(file).metadata or {}).get(b"table") == name)
+    except pa.ArrowException:
+        return False
 
 
 def rows_and_run(path: Path) -> tuple[int, str | None]:

@@ -212,7 +212,7 @@ def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
     out, err = capsys.readouterr()
     assert out == f"{file}\n"
     assert "is not finished (comparing), and no process computes it: run its job on" in err
-    monkeypatch.setattr("pfdist.api.report.is_computed", lambda path: True)
+    monkeypatch.setattr("pfdist.api.report.is_held", lambda path: True)
     monkeypatch.setattr("pfdist.api.report.time.sleep", go_on)
     assert main(["report", str(folder), "--watch"]) == 0
     assert capsys.readouterr().out == f"{file}\n"

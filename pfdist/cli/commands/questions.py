@@ -88,16 +88,11 @@ def _add_settings(parser: ArgumentParser) -> None:
 )
 def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
-    from pfdist.answers.bound import bound_page
     from pfdist.api.bound import bound
     from pfdist.runner.bound_settings import BoundSettings
 
     settings = {field.name: getattr(options, field.name) for field in fields(BoundSettings)}
-    answer = computed(bound, options, BoundSettings(**settings)).as_json()
-    if options.json:
-        print_json(answer, options)
-    else:
-        print_page(bound_page(answer, options.within), options)
+    print_answer(computed(bound, options, BoundSettings(**settings)), options)
 
 
 def _add_why_draws(parser: ArgumentParser) -> None:
