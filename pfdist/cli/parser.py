@@ -90,7 +90,7 @@ class _Parser(argparse.ArgumentParser):
         self.add_declared_arguments()
         words = joined(sys.argv[1:] if args is None else args, self._actions)
         # The words after a command are those of the parser of this command.
-        own = takewhile(_is_option, words) if self._subparsers else words
+        own = takewhile(lambda word: word.startswith("-"), words) if self._subparsers else words
         options = [option for action in self._actions for option in action.option_strings]
         if unknown := unknown_option(own, options):
             meant = did_you_mean(unknown, options)
@@ -118,10 +118,6 @@ class _Parser(argparse.ArgumentParser):
         """Print what is wrong in one line without long values, and exit with 2."""
         text = shown_text(one_line(message))
         self.exit(2, f"{self.prog}: error: {text} (see `{self.prog} --help`)\n")
-
-
-def _is_option(word: str) -> bool:
-    return word.startswith("-")
 
 
 # --- the help: a sentence, the arguments, notes, and examples at the end --------------------------

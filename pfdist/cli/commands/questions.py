@@ -14,6 +14,7 @@ from pfdist.cli.arguments import (
     add_measurements,
     add_no_report,
     add_pool,
+    argument,
     count,
     decimal,
     finite,
@@ -122,7 +123,7 @@ def why_command(options: Namespace) -> None:
     """Show what each measurement of a run is worth, and how exactly it must be kept."""
     from pfdist.api.why import why
 
-    answer = computed(why, options, options.draws)
+    answer = computed(why, options)
     print_answer(answer, options, answer.figures)
 
 
@@ -205,20 +206,16 @@ def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
     }
 
 
-def _add_out(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--out",
-        default="",
-        metavar="DIR",
-        help="folder of table, figure and report (default: the folder of MEASUREMENTS)",
-    )
-
-
 @command(
     "filter",
     add_job_of_run,
     add_measurements,
-    _add_out,
+    argument(
+        "--out",
+        default="",
+        metavar="DIR",
+        help="folder of table, figure and report (default: the folder of MEASUREMENTS)",
+    ),
     add_no_report,
     add_json,
     examples={
@@ -232,28 +229,21 @@ def filter_command(options: Namespace) -> None:
     """Filter real measurements of one system, with the filter of a job."""
     from pfdist.api.filter_measurements import filter_measurements
 
-    chosen = {name: getattr(options, name) for name in ("planned", "prior", "out")}
-    answer = computed(
-        filter_measurements, options, options.measurements, has_progress=False, **chosen
-    )
+    answer = computed(filter_measurements, options)
     print_answer(answer, options, answer.files)
-
-
-def _add_now(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--now",
-        type=decimal,
-        metavar="T",
-        help="the last time that has passed, if nothing was measured then, for instance 17; "
-        "times planned up to it are planned again for later",
-    )
 
 
 @command(
     "next",
     add_job_of_run,
     add_measurements,
-    _add_now,
+    argument(
+        "--now",
+        type=decimal,
+        metavar="T",
+        help="the last time that has passed, if nothing was measured then, for instance 17; "
+        "times planned up to it are planned again for later",
+    ),
     add_json,
     examples={
         "pfdist next jobs/plan.toml patient.csv": "Say when to measure this patient next",
@@ -266,7 +256,4 @@ def next_command(options: Namespace) -> None:
     """Choose when to measure a system next, from the measurements so far."""
     from pfdist.api.next_time import next_time
 
-    chosen = {name: getattr(options, name) for name in ("now", "planned", "prior")}
-    print_answer(
-        computed(next_time, options, options.measurements, has_progress=False, **chosen), options
-    )
+    print_answer(computed(next_time, options), options)
