@@ -159,7 +159,7 @@ def answer(subject: Subject) -> Section | None:
     """The gain of the best set in sentences, and its times."""
     if not subject.found_results:
         return None
-    names = [subject.best] if subject.is_compared else list(subject.found_results)
+    names = subject.summary.by_error[:1] if subject.is_compared else [*subject.found_results]
     blocks = [block for name in names for block in _answer(subject, name)]
     return Section("The answer", [*blocks, Figures(["times"])])
 
@@ -248,14 +248,10 @@ def gains(subject: Subject) -> Section | None:
 def _gains_row(name: str, result: SetResult) -> list[Cell]:
     mse = cost(result.expected_mse)
     cells = [Cell(name), Cell(with_error(mse, result.standard_error), mse)]
-    if result.gain_draws is None:  # the reference
-        return [*cells, *[Cell("")] * 3]
-    return [
-        *cells,
-        percent_cell(result.gain_of_means, result.gain_of_means_interval),
-        percent_cell(result.positive_fraction, result.positive_fraction_interval),
-        percent_cell(result.mean_relative_gain, result.mean_relative_gain_interval),
-    ]
+    for gain in ("gain_of_means", "positive_fraction", "mean_relative_gain"):
+        is_reference, interval = result.gain_draws is None, getattr(result, f"{gain}_interval")
+        cells.append(Cell("") if is_reference else percent_cell(getattr(result, gain), interval))
+    return cells
 
 
 def _degenerate(subject: Subject) -> list[Text]:
@@ -269,11 +265,9 @@ def _degenerate(subject: Subject) -> list[Text]:
 
 def _broken(subject: Subject) -> Iterator[Text]:
     for name, result in subject.results.items():
+        times = f"The times of {name} break" if name in subject.others else "The reference breaks"
         for constraint in result.broken_constraints:
-            breaks = (
-                f"The times of {name} break" if name in subject.others else "The reference breaks"
-            )
-            yield Text(f"{breaks} a constraint of the job. {constraint}.")
+            yield Text(f"{times} a constraint of the job. {constraint}.")
 
 
 def _details(subject: Subject, name: str) -> Facts:

@@ -22,7 +22,6 @@ from pfdist.analysis.studies import (
     averages,
     formatted_point,
     in_order,
-    is_numeric,
     selected,
     still_varying,
     values_of,
@@ -192,10 +191,6 @@ class SweepSubject:
             held[name] = best[name]
             frame = selected(self.frame, held)
         return frame, held
-
-    def numeric(self, name: str) -> bool:
-        """Whether all values of a column are numbers."""
-        return is_numeric(values_of(self.frame, name))
 
     def _read_judged(self) -> pd.DataFrame:
         """Read the finished comparisons of finished points; if points were added, the latest."""
