@@ -225,6 +225,15 @@ def own_estimation(run: StoredRun, search: str) -> dict[str, Any]:
     return {key: value for key, value in own.items() if key in compared and value != compared[key]}
 
 
+def copies_of(run: StoredRun) -> dict[str, list[int]]:
+    """The copies of each evaluation of a search, in all its phases, by the name of the search."""
+    if not run._store.has("evaluations"):
+        return {}
+    rows = run.table("evaluations")
+    names = rows["phase"].astype(str).str.partition(".")[0]
+    return {str(name): copies.tolist() for name, copies in rows["copies"].groupby(names)}
+
+
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
     """The comparison in tables of as many draws each, so that memory does not grow."""
     return run._store.blocks("comparison", "draw", BLOCK)

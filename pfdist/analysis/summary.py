@@ -13,6 +13,7 @@ from pfdist.analysis.reference import described, without_number
 from pfdist.analysis.stored_run import (
     StoredRun,
     budget_of,
+    copies_of,
     exact_costs,
     last_bounds,
     named_sets,
@@ -238,7 +239,7 @@ def summary_of(run: StoredRun) -> Summary:
     return Summary(
         state=run.state,
         run=str(run.path),
-        evaluations=int(run.table("evaluations")["copies"].sum()) if "evaluations" in tables else 0,
+        evaluations=sum(map(sum, copies_of(run).values())),
         draws_compared=run.draws_compared,
         has_budget="budget" in run.job,
         is_exact=is_exact(run.job["filter"]["engine"]),

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.analysis.stored_run import found_sets, problem_of
+from pfdist.analysis.stored_run import copies_of, found_sets, problem_of
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.about_run import citation, computed, problem, tables
 from pfdist.answers.bound import proof
@@ -311,10 +311,10 @@ def _why_gains_disagree(subject: Subject) -> str:
 
 def searches(subject: Subject) -> Section | None:
     """The method of each search, how many sets it evaluated, and what it believed of its set."""
-    job, evaluated = subject.run.job["search"], _evaluated(subject)
-    if not evaluated:
+    job, copies = subject.run.job["search"], copies_of(subject.run)
+    if not copies:
         return None
-    rows = [_search_row(subject, search, evaluated.get(search["name"], 0)) for search in job]
+    rows = [_search_row(subject, search, sum(copies.get(search["name"], ()))) for search in job]
     meaning = Text(_EXACT_SEARCHES if subject.is_exact else _SEARCHES, detail=True)
     table = Table(
         "Searches", _SEARCHES_HEAD, rows, detail=True,
@@ -322,15 +322,6 @@ def searches(subject: Subject) -> Section | None:
     )  # fmt: skip
     blocks: list[Block] = [without_empty_columns(table), meaning, Figures(["cost"])]
     return Section("How the times were found", blocks)
-
-
-def _evaluated(subject: Subject) -> dict[str, int]:
-    """Number of sets that each search has evaluated, in all its phases."""
-    if "evaluations" not in subject.run.tables:
-        return {}
-    rows = subject.run.table("evaluations")
-    names = rows["phase"].astype(str).str.partition(".")[0]
-    return {str(name): int(count) for name, count in rows.groupby(names)["copies"].sum().items()}
 
 
 def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list[Cell]:

@@ -213,18 +213,11 @@ def _listed(folder: Path) -> dict[str, bool]:
         return {entry.name: entry.is_dir(follow_symlinks=False) for entry in entries}
 
 
-@dataclass(frozen=True)
-class Extent:
-    """How large a folder is, and when it changed last."""
+def extent(folder: Path) -> tuple[int, float]:
+    """The bytes of all files in a folder, and when it changed last, in seconds since 1970.
 
-    bytes: int  # sum of the lengths of all files
-    changed: float  # seconds since 1970 at which the newest file or folder changed
-
-
-def extent(folder: Path) -> Extent:
-    """The extent of a folder with everything in it; links count as themselves.
-
-    Entries that cannot be read, or that vanish meanwhile, are left out.
+    Everything in the folder counts, and links count as themselves. Entries that cannot be read, or
+    that vanish meanwhile, are left out.
     """
     total, changed, waiting = 0, 0.0, [os.fspath(folder)]
     while waiting:
@@ -243,7 +236,7 @@ def extent(folder: Path) -> Extent:
                 waiting.append(entry.path)
             else:
                 total += about.st_size
-    return Extent(total, changed)
+    return total, changed
 
 
 _NUMBER = re.compile(r"((?:(?<==)-)?[0-9]+(?:\.[0-9]+)?(?:e[-+][0-9]+)?)")
