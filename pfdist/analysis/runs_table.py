@@ -112,12 +112,12 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
 
 def _rows(run: Run, summary: Summary) -> Iterator[Row]:
     """Yield the rows of a run; one if nothing is known of any set but the reference."""
-    results = summary.results
+    results, has_timings = summary.results, "timings" in run.tables
     shared = dict.fromkeys(RESULTS) | {
         "state": summary.state,
         "draws": summary.draws_compared,
         "evaluations": summary.evaluations,
-        "worker_seconds": _seconds(run),
+        "worker_seconds": run.table("timings")["seconds"].sum() if has_timings else None,
         "path": str(run.path),
     }
     references = run.references if results else {}
@@ -170,10 +170,6 @@ def _gains(result: SetResult) -> Row:
         names = ("gain_of_means", "gain_of_means_low", "gain_of_means_high")
         row |= dict.fromkeys(names, result.exact_gain)
     return row
-
-
-def _seconds(run: Run) -> float | None:
-    return float(run.table("timings")["seconds"].sum()) if "timings" in run.tables else None
 
 
 def _differ(paths: Sequence[Path]) -> list[str]:

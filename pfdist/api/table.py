@@ -24,7 +24,7 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.dotted_keys import short_names
 from pfdist.errors import ArgumentError, shown
 from pfdist.store import holds_run, write_file
-from pfdist.store.files import check_replaceable
+from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.folder import runs_below
 from pfdist.store.tables import holds_table, write_table
 
@@ -253,14 +253,9 @@ def _is_earlier_csv(path: Path) -> bool:
         return _HEAD.match(file.readline(_LONGEST_HEAD)) is not None
 
 
-def _is_earlier_tex(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(_COMMENT)) == _COMMENT.encode()
-
-
 _KINDS: dict[str, tuple[Callable[[pd.DataFrame, Path], None], Callable[[Path], bool]]] = {
     ".csv": (_write_csv, _is_earlier_csv),
     ".parquet": (_write_parquet, partial(holds_table, name=_MARK)),
-    ".tex": (_write_tex, _is_earlier_tex),
+    ".tex": (_write_tex, partial(begins_with, mark=_COMMENT.encode(), most=len(_COMMENT))),
 }
 """How a table is written, and how an earlier table is known, by each allowed ending."""

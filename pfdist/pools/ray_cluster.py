@@ -315,9 +315,7 @@ def about() -> dict[str, Any]:
     }
 
 
-@ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
-def _about_node() -> dict[str, Any]:
-    return about()
+_about_node: Any = ray.remote(num_cpus=0)(about)
 
 
 def describe_nodes(address: str) -> list[dict[str, Any]]:

@@ -10,11 +10,12 @@ import re
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
-from pfdist.store.files import check_replaceable, reading
+from pfdist.store.files import begins_with, check_replaceable, reading
 from pfdist.store.files import remove as remove_file
 
 ABOUT = ("job.toml", "run.json")
@@ -80,12 +81,7 @@ def is_plain_file(path: Path) -> bool:
 
 def check_page_replaceable(path: Path) -> None:
     """Raise a `StoreError` unless a file is missing, or is an earlier report."""
-
-    def is_page(path: Path) -> bool:
-        with path.open("rb") as file:
-            return _MARK in file.read(_START)
-
-    check_replaceable(path, is_page)
+    check_replaceable(path, partial(begins_with, mark=_MARK, most=_START))
 
 
 def has_report(path: Path) -> bool:

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import shown
-from pfdist.store.files import check_replaceable, write_file
+from pfdist.store.files import begins_with, check_replaceable, write_file
 from pfdist.store.tables import holds_table, write_table
 
 Array = NDArray[np.float64]
@@ -198,5 +198,4 @@ def _is_earlier(schema: pa.Schema, path: Path) -> bool:
     if is_parquet(path):
         return holds_table(path, schema.metadata[b"table"])
     line = ",".join(schema.names).encode() + b"\n"
-    with path.open("rb") as file:
-        return file.read(len(line)) == line
+    return begins_with(path, line, len(line))
