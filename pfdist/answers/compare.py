@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.analysis.pairs import formatted_ranks
-from pfdist.answers.subject import Subject, number_of, percent_cell
-from pfdist.common.percent import cost, range_of
-from pfdist.common.rounding import with_error, with_interval
+from pfdist.answers.subject import Subject, mse_cell, number_of, percent_cell
+from pfdist.common.percent import range_of
+from pfdist.common.rounding import with_interval
 from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text
 
 _RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by")
@@ -48,13 +48,12 @@ def compared(subject: Subject) -> Section | None:
 
 
 def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
-    mse = cost(row["expected_mse"])
     number = len(subject.results[row["name"]].measurement_times)
     return [
         Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
         Cell(row["name"]),
         Cell(str(number), number),
-        Cell(with_error(mse, row["standard_error"]), mse),
+        mse_cell(row["expected_mse"], row["standard_error"]),
         _difference(row) if row["difference"] else Cell(""),
     ]
 

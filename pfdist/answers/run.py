@@ -16,6 +16,7 @@ from pfdist.answers.subject import (
     Subject,
     effect,
     exact_effect,
+    mse_cell,
     number_of,
     percent_cell,
     sets_table,
@@ -23,7 +24,6 @@ from pfdist.answers.subject import (
 from pfdist.answers.why import worth
 from pfdist.common.percent import (
     NO_LIMITS,
-    cost,
     gap_sentence,
     heavy_tail_warning,
     particle_loss_text,
@@ -246,8 +246,7 @@ def gains(subject: Subject) -> Section | None:
 
 
 def _gains_row(name: str, result: SetResult) -> list[Cell]:
-    mse = cost(result.expected_mse)
-    cells = [Cell(name), Cell(with_error(mse, result.standard_error), mse)]
+    cells = [Cell(name), mse_cell(result.expected_mse, result.standard_error)]
     for gain in ("gain_of_means", "positive_fraction", "mean_relative_gain"):
         is_reference, interval = result.gain_draws is None, getattr(result, f"{gain}_interval")
         cells.append(Cell("") if is_reference else percent_cell(getattr(result, gain), interval))

@@ -12,8 +12,8 @@ from pfdist.analysis.reference import label
 from pfdist.analysis.stored_run import problem_of
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
-from pfdist.common.percent import percent, range_of, times_100
-from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.percent import cost, percent, range_of, times_100
+from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.documents.parts import Cell, Table, Text
 from pfdist.errors import one_line
 
@@ -176,6 +176,12 @@ def exact_effect(mse: float, reference: float, what: str = "the expected error")
     change = percent(abs(1 - mse / reference))
     ends = f"from {rounded(reference)} to {rounded(mse)}"
     return f"{changes} {what} by {change}, {ends}: the filter knows both exactly"
+
+
+def mse_cell(expected_mse: float | None, error: float | None) -> Cell:
+    """A cell with an expected MSE and its standard error; None stands for an infinite value."""
+    mse = cost(expected_mse)
+    return Cell(with_error(mse, error), mse)
 
 
 def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:

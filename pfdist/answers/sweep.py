@@ -135,9 +135,9 @@ def points(subject: SweepSubject) -> Section:
         blocks.append(Text(f"{links} {seconds}".strip()))
         blocks.append(without_empty_columns(Table("All points", head, rows)))
     damaged = [
-        [Cell(point.name, None, point.link, _linked(point)), Cell(f"{DAMAGED}: {point.fault}")]
+        [Cell(point.name, None, point.link, _linked(point)), Cell(f"{DAMAGED}: {fault}")]
         for point in subject.points
-        if point.state == DAMAGED
+        if (fault := point.listed.fault) is not None
     ]
     if damaged:
         blocks.append(Table("Points that cannot be read", ["point", "why"], damaged))
@@ -164,7 +164,7 @@ def figures(subject: SweepSubject) -> Section | None:
 def computed(subject: SweepSubject) -> Section:
     """Say how many points are finished, how long all took, and with which versions."""
     per_run = subject.frame.drop_duplicates("path")["worker_seconds"]
-    states = dict.fromkeys([FINISHED, *(point.state for point in subject.points)])
+    states = dict.fromkeys([FINISHED, *(point.listed.state for point in subject.points)])
     versions = dict.fromkeys(version_of(run) for run in subject.runs)
     facts = [
         ("points", f"{len(subject.points):,}"),
@@ -211,14 +211,14 @@ def _row(subject: SweepSubject, keys: list[str], row: Row) -> list[Cell]:
     point = subject.by_path[row["path"]]
     cells = [value_cell(row[key]) for key in keys] or [Cell(point.name)]
     cells[0] = Cell(cells[0].text or "none", cells[0].value, point.link, _linked(point))
-    is_finished = all(each.state in (FINISHED, DAMAGED) for each in subject.points)
+    is_finished = all(each.listed.state in (FINISHED, DAMAGED) for each in subject.points)
     mse, gain = row["expected_mse"], row[GAIN]
     times = row["measurement_times"]
     unit = subject.frame.attrs.get("time_unit", "")
     return [
         *cells,
         Cell(formatted_value(row[SET])),
-        Cell("" if is_finished else point.state),
+        Cell("" if is_finished else point.listed.state),
         Cell(formatted_mse(row), None if is_missing(mse) else mse),
         Cell(formatted_gain(row), None if is_missing(gain) else gain),
         Cell(formatted_seconds(row["worker_seconds"]), row["worker_seconds"]),
