@@ -171,13 +171,7 @@ class SetsToCompare:
     def _check_clock(self, run: Run) -> None:
         own, first = problem_of(run).clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if own.sensors != first.sensors:
-            raise JobError(
-                f"sets of all runs must have the sensors of the first problem, "
-                f"{', '.join(first.sensors) or 'none'}, got {', '.join(own.sensors) or 'none'} "
-                f"({run.path})"
-            )
-        if (own.counts, own.unit) != (first.counts, first.unit):
+        if (own.counts, own.unit, own.sensors) != (first.counts, first.unit, first.sensors):
             raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
@@ -212,9 +206,9 @@ def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
 
 
 def _counted(clock: Clock) -> str:
-    if clock.counts:
-        return "counts instants"
-    return f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
+    text = f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
+    text = "counts instants" if clock.counts else text
+    return text + f" and has the sensors {', '.join(clock.sensors)}" * bool(clock.sensors)
 
 
 # --- the comparison -------------------------------------------------------------------------------

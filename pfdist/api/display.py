@@ -128,10 +128,9 @@ class Display:
     def show(self, state: State) -> None:
         """Show the progress of a run."""
         now = time.monotonic()
-        if state.phase != self._start.phase or state.evaluations < self._last:
-            self._start, self._start_time, self._answered = state, now, False
-        elif not self._answered and state.done > self._start.done:
-            self._start, self._start_time, self._answered = state, now, True
+        begins = state.phase != self._start.phase or state.evaluations < self._last
+        if begins or (not self._answered and state.done > self._start.done):
+            self._start, self._start_time, self._answered = state, now, not begins
         self._last = state.evaluations
         line = "  ".join([*_position(state), *self._rate(state, now)])
         percent = 100 * state.done / state.total
@@ -139,18 +138,15 @@ class Display:
             self._cell.show(f"{percent:.1f} %  {line}")
             return
         if self._live:
-            self._show_live(state, line)
+            if self._task is None:
+                self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
+                self._bar.start()
+            self._bar.update(self._task, completed=state.done, description=line)
             return
         finished = state.done == state.total and state.done != self._last_done
         if finished or now - self._last_time >= LINE_SECONDS:
             self._last_done, self._last_time = state.done, now
             self.say(f"{percent:5.1f} %  {line}  {self._time_left(state, now)}")
-
-    def _show_live(self, state: State, line: str) -> None:
-        if self._task is None:
-            self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
-            self._bar.start()
-        self._bar.update(self._task, completed=state.done, description=line)
 
     def _rate(self, state: State, now: float) -> list[str]:
         """The evaluations or draws per second, if they are known."""

@@ -160,7 +160,7 @@ def next_time(
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
-    planner = Planner.of_built(plan.built, clock.written_of(plan.times), plan.prior)
+    planner = Planner(plan.built, clock.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
     start = clock.instants([planner.estimate().t])[0]
     rows = read_measurements(table, believed, clock, start)

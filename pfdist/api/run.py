@@ -27,6 +27,7 @@ from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
 from pfdist.store.folder import has_report, remove_figures
 
+_OF_FIGURES = ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special")
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
 
 
@@ -137,7 +138,8 @@ def run_built(
 
         def driver() -> Generator[Batch, None, Future[Run]]:
             if (chosen.figures or chosen.has_report) and open_run(path).state != "finished":
-                beside.submit(_load_libraries_of_figures)
+                for module in _OF_FIGURES:  # otherwise they would be waited for later
+                    beside.submit(import_module, module)
             session = Session(built, store, show, say)
             is_new = yield from compute(session, bound, partial(beside.submit, draw))
             return beside.submit(finish, is_new=is_new)
@@ -145,12 +147,6 @@ def run_built(
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
         run: Run = complete(driver(), pool, lenders).result()
     return run
-
-
-def _load_libraries_of_figures() -> None:
-    """Import Matplotlib and Jinja beside the search, which would otherwise be waited for later."""
-    for module in ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special"):
-        import_module(module)
 
 
 def compute(

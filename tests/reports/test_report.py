@@ -310,7 +310,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     run = make(f"search=[{random}]", "comparison.draws=2")
     subject = Subject(run)
     costs = {name: found.search_cost for name, found in subject.found_results.items()}
-    assert subject.by_error == sorted(costs, key=lambda name: costs[name])
+    assert subject.summary.by_error == sorted(costs, key=lambda name: costs[name])
     assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
 
 

@@ -3,7 +3,6 @@
 import time
 from argparse import ArgumentParser, Namespace
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
 
 from pfdist.cli.answers import computed, print_answer, print_json, print_page
 from pfdist.cli.arguments import (
@@ -24,8 +23,7 @@ from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, sets_by_name
 from pfdist.common.parsing import SPELLING
 
-if TYPE_CHECKING:  # a command that evaluates nothing needs no NumPy
-    from pfdist.filters.estimate import Evaluation
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
 
 
 def _add_settings(parser: ArgumentParser) -> None:
@@ -186,24 +184,17 @@ def evaluate_command(options: Namespace) -> None:
         for name, evaluation in evaluations.items()
     }
     if options.json:
-        answers = {name: _answer(evaluations[name], broken[name]) for name in evaluations}
+        answers = {
+            name: {key: getattr(evaluation, key) for key in _ANSWERED}
+            | {"broken_constraints": broken[name]}
+            for name, evaluation in evaluations.items()
+        }
         answer = answers[UNNAMED] if is_one else {"sets": answers}
         print_json(answer | {"seconds": round(seconds, 3)}, options)
         return
     scenarios = job.scenarios.each if job.scenarios else ()
     parameters = [scenario.parameters for scenario in scenarios]
     print_page(evaluate_page(evaluations, broken, parameters), options)
-
-
-def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
-    return {
-        "expected_mse": evaluation.expected_mse,
-        "standard_error": evaluation.standard_error,
-        "draws": evaluation.draws,
-        "degenerate_draws": evaluation.degenerate_draws,
-        "top_percent_share": evaluation.top_percent_share,
-        "broken_constraints": broken,
-    }
 
 
 @command(
