@@ -165,7 +165,12 @@ def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
     flat = flat[:1] if is_found else []
     said = [_flat_sentence(row, windows[int(row["percent"])]) for row in flat]
     said += _measurements(windows.get(STRICT, []))
-    return said + [_jitter_sentence(row) for row in jitter if row["draws"] and row not in flat]
+    return said + [
+        f"If all measurements move at random within their windows of {row['percent']} %, the loss "
+        f"is {loss_text(row)}."
+        for row in jitter
+        if row["draws"] and row not in flat
+    ]
 
 
 def loss_text(row: Mapping[Hashable, Any]) -> str:
@@ -181,13 +186,6 @@ def _flat_sentence(row: Mapping[Hashable, Any], windows: Sequence[SamplingWindow
         f"The optimum is flat: {movable} of {len(windows)} measurements can move"
         f"{', each' * (movable > 1)} within a window of {row['percent']} %. If all of these move "
         f"at random within their windows, the loss is {loss_text(row)}."
-    )
-
-
-def _jitter_sentence(row: Mapping[Hashable, Any]) -> str:
-    return (
-        f"If all measurements move at random within their windows of {row['percent']} %, the loss "
-        f"is {loss_text(row)}."
     )
 
 

@@ -253,17 +253,14 @@ def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) ->
         return f"Expected MSE against {name}."
     if is_numeric(values_of(subject.frame, key)) and len(order) > 1:
         first, last = (formatted_value(order[end]) for end in (0, -1))
-        start, end = (_number(least[order[end]]) for end in (0, -1))
+        ends = (least[order[end]] for end in (0, -1))
+        start, end = (with_interval(each.mean, each.low, each.high)[0] for each in ends)
         change = f"stays at {start}" if start == end else f"goes from {start} to {end}"
         text = f"From {name} = {first} to {last}, the lowest expected MSE {change}"
     else:
         best = min(order, key=lambda value: least[value].mean)
         text = f"The lowest expected MSE is that of {subject.phrase([key], [best])}"
     return f"{text}{_held_phrase(subject, held)}."
-
-
-def _number(average: Average) -> str:
-    return with_interval(average.mean, average.low, average.high)[0]
 
 
 def _held_phrase(subject: SweepSubject, held: Mapping[str, Any]) -> str:

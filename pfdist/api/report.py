@@ -9,9 +9,9 @@ from pfdist.answers.run import page_of
 from pfdist.api.options import Say, silent
 from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
-from pfdist.errors import ArgumentError, PfdistError, StoreError, one_line, shown_text
+from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
 from pfdist.store import holds_run, is_held, remove_file, write_file
-from pfdist.store.folder import REPORT, check_page_replaceable, runs_below
+from pfdist.store.folder import REPORT, check_page_replaceable, has_report, runs_below
 
 SECONDS = 5.0
 """Between two reports of a run that goes on."""
@@ -186,8 +186,5 @@ def remove_report(path: Path) -> None:
     StoreError
         The report cannot be removed.
     """
-    try:
-        check_page_replaceable(path / REPORT)
-    except StoreError:  # it is the user's own file
-        return
-    remove_file(path / REPORT)
+    if has_report(path):
+        remove_file(path / REPORT)

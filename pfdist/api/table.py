@@ -96,13 +96,21 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     StoreError
         A folder holds no run, a run cannot be read, or the file cannot be written.
     """
-    path = None if out is None else table_path(out)
+    path = None if out is None else path_argument("out", out)
+    if path is not None and path.suffix.lower() not in _KINDS:
+        allowed = ", ".join(_KINDS)
+        raise ArgumentError(
+            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
+            argument="out",
+        )
     opened = {os.path.abspath(run.path): run for run in _opened(runs)}
     if not opened:
         raise ArgumentError("table needs at least one run, got none")
     frame = runs_table(list(opened.values()))
     if path is not None:
-        write_table_of_runs(frame, path)
+        write, is_earlier = _KINDS[path.suffix.lower()]
+        check_replaceable(path, is_earlier)
+        write_file(path, lambda temporary: write(frame, temporary))
     return frame
 
 
@@ -124,46 +132,6 @@ def _folders(run: str | Path) -> list[Path]:
 
 
 # --- the table in a file --------------------------------------------------------------------------
-
-
-def table_path(path: str | Path) -> Path:
-    """The path of a file for a table of runs, after checking its ending.
-
-    Raises
-    ------
-    ArgumentError
-        No table has this ending.
-    """
-    path = path_argument("out", path)
-    if path.suffix.lower() not in _KINDS:
-        allowed = ", ".join(_KINDS)
-        raise ArgumentError(
-            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
-            argument="out",
-        )
-    return path
-
-
-def write_table_of_runs(frame: pd.DataFrame, path: Path) -> None:
-    """Write a table of runs atomically, in the format that the ending of the file names.
-
-    An earlier table of runs is replaced, and no other file.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        As `pfdist.table` gives it.
-    path : Path
-        As `table_path` gives it.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written, or another file has this name.
-    """
-    write, is_earlier = _KINDS[path.suffix.lower()]
-    check_replaceable(path, is_earlier)
-    write_file(path, lambda temporary: write(frame, temporary))
 
 
 def tex(frame: pd.DataFrame) -> str:
