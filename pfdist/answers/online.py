@@ -28,10 +28,7 @@ def online(subject: Subject) -> Section | None:
         f"anew from what the filter then believes. In {percent(result['differs_from_plan'], 0)} of "
         f"the draws the times differ from those of {plan['name']}."
     )
-    return Section(
-        "Times chosen one after another",
-        [Text(meaning), table, Figures(_FIGURES)],
-    )
+    return Section("Times chosen one after another", [Text(meaning), table, Figures(_FIGURES)])
 
 
 def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:

@@ -99,9 +99,7 @@ class Display:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True, highlight=False)
         self._bar = Progress(
-            *_columns(self._console.width >= WIDE),
-            console=self._console,
-            transient=True,
+            *_columns(self._console.width >= WIDE), console=self._console, transient=True
         )
         self._live = self._console.is_terminal
         self._cell = notebook_cell() if console is None else None

@@ -17,12 +17,7 @@ SECONDS = 5.0
 """Between two reports of a run that goes on."""
 
 
-def report(
-    run: Run | str | Path,
-    *,
-    watch: bool = False,
-    say: Say = silent,
-) -> Path:
+def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> Path:
     """Write the report of a run or a sweep: one HTML file that loads nothing and can be sent.
 
     The report is made from the tables of the run alone; no model is run.

@@ -150,9 +150,7 @@ def run_built(
 
 
 def compute(
-    session: Session,
-    settings: BoundSettings | None,
-    compared: Callable[[], object] = lambda: None,
+    session: Session, settings: BoundSettings | None, compared: Callable[[], object] = lambda: None
 ) -> Generator[Batch, None, bool]:
     """Compute what a run lacks, with its lower bound; False if it lacks nothing.
 

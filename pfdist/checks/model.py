@@ -96,10 +96,7 @@ def check_model(
 
 
 def check_loaded(
-    load: Callable[[], StateSpaceModel],
-    horizon: int,
-    particles: int,
-    times: Sequence[float] = (),
+    load: Callable[[], StateSpaceModel], horizon: int, particles: int, times: Sequence[float] = ()
 ) -> Iterator[Check]:
     """Yield the result of each check of the model that a function loads; see `check_model`."""
     try:

@@ -56,10 +56,7 @@ def _plain(value: Any) -> Any:
 
 
 def computed(
-    function: Callable[..., Any],
-    options: Namespace,
-    *arguments: Any,
-    **chosen: Any,
+    function: Callable[..., Any], options: Namespace, *arguments: Any, **chosen: Any
 ) -> Any:
     """Call a function of `pfdist.api` for a job, and show its progress.
 

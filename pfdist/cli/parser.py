@@ -31,9 +31,7 @@ def make_parser() -> argparse.ArgumentParser:
     """
     notes = f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}"
     parser = _Parser(
-        prog="pfdist",
-        epilog=f"{notes}\n\n{examples_text(way_in())}",
-        formatter_class=HelpFormatter,
+        prog="pfdist", epilog=f"{notes}\n\n{examples_text(way_in())}", formatter_class=HelpFormatter
     )
     parser.sentence = PROGRAM
     parser.add_argument("--version", action="version", version=f"pfdist {pfdist.__version__}")
@@ -42,10 +40,7 @@ def make_parser() -> argparse.ArgumentParser:
         notes = (_GOES_ON if command.goes_on else "") + _EXIT_CODES
         examples = f"\n\n{examples_text(command.examples)}" if command.examples else ""
         added = subparsers.add_parser(
-            name,
-            help=command.description,
-            epilog=notes + examples,
-            formatter_class=HelpFormatter,
+            name, help=command.description, epilog=notes + examples, formatter_class=HelpFormatter
         )
         added.sentence, added.declared = command.description, command
         added.set_defaults(called=command)

@@ -40,13 +40,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from pfdist.pools.cores import usable_cores
 from pfdist.pools.guard import Guard, environment
-from pfdist.pools.ray_rehearsal import (
-    host_and_port,
-    reach,
-    reason,
-    rehearse,
-    shortened,
-)
+from pfdist.pools.ray_rehearsal import host_and_port, reach, reason, rehearse, shortened
 
 __all__ = ["NodeAffinitySchedulingStrategy", "ray"]  # also for the pool, with the environment above
 

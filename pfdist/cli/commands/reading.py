@@ -119,11 +119,7 @@ def report_command(options: Namespace) -> None:
     print(one_line(str(file)))
 
 
-@command(
-    "plot",
-    add_run,
-    examples={"pfdist plot results/plan": "Draw the figures of a run again"},
-)
+@command("plot", add_run, examples={"pfdist plot results/plan": "Draw the figures of a run again"})
 def plot_command(options: Namespace) -> None:
     """Draw the figures of a run from its tables."""
     from pfdist.analysis import open_run
@@ -134,9 +130,7 @@ def plot_command(options: Namespace) -> None:
 
 
 @command(
-    "verify",
-    add_run,
-    examples={"pfdist verify results/plan": "Check a run after it was copied"},
+    "verify", add_run, examples={"pfdist verify results/plan": "Check a run after it was copied"}
 )
 def verify_command(options: Namespace) -> None:
     """Check every byte, row and key of a run."""
