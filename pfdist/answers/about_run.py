@@ -72,7 +72,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         yield f"sensor {name}", text or "no price"
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
-    yield "filter", "Kalman filter (exact)" if subject.is_exact else particles
+    yield "filter", "Kalman filter (exact)" if subject.summary.is_exact else particles
 
 
 def _model(section: Mapping[str, Any]) -> str:

@@ -38,7 +38,7 @@ def compared(subject: Subject) -> Section | None:
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
         sets,
-        Text(_EXACT if subject.is_exact else _MEANING, detail=True),
+        Text(_EXACT if subject.summary.is_exact else _MEANING, detail=True),
         Figures(["compared"] if subject.found_results else ["times", "compared"]),
         Table(
             "Pairs of sets", _PAIRS_HEAD, rows, len(rows) > _MOST_OPEN, optional=_PAIRS_HEAD[:-4:-1]

@@ -173,7 +173,7 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
         others = len(subject.found_results) - 1
         if others:
             best = f"These are the times of the search {name}, the best of {others + 1} sets"
-            yield Text(f"{best} {_BY_EXACT_ERRORS if subject.is_exact else _LOOKS_BETTER}")
+            yield Text(f"{best} {_BY_EXACT_ERRORS if subject.summary.is_exact else _LOOKS_BETTER}")
     at = f"{'t = ' if times else 'no time'}{subject.listed(times)}"
     if subject.is_compared:
         yield Text(f"Measure at {at}.")
@@ -202,7 +202,7 @@ def _gain(subject: Subject, name: str) -> str:
         mean, _ = effect(gain, result.gain_of_means_interval, "the mean over the scenarios")
         return f"{these} {worst} It {mean}."
     lowers, left_open = effect(gain, result.gain_of_means_interval)
-    measured = _MEASURED if subject.is_exact else ""
+    measured = _MEASURED if subject.summary.is_exact else ""
     sentences = (f"{these} {lowers}.", measured, f"In {share}, the error is lower.", left_open)
     return " ".join(filter(None, sentences))
 
@@ -314,7 +314,7 @@ def searches(subject: Subject) -> Section | None:
     if not copies:
         return None
     rows = [_search_row(subject, search, sum(copies.get(search["name"], ()))) for search in job]
-    meaning = Text(_EXACT_SEARCHES if subject.is_exact else _SEARCHES, detail=True)
+    meaning = Text(_EXACT_SEARCHES if subject.summary.is_exact else _SEARCHES, detail=True)
     table = Table(
         "Searches", _SEARCHES_HEAD, rows, detail=True,
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
@@ -335,7 +335,7 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
         return [*cells, Cell(""), Cell(""), Cell("")]
     believed = with_error(result.search_cost, result.search_standard_error)
     cells.append(Cell(believed, result.search_cost))
-    if subject.is_exact:
+    if subject.summary.is_exact:
         return [*cells, Cell(""), Cell("exact")]
     excess = result.search_excess
     settings = ", ".join(f"{key} = {value}" for key, value in result.search_estimation.items())

@@ -52,11 +52,6 @@ class Subject:
         return one_line(own_name or without_folder(self.run.job["model"]["name"]))
 
     @property
-    def is_exact(self) -> bool:
-        """Whether the engine knows expected errors without draws."""
-        return self.summary.is_exact
-
-    @property
     def is_compared(self) -> bool:
         """Whether the comparison has begun."""
         return any(result.is_compared for result in self.results.values())

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Callable
 from html import escape
 from typing import Any, Self
 
@@ -22,23 +23,6 @@ from pfdist.runner.progress import Progress as State
 from pfdist.runner.progress import SetGain
 
 
-class NotebookCell:
-    """A line below the cell that runs now.
-
-    Parameters
-    ----------
-    display : callable
-        As of `IPython.display.display`.
-    """
-
-    def __init__(self, display: Any) -> None:
-        self._handle = display(_Line(""), display_id=True)
-
-    def show(self, line: str) -> None:
-        """Write the line anew."""
-        self._handle.update(_Line(line))
-
-
 class _Line:
     def __init__(self, text: str) -> None:
         self._text = text
@@ -50,15 +34,16 @@ class _Line:
         return f"<code>{escape(self._text)}</code>" if self._text else ""
 
 
-def notebook_cell() -> NotebookCell | None:
-    """The cell that runs now; None outside a notebook."""
+def notebook_line() -> Callable[[str], Any] | None:
+    """A function that writes a line anew below the cell that runs now; None outside a notebook."""
     ipython = sys.modules.get("IPython")  # a notebook has loaded it
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):
         return None
     from IPython.display import display  # noqa: PLC0415
 
-    return NotebookCell(display)
+    handle: Any = display(_Line(""), display_id=True)
+    return lambda line: handle.update(_Line(line))
 
 
 # --- the display ----------------------------------------------------------------------------------
@@ -102,7 +87,7 @@ class Display:
             *_columns(self._console.width >= WIDE), console=self._console, transient=True
         )
         self._live = self._console.is_terminal
-        self._cell = notebook_cell() if console is None else None
+        self._cell = notebook_line() if console is None else None
         self._task: Any = None
         # Rates count from the first answer of a phase: before it, workers start and compile. They
         # start again if the evaluations do: a phase may filter its draws several times.
@@ -117,7 +102,7 @@ class Display:
         if self._task is not None:
             self._bar.stop()
         if self._cell is not None:
-            self._cell.show("")
+            self._cell("")
 
     def say(self, line: str) -> None:
         """Print one line."""
@@ -133,7 +118,7 @@ class Display:
         line = "  ".join([*_position(state), *self._rate(state, now)])
         percent = 100 * state.done / state.total
         if self._cell is not None:
-            self._cell.show(f"{percent:.1f} %  {line}")
+            self._cell(f"{percent:.1f} %  {line}")
             return
         if self._live:
             if self._task is None:
