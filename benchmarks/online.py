@@ -115,7 +115,7 @@ def _measured(wanted: tuple[str, str, bool]) -> dict[str, object]:
 def _planned(built: Built, fixed: Times, system: int) -> tuple[Times, list[float], int]:
     """Choose the times of one system: the times, seconds of each step, and plans replaced."""
     y = built.evaluator.draws(range(system, system + 1), stream_key(0, "benchmark", "draws")).y[0]
-    planner, seconds, replaced = Planner.of_built(built, fixed, draw=system), [], 0
+    planner, seconds, replaced = Planner(built, fixed, draw=system), [], 0
     time = planner.next_time()
     while time is not None:
         before = planner.plan()[1:]

@@ -97,7 +97,7 @@ def small_run(finished: Callable[..., Path], tmp_path: Path) -> pfdist.Run:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures and reports by a command line: they take the longest."""
-    monkeypatch.setattr("pfdist.api.run._draw_missing_figures", lambda run: None)
+    monkeypatch.setattr("pfdist.plots.draw_missing_figures", lambda run: None)
     monkeypatch.setattr("pfdist.api.run.try_report", lambda run, say: None)
 
 

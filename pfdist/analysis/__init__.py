@@ -18,20 +18,3 @@ from pfdist.analysis.run import Run, open_run
 from pfdist.analysis.stored_run import read_recorded
 from pfdist.analysis.streaming_moments import Moments
 from pfdist.analysis.summary import finite
-
-__all__ = [
-    "BIN",
-    "BLOCK",
-    "EDGES",
-    "ComparisonStatistics",
-    "Gain",
-    "GainSummary",
-    "Moments",
-    "Run",
-    "finite",
-    "open_run",
-    "reaching",
-    "read_recorded",
-    "relative_gain",
-    "summarise_gain",
-]

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from statistics import NormalDist
 from typing import Any
 
-from pfdist.analysis.stored_run import StoredRun, distrust_of, own_estimation
+from pfdist.analysis.stored_run import StoredRun, copies_of, distrust_of, own_estimation
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.kernels.estimators import SQUARED_ERROR
 
@@ -33,21 +33,13 @@ def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[st
     """
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
-    own, count = own_estimation(run, search), _evaluations_of(run, search)
+    own, copies = own_estimation(run, search), copies_of(run).get(search, [1])
     return {
         "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
         "search_estimation": own,
-        "search_cause": cause_of_excess(result, own, str(run.path), count),
+        "search_cause": cause_of_excess(result, own, str(run.path), len(copies)),
         "search_distrust": distrust_of(run, search),
     }
-
-
-def _evaluations_of(run: StoredRun, search: str) -> int:
-    """Number of sets that a search evaluated, in all its phases."""
-    if "evaluations" not in run.tables:
-        return 1
-    searches = run.table("evaluations")["phase"].astype(str).str.partition(".")[0]
-    return max(1, int((searches == search).sum()))
 
 
 def cause_of_excess(

@@ -46,10 +46,11 @@ def budget_table(
     rows = []
     for entry in compared.to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
+        kind = reference if name not in statistics.references else GIVEN
         moments, (low, high) = statistics.mse[name], statistics.mse[name].estimate.interval()
         rows.append(
             {
-                "kind": _kind(entry, reference if name not in statistics.references else GIVEN),
+                "kind": kind if math.isnan(entry["search_cost"]) else FOUND,
                 "measurements": len(times),
                 "name": name,
                 "measurement_times": times,
@@ -72,10 +73,6 @@ def budget_table(
     return table
 
 
-def _kind(entry: Mapping[Any, Any], kind_without_search: str) -> str:
-    return kind_without_search if math.isnan(float(entry["search_cost"])) else FOUND
-
-
 def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     """Add the columns bound, bound_error and bound_low to a budget curve.
 
@@ -92,13 +89,12 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
         See the table ``budget``. The columns are NaN for sets that have no bound.
     """
     numbers = max(len(proofs), int((table["kind"] == FOUND).sum()))
-    columns = []
-    for name in table["name"]:
-        proof = proofs.get(name)
-        if proof is None or proof["reason"]:
-            columns.append((math.nan,) * 3)
-        else:
-            columns.append((proof["bound"], proof["bound_error"], _limit(proof, numbers)))
+    columns = [
+        (proof["bound"], proof["bound_error"], _limit(proof, numbers))
+        if proof and not proof["reason"]
+        else (math.nan,) * 3
+        for proof in map(proofs.get, table["name"])
+    ]
     bound, error, low = np.array(columns, dtype=float).T
     return table.assign(bound=bound, bound_error=error, bound_low=low)
 

@@ -173,7 +173,7 @@ class Gain:
     @property
     def of_means_interval(self) -> Interval:
         """95 % interval of the gain of means, Fieller's."""
-        low, high = self.errors.ratio_interval
+        low, high = self.errors.ratio_interval()
         return (1.0 - high, 1.0 - low)
 
     def quantile(self, share: float) -> float:

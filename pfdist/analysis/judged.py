@@ -12,7 +12,7 @@ from pfdist.analysis.gains import Gain, relative_gain
 from pfdist.analysis.run import Run
 from pfdist.analysis.runs_table import RESULTS, runs_table
 from pfdist.analysis.stored_run import blocks_of, filter_is_wrong, found_sets, problem_of
-from pfdist.analysis.summary import SetResult
+from pfdist.common.percent import cost
 from pfdist.times.measurement_times import Times
 
 JUDGED = "judged"
@@ -99,14 +99,18 @@ def _losses(
     """
     names = {times: name for name, times in judge.sets.items()}
     results = judge.summary().results
-    mse = {times: _mse(results[name]) for times, name in names.items()}
+    exact_mse = {times: results[name].exact_mse for times, name in names.items()}
+    mse = {
+        times: cost(results[name].expected_mse if exact_mse[times] is None else exact_mse[times])
+        for times, name in names.items()
+    }
     own = {each.times for each in found_sets if each.point == point and each.times in names}
     best = dict[Times, Times]()  # of those found at the point, for each set of times
     for times in {each.times for each in found_sets if each.times in names}:
         comparable = [each for each in own if _are_comparable(judge, times, each, smaller)]
         if comparable:
             best[times] = min(comparable, key=lambda each: (mse[each], each))
-    if all(result.exact_mse is not None for result in results.values()):
+    if None not in exact_mse.values():
         exact = {times: np.array(mse[times]) for times in names}
         gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
         return {times: (0.0 - gain,) * 3 for times, gain in gains.items()}
@@ -116,13 +120,6 @@ def _losses(
             columns = (f"mse_{names[each]}" for each in (times, best[times]))
             gain.add(*(block[column].to_numpy() for column in columns))
     return {times: _loss(gain) for times, gain in drawn.items()}
-
-
-def _mse(result: SetResult) -> float:
-    """The expected MSE of a set; inf if it is unknown."""
-    exact = result.exact_mse
-    mse = result.expected_mse if exact is None else exact
-    return math.inf if mse is None or math.isnan(mse) else float(mse)
 
 
 def _are_comparable(judge: Run, times: Times, own: Times, smaller: bool) -> bool:

@@ -1,15 +1,14 @@
 """A run as a list of runs shows it: its state, age and size, and what it found."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.run import Run, open_run
-from pfdist.analysis.stored_run import exact_costs, found_sets, statistics_of
+from pfdist.analysis.summary import Summary
 from pfdist.errors import StoreError, one_line, shown_text
-from pfdist.store import check_not_held
+from pfdist.store import is_held
 from pfdist.store.folder import extent
 
 RUNNING, FINISHED, UNFINISHED, DAMAGED = "running", "finished", "unfinished", "damaged"
@@ -69,56 +68,44 @@ def listed_run(path: Path, name: str) -> ListedRun:
     name : str
         The path as the list shows it.
     """
-    size = extent(path)
-    changed = datetime.fromtimestamp(size.changed, UTC)
+    size, seconds = extent(path)
+    changed = datetime.fromtimestamp(seconds, UTC)
     try:
         run = open_run(path)
-        state, statistics = _state(run), _statistics(run)
-        best, gain = _best(run, statistics) if statistics is not None else (None, math.nan)
+        state, summary = _state(run), run.summary()
+        best = _best(summary)
     except Exception as error:  # a list of many runs must not end because of one of them
         fault = _in_few_words(error, path)
-        return ListedRun(name, DAMAGED, 0, 0, changed, size.bytes, fault=fault)
-    return ListedRun(
+        return ListedRun(name, DAMAGED, 0, 0, changed, size, fault=fault)
+    listed = ListedRun(
         name,
         state,
-        0 if statistics is None else statistics.draws,
+        summary.draws_compared,
         run.job["comparison"]["draws"],
         changed,
-        size.bytes,
-        best,
-        None if best is None else run.names[0],
-        gain,
-        "budget" in run.job,
+        size,
+        has_budget=summary.has_budget,
     )
+    if best is None:
+        return listed
+    result = summary.results[best]
+    gain = result.gain_of_means if result.exact_gain is None else result.exact_gain
+    gain = math.nan if gain is None else gain
+    return replace(listed, best=best, reference=run.names[0], gain_of_means=gain)
 
 
 def _state(run: Run) -> str:
-    try:
-        check_not_held(run.path)
-    except StoreError:
+    if is_held(run.path):
         return RUNNING
     return FINISHED if run.state == "finished" else UNFINISHED
 
 
-def _statistics(run: Run) -> ComparisonStatistics | None:
-    """The statistics of the compared draws; None if no draw was compared."""
-    if "compared" not in run.tables or "comparison" not in run.tables:
+def _best(summary: Summary) -> str | None:
+    """The best set other than the reference, once draws are compared."""
+    if summary.has_budget or not summary.draws_compared:
         return None
-    return statistics_of(run)
-
-
-def _best(run: Run, statistics: ComparisonStatistics) -> tuple[str | None, float]:
-    """The best set and the gain of means; exact errors decide if the engine knows them."""
-    names = found_sets(run) or run.names[1:]
-    if "budget" in run.job or not names:
-        return None, math.nan
-    exact = exact_costs(run)
-    are_exact = all(name in exact for name in names)
-    errors = exact if are_exact else {name: statistics.mse[name].mean for name in names}
-    best = min(names, key=lambda name: (math.isnan(errors[name]), errors[name]))
-    if best in exact and exact.get(run.names[0]):
-        return best, 1 - exact[best] / exact[run.names[0]]
-    return best, statistics.gains[best].of_means
+    reference = next(iter(summary.results))
+    return next((name for name in summary.by_error if name != reference), None)
 
 
 def _in_few_words(error: Exception, path: Path) -> str:

@@ -35,15 +35,15 @@ class OnlineDraws:
     rows : DataFrame
         A row for each draw: draw, measurement_times, estimate, mse_online, and mse_<name> for the
         reference and the plan.
-    clock : Clock or None
-        The clock of all these times; None if they count instants.
+    clock : Clock
+        The clock of all these times.
     """
 
     reference: str
     plan: str
     planned_times: Times
     rows: pd.DataFrame
-    clock: Clock | None = None
+    clock: Clock
 
     def mse(self, name: str) -> Array:
         """Per-draw MSE on the draws that are degenerate with none of the three."""

@@ -84,13 +84,14 @@ class Pair:
         """
         apart = self.difference.estimate
         difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
-        ratio, ratio_interval = self._ratio, self.errors.ratio_interval
+        mean, other_mean = exact or (self.errors.x.mean, self.errors.y.mean)
+        ratio = mean / other_mean if other_mean else math.nan
+        ratio_interval = self.errors.ratio_interval()
         if exact is not None:
             difference = exact[0] - exact[1]
             if abs(difference) <= _ROUNDING * max(map(abs, exact)):
                 difference = 0.0
             interval = together = (difference, difference)
-            ratio = exact[0] / exact[1] if exact[1] else math.nan
             ratio_interval = (ratio, ratio)
         count = self.difference.count
         wins = (
@@ -102,11 +103,6 @@ class Pair:
             1.0 - ratio, 1.0 - ratio_interval[1], 1.0 - ratio_interval[0], *wins,
         )  # fmt: skip
         return dict(zip(PAIR_COLUMNS[2:], values, strict=True))
-
-    @property
-    def _ratio(self) -> float:
-        first, second = self.errors.x.mean, self.errors.y.mean
-        return first / second if second else math.nan
 
 
 def pairs_table(

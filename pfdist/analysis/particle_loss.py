@@ -117,10 +117,7 @@ def particle_loss(
     apart.add(distance)
     most = less(whole, squared, variance)
     return ParticleLoss(
-        particles,
-        apart.estimate.times(scale),
-        most.times(scale),
-        int(usable.size - usable.sum()),
+        particles, apart.estimate.times(scale), most.times(scale), int(usable.size - usable.sum())
     )
 
 

@@ -50,9 +50,7 @@ class RelativeLoss:
     @property
     def mean(self) -> float:
         """The loss; NaN if an error is infinite, or if the mean error is not above 0."""
-        if not self._is_known:
-            return math.nan
-        return self.pairs.x.mean / self.pairs.y.mean
+        return self.pairs.x.mean / self.pairs.y.mean if self._is_known else math.nan
 
     @property
     def standard_error(self) -> float:
@@ -62,12 +60,12 @@ class RelativeLoss:
     @property
     def limits(self) -> Interval:
         """One-sided 95 % lower limit and one-sided 95 % upper limit, Fieller's."""
-        return self.pairs.ratio_interval_of(_TWO_SIDED) if self._is_known else UNKNOWN
+        return self.pairs.ratio_interval(_TWO_SIDED) if self._is_known else UNKNOWN
 
     @property
     def interval(self) -> Interval:
         """95 % interval, Fieller's."""
-        return self.pairs.ratio_interval if self._is_known else UNKNOWN
+        return self.pairs.ratio_interval() if self._is_known else UNKNOWN
 
     def state(self, level: float) -> str:
         """Whether the loss is at most a level, by its one-sided limits.

@@ -76,13 +76,35 @@ class Run(StoredRun, Shown):
         StoreError
             A file cannot be read.
         """
-        return datatree_of(self)
+        try:
+            import xarray  # noqa: PLC0415  an optional library
+        except ModuleNotFoundError:
+            raise PfdistError(
+                "to_datatree needs xarray, which is not installed: pip install 'pfdist[notebook]'"
+            ) from None
+        groups = {
+            "comparison": _comparison,
+            "trajectories": _trajectories,
+            "evaluations": _evaluations,
+        }
+        tree = {name: group(self) for name, group in groups.items() if name in self.tables}
+        about = {"run": str(self.path), "state": self.state, "model": self.job["model"]["name"]}
+        problem = problem_of(self)
+        if problem.has_clock:
+            about["time_unit"] = problem.clock.unit
+        return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=about), **tree})
 
     def _page(self) -> Page:
-        return run_card(self)
+        try:
+            results = self.summary().results
+        except StoreError:
+            return Page("", _title(self), [])
+        head = ("times", "measurements", "expected MSE", "below the reference")
+        rows = [[Cell(text) for text in _row(name, each)] for name, each in results.items()]
+        return Page("", _title(self), [Section("", [Table("", head, rows)])])
 
     def __repr__(self) -> str:
-        return f"<{title_of(self)}>"
+        return f"<{_title(self)}>"
 
 
 def open_run(path: str | Path) -> Run:
@@ -106,28 +128,12 @@ def open_run(path: str | Path) -> Run:
     return Run(Path(path))
 
 
-def title_of(run: Run) -> str:
-    """A run in a line: its folder, its state and how many draws are compared.
-
-    Parameters
-    ----------
-    run : Run
-    """
+def _title(run: Run) -> str:
+    """A run in a line: its folder, its state and how many draws are compared."""
     try:
         return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
     except StoreError:
         return f"run {run.path}: cannot be read"
-
-
-def run_card(run: Run) -> Page:
-    """The sets of a run with their expected MSE and gain."""
-    try:
-        results = run.summary().results
-    except StoreError:
-        return Page("", title_of(run), [])
-    head = ("times", "measurements", "expected MSE", "below the reference")
-    rows = [[Cell(text) for text in _row(name, each)] for name, each in results.items()]
-    return Page("", title_of(run), [Section("", [Table("", head, rows)])])
 
 
 def _row(name: str, result: SetResult) -> tuple[str, ...]:
@@ -137,26 +143,6 @@ def _row(name: str, result: SetResult) -> tuple[str, ...]:
     if result.gain_draws is not None:
         gain = percent_with_interval(result.gain_of_means, result.gain_of_means_interval)
     return name, str(result.measurements), mse, gain
-
-
-def datatree_of(run: StoredRun) -> xarray.DataTree:
-    """The tree that `pfdist.Run.to_datatree` describes."""
-    try:
-        import xarray  # noqa: PLC0415  an optional library
-    except ModuleNotFoundError:
-        raise PfdistError(
-            "to_datatree needs xarray, which is not installed: pip install 'pfdist[notebook]'"
-        ) from None
-    groups = {"comparison": _comparison, "trajectories": _trajectories, "evaluations": _evaluations}
-    tables = run.tables
-    tree: dict[str, xarray.Dataset] = {
-        name: group(run) for name, group in groups.items() if name in tables
-    }
-    about = {"run": str(run.path), "state": run.state, "model": run.job["model"]["name"]}
-    problem = problem_of(run)
-    if problem.has_clock:
-        about["time_unit"] = problem.clock.unit
-    return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=about), **tree})
 
 
 def _comparison(run: StoredRun) -> xarray.Dataset:

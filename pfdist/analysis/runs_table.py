@@ -13,7 +13,7 @@ from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.dotted_keys import leaves
 from pfdist.common.percent import cost
 
-_NO_SEARCH = "search"  # the leaf of an empty list; the key search.order says the same
+_NO_SEARCH = "search"  # the leaf of an empty list
 
 
 def differing_keys(jobs: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
@@ -36,18 +36,17 @@ def differing_keys(jobs: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
     {'seed': [1, 2], 'filter.particles': [9, None]}
     """
     flat = [{key: _frozen(value) for key, value in leaves(job)} for job in jobs]
-    keys = dict.fromkeys(key for each in flat for key in each if not _is_repeated(key))
-    columns = {key: [each.get(key) for each in flat] for key in keys}
-    return {key: values for key, values in columns.items() if _are_different(values)}
-
-
-def _is_repeated(key: str) -> bool:
-    """Whether another key says the same."""
-    return key == _NO_SEARCH or (key.startswith("search.") and key.endswith(".name"))
-
-
-def _are_different(values: list[Any]) -> bool:
-    return any(value != values[0] for value in values[1:])
+    columns = {
+        key: [each.get(key) for each in flat]
+        for key in dict.fromkeys(key for each in flat for key in each)
+        # The key search.order says what these say.
+        if key != _NO_SEARCH and not (key.startswith("search.") and key.endswith(".name"))
+    }
+    return {
+        key: values
+        for key, values in columns.items()
+        if any(value != values[0] for value in values[1:])
+    }
 
 
 def _frozen(value: Any) -> Any:
@@ -113,12 +112,12 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
 
 def _rows(run: Run, summary: Summary) -> Iterator[Row]:
     """Yield the rows of a run; one if nothing is known of any set but the reference."""
-    results = summary.results
+    results, has_timings = summary.results, "timings" in run.tables
     shared = dict.fromkeys(RESULTS) | {
         "state": summary.state,
         "draws": summary.draws_compared,
         "evaluations": summary.evaluations,
-        "worker_seconds": _seconds(run),
+        "worker_seconds": run.table("timings")["seconds"].sum() if has_timings else None,
         "path": str(run.path),
     }
     references = run.references if results else {}
@@ -171,10 +170,6 @@ def _gains(result: SetResult) -> Row:
         names = ("gain_of_means", "gain_of_means_low", "gain_of_means_high")
         row |= dict.fromkeys(names, result.exact_gain)
     return row
-
-
-def _seconds(run: Run) -> float | None:
-    return float(run.table("timings")["seconds"].sum()) if "timings" in run.tables else None
 
 
 def _differ(paths: Sequence[Path]) -> list[str]:

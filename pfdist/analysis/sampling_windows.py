@@ -5,6 +5,7 @@ answer.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -85,21 +86,19 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
     percent : int
         The level: the largest loss, in per cent.
     """
-    tried: dict[tuple[Time, str], list[Mapping[Hashable, Any]]] = {}
+    tried = defaultdict[tuple[Time, str], list[Mapping[Hashable, Any]]](list)
     for row in sorted(rows, key=lambda row: row["moved_to"]):
-        tried.setdefault((row["t"], str(row.get("sensor", ""))), []).append(row)
+        tried[row["t"], str(row.get("sensor", ""))].append(row)
     windows = []
     for (t, sensor), rows_at_t in sorted(tried.items()):
-        states = [
-            (
-                row["moved_to"],
-                int(row.get("moved_to_instant", row["moved_to"])),
-                row[f"within_{percent}"],
-            )
-            for row in rows_at_t
-        ]
-        inside = {to: instant for to, instant, state in states if to == t or state == INSIDE}
-        left_open = {to: instant for to, instant, state in states if to != t and state == OPEN}
+        places = {
+            row["moved_to"]: row.get("moved_to_instant", row["moved_to"]) for row in rows_at_t
+        }
+        states = {row["moved_to"]: row[f"within_{percent}"] for row in rows_at_t} | {t: INSIDE}
+        inside, left_open = (
+            {to: int(place) for to, place in places.items() if states[to] == state}
+            for state in (INSIDE, OPEN)
+        )
         windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, sensor))
     return windows
 
@@ -166,7 +165,12 @@ def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
     flat = flat[:1] if is_found else []
     said = [_flat_sentence(row, windows[int(row["percent"])]) for row in flat]
     said += _measurements(windows.get(STRICT, []))
-    return said + [_jitter_sentence(row) for row in jitter if row["draws"] and row not in flat]
+    return said + [
+        f"If all measurements move at random within their windows of {row['percent']} %, the loss "
+        f"is {loss_text(row)}."
+        for row in jitter
+        if row["draws"] and row not in flat
+    ]
 
 
 def loss_text(row: Mapping[Hashable, Any]) -> str:
@@ -182,13 +186,6 @@ def _flat_sentence(row: Mapping[Hashable, Any], windows: Sequence[SamplingWindow
         f"The optimum is flat: {movable} of {len(windows)} measurements can move"
         f"{', each' * (movable > 1)} within a window of {row['percent']} %. If all of these move "
         f"at random within their windows, the loss is {loss_text(row)}."
-    )
-
-
-def _jitter_sentence(row: Mapping[Hashable, Any]) -> str:
-    return (
-        f"If all measurements move at random within their windows of {row['percent']} %, the loss "
-        f"is {loss_text(row)}."
     )
 
 

@@ -13,11 +13,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.analysis.budget_curve import budget_table, with_bounds
-from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
+from pfdist.analysis.gains import BLOCK, ComparisonStatistics, Gain, relative_gain
 from pfdist.analysis.pairs import pairs_table, ranks_table
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.analysis.reference import references_of, without_number
-from pfdist.analysis.scenarios import scenarios_table
 from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ArgumentError, JobError, StoreError, shown
@@ -127,16 +126,13 @@ class StoredRun:
             return "searching"
         if self._store.has_parts(without=QUESTIONS) or self._store.lost():
             return "comparing"
-        enough = self.draws_compared == self.job["comparison"]["draws"] or self._is_narrow
+        half_width = self.job["comparison"]["until"]["half_width"]
+        enough = self.draws_compared == self.job["comparison"]["draws"] or (
+            half_width > 0 and statistics_of(self).half_width() <= half_width
+        )
         online = self._store.present("online", "draw").size if self._store.has("online") else 0
         wanted = self.job.get("online", {}).get("draws", 0)
         return "finished" if enough and online >= wanted else "comparing"
-
-    @property
-    def _is_narrow(self) -> bool:
-        """Whether the intervals are as narrow as the job demands."""
-        half_width = self.job["comparison"]["until"]["half_width"]
-        return bool(half_width > 0 and statistics_of(self).half_width() <= half_width)
 
     @cached_property
     def _problem(self) -> ProblemSection:
@@ -229,21 +225,30 @@ def own_estimation(run: StoredRun, search: str) -> dict[str, Any]:
     return {key: value for key, value in own.items() if key in compared and value != compared[key]}
 
 
+def copies_of(run: StoredRun) -> dict[str, list[int]]:
+    """The copies of each evaluation of a search, in all its phases, by the name of the search."""
+    if not run._store.has("evaluations"):
+        return {}
+    rows = run.table("evaluations")
+    names = rows["phase"].astype(str).str.partition(".")[0]
+    return {str(name): copies.tolist() for name, copies in rows["copies"].groupby(names)}
+
+
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
     """The comparison in tables of as many draws each, so that memory does not grow."""
     return run._store.blocks("comparison", "draw", BLOCK)
 
 
-def _errors_of(run: StoredRun) -> Iterator[NDArray[np.float64]]:
-    """Per-draw MSE of all compared sets, block by block: (D, S) each time."""
+def _errors_of(run: StoredRun) -> Iterator[tuple[NDArray[np.float64], pa.Table]]:
+    """Per-draw MSE of all compared sets, (D, S), block by block; and the rows of the block."""
     for rows in blocks_of(run):
-        yield np.stack([rows[f"mse_{name}"].to_numpy() for name in run.sets], axis=1)
+        yield np.stack([rows[f"mse_{name}"].to_numpy() for name in run.sets], axis=1), rows
 
 
 def statistics_of(run: StoredRun) -> ComparisonStatistics:
     """Statistics of all compared draws; memory does not grow with the draws."""
     statistics = ComparisonStatistics(run.names, run.draws_compared, run.references)
-    for block in _errors_of(run):
+    for block, _ in _errors_of(run):
         statistics.add(block)
     return statistics
 
@@ -341,7 +346,7 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
     first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
     without draws, difference and gain_of_means are exact, and all their limits are equal.
     """
-    return pairs_table(run.names, _errors_of(run), exact_costs(run))
+    return pairs_table(run.names, (block for block, _ in _errors_of(run)), exact_costs(run))
 
 
 def ranks_of(run: StoredRun) -> pd.DataFrame:
@@ -369,7 +374,33 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     for one scenario alone).
     """
     scenarios = Scenarios.model_validate(run.job["scenarios"]).each
-    return scenarios_table(scenarios, run.names, run.references, blocks_of(run))
+    statistics = [ComparisonStatistics(run.names, references=run.references) for _ in scenarios]
+    for block, rows in _errors_of(run):
+        numbers = rows["scenario"].to_numpy()
+        for number, of_scenario in enumerate(statistics):
+            of_scenario.add(block[numbers == number])
+    table = []
+    for number, (scenario, each) in enumerate(zip(scenarios, statistics, strict=True)):
+        for name, moments in each.mse.items():
+            gain = each.gains.get(name, Gain())  # the reference has none
+            low, high = gain.of_means_interval
+            row = {
+                "scenario": number,
+                "share": scenario.share,
+                "parameters": dict(scenario.parameters),
+                "name": name,
+                "draws": moments.count,
+                "degenerate_draws": each.draws - moments.count,
+                "expected_mse": moments.mean,
+                "standard_error": moments.standard_error,
+                "gain_of_means": gain.of_means,
+                "gain_of_means_low": low,
+                "gain_of_means_high": high,
+            }
+            table.append(row)
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    return pd.DataFrame(table)
 
 
 def particle_losses_of(

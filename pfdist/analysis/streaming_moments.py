@@ -105,12 +105,7 @@ class Pairs:
         variance = (x - 2.0 * ratio * xy + ratio * ratio * y) / count / (count - 1)
         return math.sqrt(max(0.0, variance)) if math.isfinite(variance) else math.nan
 
-    @property
-    def ratio_interval(self) -> Interval:
-        """95 % interval of mean(x) / mean(y); see `ratio_interval_of`."""
-        return self.ratio_interval_of(CONFIDENCE)
-
-    def ratio_interval_of(self, confidence: float) -> Interval:
+    def ratio_interval(self, confidence: float = CONFIDENCE) -> Interval:
         """Interval of mean(x) / mean(y), by Fieller's theorem with Student's t of D - 1 degrees.
 
         It contains all ratios r for which the mean of x - r y does not differ from 0. It is exact
@@ -122,9 +117,8 @@ class Pairs:
             return UNKNOWN
         scale = self.y.mean  # so that no square overflows
         # t^2 / (D (D - 1)): so sums of squares become variances of means
-        squared = (
-            float(student_quantile((1 - confidence) / 2, count - 1)) ** 2 / count / (count - 1)
-        )
+        quantile = float(student_quantile((1 - confidence) / 2, count - 1))
+        squared = quantile**2 / count / (count - 1)
         x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
         xy, ratio = self.products / scale / scale, self.x.mean / scale
         # a r^2 - 2 b r + c <= 0; `inner` is proportional to b^2 - a c without cancellation

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from pfdist.analysis.belief import belief_of
 from pfdist.analysis.budget_curve import FOUND
@@ -13,6 +13,7 @@ from pfdist.analysis.reference import described, without_number
 from pfdist.analysis.stored_run import (
     StoredRun,
     budget_of,
+    copies_of,
     exact_costs,
     last_bounds,
     named_sets,
@@ -25,6 +26,7 @@ from pfdist.times.clock import Time
 
 Ends = list[float | None]
 Row = dict[str, Any]
+T = TypeVar("T")
 
 
 def _unknown() -> Ends:
@@ -237,7 +239,7 @@ def summary_of(run: StoredRun) -> Summary:
     return Summary(
         state=run.state,
         run=str(run.path),
-        evaluations=int(run.table("evaluations")["copies"].sum()) if "evaluations" in tables else 0,
+        evaluations=sum(map(sum, copies_of(run).values())),
         draws_compared=run.draws_compared,
         has_budget="budget" in run.job,
         is_exact=is_exact(run.job["filter"]["engine"]),
@@ -253,10 +255,9 @@ def summary_of(run: StoredRun) -> Summary:
     )
 
 
-def _rows(run: StoredRun, table: str) -> list[Row]:
+def _rows(run: StoredRun, table: str) -> list[Any]:
     """Rows of a table, as JSON can hold them."""
-    rows: list[Row] = finite(run.table(table).to_dict("records"))
-    return rows
+    return finite(run.table(table).to_dict("records"))
 
 
 def _results(run: StoredRun) -> dict[str, SetResult]:
@@ -330,10 +331,13 @@ def _before_the_comparison(run: StoredRun) -> dict[str, Row]:
     }
 
 
-def finite(value: Any) -> Any:
+def finite(value: T) -> T:
     """The same value with None for floats that are not finite, and with lists for tuples."""
+    plain: Any = value
     if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        plain = {key: finite(inner) for key, inner in value.items()}
+    elif isinstance(value, list | tuple):
+        plain = [finite(inner) for inner in value]
+    elif isinstance(value, float) and not math.isfinite(value):
+        plain = None
+    return plain  # type: ignore[no-any-return]

@@ -49,18 +49,18 @@ def problem(subject: Subject) -> Section:
 
 
 def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
-    job, problem = subject.run.job, subject.problem
+    job, problem = subject.run.job, subject.run.job["problem"]
     yield "system", _model(job["model"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", _model(job["model"]["filter"])
-    yield from _named_components(read_recorded(subject.run.path)[0]["model"])
+    meaning = read_recorded(subject.run.path)[0]["model"]
+    for key, what in (("z_names", "quantity of interest"), ("y_names", "what is measured")):
+        if meaning.get(key):
+            yield what, str(meaning[key])
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
-    for key, name in (
-        ("forbidden", "not measured at"),
-        ("required", "always measured at"),
-    ):
+    for key, name in (("forbidden", "not measured at"), ("required", "always measured at")):
         if problem.get(key):
             yield name, formatted_spelling(problem[key], subject.unit)
     if problem.get("minimum_spacing"):
@@ -68,13 +68,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
-        yield (
-            f"sensor {name}",
-            ", ".join(f"{key} {value}" for key, value in keys.items()) or "no price",
-        )
+        text = ", ".join(f"{key} {value}" for key, value in keys.items())
+        yield f"sensor {name}", text or "no price"
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
-    yield "filter", "Kalman filter (exact)" if subject.is_exact else particles
+    yield "filter", "Kalman filter (exact)" if subject.summary.is_exact else particles
 
 
 def _model(section: Mapping[str, Any]) -> str:
@@ -94,13 +92,6 @@ def _values(value: Any) -> str:
     return f"{len(value)} values from {min(value):g} to {max(value):g}"
 
 
-def _named_components(meaning: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """The names and units of z and y, where the model of the run has them."""
-    for key, what in (("z_names", "quantity of interest"), ("y_names", "what is measured")):
-        if meaning.get(key):
-            yield what, str(meaning[key])
-
-
 def _measurements(job: Mapping[str, Any]) -> str:
     problem, budget = job["problem"], job.get("budget")
     if budget:
@@ -112,9 +103,8 @@ def _measurements(job: Mapping[str, Any]) -> str:
 
 def _instants(subject: Subject) -> str:
     clock = problem_of(subject.run).clock
-    ends = (
-        f"t = {formatted_time(clock.times[0])} to {formatted_times(clock.times[-1:], clock.unit)}"
-    )
+    last = formatted_times(clock.times[-1:], clock.unit)
+    ends = f"t = {formatted_time(clock.times[0])} to {last}"
     if clock.counts:
         return ends
     if clock.is_even:
@@ -146,10 +136,15 @@ def formatted_spelling(value: Any, unit: str) -> str:
 def computed(subject: Subject) -> Section:
     """Versions, seeds, processor and time of a run, and its job."""
     about, job = read_recorded(subject.run.path)
+    identity = [
+        ("seed", str(job["seed"])),
+        ("engine", about["engine"]),
+        ("identity of the run", str(run_key(subject.run.path))),
+    ]
     return Section(
         "How it was computed",
         [
-            Facts([*_versions(about), *_work(subject), *_identity(subject, about, job)]),
+            Facts([*_versions(about), *_work(subject), *identity]),
             Code(tomli_w.dumps(_sendable(_without_none(job))), "The job, with all its defaults"),
         ],
     )
@@ -197,16 +192,6 @@ def _work(subject: Subject) -> list[tuple[str, str]]:
     if failures:
         facts.append(("tasks that failed and were done again", f"{failures:,}"))
     return facts
-
-
-def _identity(
-    subject: Subject, about: dict[str, Any], job: dict[str, Any]
-) -> list[tuple[str, str]]:
-    return [
-        ("seed", str(job["seed"])),
-        ("engine", about["engine"]),
-        ("identity of the run", str(run_key(subject.run.path))),
-    ]
 
 
 def _sendable(job: dict[str, Any]) -> dict[str, Any]:

@@ -112,10 +112,6 @@ def _row(name: str, proved: Mapping[str, Any]) -> list[Cell]:
         Cell(with_error(mse, proved["expected_mse_error"]), mse),
         Cell(with_error(proved["bound"], proved["bound_error"]), proved["bound"]),
         Cell(percent(proved["gap"]), proved["gap"]),
-        Cell(_limit(limit), limit),
+        Cell("unknown" if limit is None else f"{rounded(100 * rounded_up(limit), 2)} %", limit),
         *(Cell(percent(part), part) for part in parts),
     ]
-
-
-def _limit(fraction: float | None) -> str:
-    return "unknown" if fraction is None else f"{rounded(100 * rounded_up(fraction), 2)} %"

@@ -92,15 +92,13 @@ def _rows(results: Sequence[SetResult]) -> list[list[Cell]]:
     rows = defaultdict[int, dict[str, SetResult]](dict)
     for result in results:
         rows[result.measurements][result.kind] = result
-    return [_row(number, rows[number]) for number in sorted(rows)]
-
-
-def _row(number: int, kinds: dict[str, SetResult]) -> list[Cell]:
-    cells = [_cost(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS]
     return [
-        Cell(str(number), number),
-        *cells,
-        _bound(kinds["found"]) if "found" in kinds else Cell(""),
+        [
+            Cell(str(number), number),
+            *(_cost(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS),
+            _bound(kinds["found"]) if "found" in kinds else Cell(""),
+        ]
+        for number, kinds in sorted(rows.items())
     ]
 
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.analysis.pairs import formatted_ranks
-from pfdist.answers.subject import Subject, number_of, percent_cell
-from pfdist.common.percent import cost, range_of
-from pfdist.common.rounding import with_error, with_interval
+from pfdist.answers.subject import Subject, mse_cell, number_of, percent_cell
+from pfdist.common.percent import range_of
+from pfdist.common.rounding import with_interval
 from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text
 
 _RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by")
@@ -38,7 +38,7 @@ def compared(subject: Subject) -> Section | None:
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
         sets,
-        Text(_EXACT if subject.is_exact else _MEANING, detail=True),
+        Text(_EXACT if subject.summary.is_exact else _MEANING, detail=True),
         Figures(["compared"] if subject.found_results else ["times", "compared"]),
         Table(
             "Pairs of sets", _PAIRS_HEAD, rows, len(rows) > _MOST_OPEN, optional=_PAIRS_HEAD[:-4:-1]
@@ -48,13 +48,12 @@ def compared(subject: Subject) -> Section | None:
 
 
 def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
-    mse = cost(row["expected_mse"])
     number = len(subject.results[row["name"]].measurement_times)
     return [
         Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
         Cell(row["name"]),
         Cell(str(number), number),
-        Cell(with_error(mse, row["standard_error"]), mse),
+        mse_cell(row["expected_mse"], row["standard_error"]),
         _difference(row) if row["difference"] else Cell(""),
     ]
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pfdist.answers.robust import parameters_text
+from pfdist.answers.subject import mse_cell
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Cell, Page, Section, Table
@@ -46,16 +47,14 @@ def _of_scenarios(
     rows = [
         [
             Cell(parameters_text(parameters[number])),
-            *(_mse(each[number]) for each in columns.values()),
+            *(
+                mse_cell(each[number].expected_mse, each[number].standard_error)
+                for each in columns.values()
+            ),
         ]
         for number in sorted(next(iter(columns.values())))
     ]
     return [Table("Expected MSE in each scenario", ("scenario", *columns), rows)]
-
-
-def _mse(evaluation: Evaluation) -> Cell:
-    mse = evaluation.expected_mse
-    return Cell(with_error(mse, evaluation.standard_error), mse)
 
 
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:

@@ -61,7 +61,11 @@ def filtered_answer(answer: Mapping[str, Any]) -> Page:
     warnings = [_IMPROBABLE] if answer["is_improbable"] else []
     evidence = answer["log_evidence"]
     reason = f"none: {answer['why_no_evidence']}" if evidence is None else ""
-    facts = [*_times(answer), *_surprise(answer), ("log evidence", reason or rounded(evidence))]
+    facts = _times(answer)
+    if surprise := _surprise(answer):
+        at, p, among = surprise
+        facts.append(("most surprising", f"t = {at}, p = {p} ({among} among all measurements)"))
+    facts.append(("log evidence", reason or rounded(evidence)))
     return Page("", line, [Section("", [Facts(facts)])], warnings)
 
 
@@ -76,13 +80,14 @@ def _times(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(name, formatted_times(answer[key], unit) or "none") for key, name in names.items()]
 
 
-def _surprise(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _surprise(answer: Mapping[str, Any]) -> tuple[str, str, str] | None:
+    """Time and p-value of the most surprising measurement, and the p-value among all."""
     most = answer["most_surprising"]
     if not most:
-        return []
-    at, p = _time(answer, most["t"]), rounded(most["surprise"], _P_DIGITS)
-    among = rounded(answer["surprise_of_all"], _P_DIGITS)
-    return [("most surprising", f"t = {at}, p = {p} ({among} among all measurements)")]
+        return None
+    p_values = most["surprise"], answer["surprise_of_all"]
+    alone, among = (rounded(p, _P_DIGITS) for p in p_values)
+    return _time(answer, most["t"]), alone, among
 
 
 def _time(answer: Mapping[str, Any], t: float) -> str:
@@ -101,16 +106,14 @@ def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
 def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
     """Say how well the measurements fit the model, and how many particles count."""
     blocks: list[Block] = []
-    most = answer["most_surprising"]
-    if most:
-        among = rounded(answer["surprise_of_all"], _P_DIGITS)
-        blocks.append(
-            Text(
-                f"The most surprising measurement is that at t = {_time(answer, most['t'])}: p = "
-                f"{rounded(most['surprise'], _P_DIGITS)}, and {among} among all measurements. A "
-                "p-value near 0 means that the model hardly ever gives such a measurement."
-            )
+    if surprise := _surprise(answer):
+        at, p, among = surprise
+        text = (
+            f"The most surprising measurement is that at t = {at}: p = {p}, and {among} among all "
+            "measurements. A p-value near 0 means that the model hardly ever gives such a "
+            "measurement."
         )
+        blocks.append(Text(text))
     if answer["log_evidence"] is not None:
         blocks.append(Text(f"Log evidence of the model: {rounded(answer['log_evidence'])}."))
     rows = table.dropna(subset="effective_sample_size")
@@ -160,18 +163,18 @@ def next_page(answer: Mapping[str, Any]) -> Page:
     so_far = f"{number_of(len(answer['measured']), 'measurement')} so far"
     unit = answer.get("time_unit", "")
     measured = formatted_times(answer["measured"], unit)
-    facts = [("measured", f"{so_far}{', at t = ' * bool(measured)}{measured}")]
+    facts = [("expected MSE", _expected(answer, ""))]
     if answer["plan"]:
         following, *later = answer["plan"]
         line = f"measure next at t = {formatted_times([following], unit)}"
         if later:
             shown = formatted_times(later[:_SHOWN], unit)
             line += f"; then about {shown}{', ...' if len(later) > _SHOWN else ''}"
-        facts += [("expected MSE", _expected(answer, "")), *_before(answer)]
+        where = f"{so_far}{', at t = ' * bool(measured)}{measured}"
+        facts = [("measured", where), *facts, *_before(answer)]
     else:
         why = "the budget is spent" if answer["left"] == 0 else "no further measurement is possible"
         line = f"{so_far}: {why}"
-        facts = [("expected MSE", _expected(answer, ""))]
     warnings = [_SEE_SURPRISE] if answer["is_improbable"] else []
     return Page("", line, [Section("", [Facts(facts)])], warnings)
 

@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from pfdist.answers.subject import Subject, effect, number_of, percent_cell
-from pfdist.common.percent import cost, percent
-from pfdist.common.rounding import with_error
+from pfdist.answers.subject import Subject, effect, mse_cell, number_of, percent_cell
+from pfdist.common.percent import percent
 from pfdist.documents.parts import Cell, Figures, Section, Table, Text
 
 _FIGURES = ("online_gain", "online_times", "online_draw")
@@ -29,15 +28,11 @@ def online(subject: Subject) -> Section | None:
         f"anew from what the filter then believes. In {percent(result['differs_from_plan'], 0)} of "
         f"the draws the times differ from those of {plan['name']}."
     )
-    return Section(
-        "Times chosen one after another",
-        [Text(meaning), table, Figures(_FIGURES)],
-    )
+    return Section("Times chosen one after another", [Text(meaning), table, Figures(_FIGURES)])
 
 
 def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:
-    mse = cost(costs["expected_mse"])
-    cells = [Cell(name), Cell(with_error(mse, costs["standard_error"]), mse)]
+    cells = [Cell(name), mse_cell(costs["expected_mse"], costs["standard_error"])]
     for key in ("gain_of_means", "positive_fraction"):
         is_known = key in gain
         cells.append(percent_cell(gain[key], gain[f"{key}_interval"]) if is_known else Cell(""))

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pfdist.answers.subject import Subject, effect, percent_cell
+from pfdist.answers.subject import Subject, effect, mse_cell, percent_cell
 from pfdist.common.estimate import Estimate
-from pfdist.common.percent import cost, percent
+from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
 from pfdist.documents.parts import Cell, Section, Table, Text
 
@@ -42,9 +42,8 @@ def _cells(rows: Sequence[Row], shown: Sequence[str]) -> list[Cell]:
     best = of_set[shown[-1]]
     text = parameters_text(best["parameters"])
     cells = [Cell(text, best["scenario"]), Cell(percent(best["share"], 1), best["share"])]
-    for name in shown:
-        mse = cost(of_set[name]["expected_mse"])
-        cells.append(Cell(with_error(mse, of_set[name]["standard_error"]), mse))
+    errors = ((of_set[name]["expected_mse"], of_set[name]["standard_error"]) for name in shown)
+    cells += [mse_cell(*each) for each in errors]
     interval = [best["gain_of_means_low"], best["gain_of_means_high"]]
     is_known = best["gain_of_means"] is not None
     cells.append(percent_cell(best["gain_of_means"], interval) if is_known else Cell(""))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.analysis.stored_run import found_sets, problem_of
+from pfdist.analysis.stored_run import copies_of, found_sets, problem_of
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.about_run import citation, computed, problem, tables
 from pfdist.answers.bound import proof
@@ -16,6 +16,7 @@ from pfdist.answers.subject import (
     Subject,
     effect,
     exact_effect,
+    mse_cell,
     number_of,
     percent_cell,
     sets_table,
@@ -23,7 +24,6 @@ from pfdist.answers.subject import (
 from pfdist.answers.why import worth
 from pfdist.common.percent import (
     NO_LIMITS,
-    cost,
     gap_sentence,
     heavy_tail_warning,
     particle_loss_text,
@@ -159,7 +159,7 @@ def answer(subject: Subject) -> Section | None:
     """The gain of the best set in sentences, and its times."""
     if not subject.found_results:
         return None
-    names = [subject.best] if subject.is_compared else list(subject.found_results)
+    names = subject.summary.by_error[:1] if subject.is_compared else [*subject.found_results]
     blocks = [block for name in names for block in _answer(subject, name)]
     return Section("The answer", [*blocks, Figures(["times"])])
 
@@ -173,7 +173,7 @@ def _answer(subject: Subject, name: str) -> Iterator[Block]:
         others = len(subject.found_results) - 1
         if others:
             best = f"These are the times of the search {name}, the best of {others + 1} sets"
-            yield Text(f"{best} {_BY_EXACT_ERRORS if subject.is_exact else _LOOKS_BETTER}")
+            yield Text(f"{best} {_BY_EXACT_ERRORS if subject.summary.is_exact else _LOOKS_BETTER}")
     at = f"{'t = ' if times else 'no time'}{subject.listed(times)}"
     if subject.is_compared:
         yield Text(f"Measure at {at}.")
@@ -202,7 +202,7 @@ def _gain(subject: Subject, name: str) -> str:
         mean, _ = effect(gain, result.gain_of_means_interval, "the mean over the scenarios")
         return f"{these} {worst} It {mean}."
     lowers, left_open = effect(gain, result.gain_of_means_interval)
-    measured = _MEASURED if subject.is_exact else ""
+    measured = _MEASURED if subject.summary.is_exact else ""
     sentences = (f"{these} {lowers}.", measured, f"In {share}, the error is lower.", left_open)
     return " ".join(filter(None, sentences))
 
@@ -246,16 +246,11 @@ def gains(subject: Subject) -> Section | None:
 
 
 def _gains_row(name: str, result: SetResult) -> list[Cell]:
-    mse = cost(result.expected_mse)
-    cells = [Cell(name), Cell(with_error(mse, result.standard_error), mse)]
-    if result.gain_draws is None:  # the reference
-        return [*cells, *[Cell("")] * 3]
-    return [
-        *cells,
-        percent_cell(result.gain_of_means, result.gain_of_means_interval),
-        percent_cell(result.positive_fraction, result.positive_fraction_interval),
-        percent_cell(result.mean_relative_gain, result.mean_relative_gain_interval),
-    ]
+    cells = [Cell(name), mse_cell(result.expected_mse, result.standard_error)]
+    for gain in ("gain_of_means", "positive_fraction", "mean_relative_gain"):
+        is_reference, interval = result.gain_draws is None, getattr(result, f"{gain}_interval")
+        cells.append(Cell("") if is_reference else percent_cell(getattr(result, gain), interval))
+    return cells
 
 
 def _degenerate(subject: Subject) -> list[Text]:
@@ -269,11 +264,9 @@ def _degenerate(subject: Subject) -> list[Text]:
 
 def _broken(subject: Subject) -> Iterator[Text]:
     for name, result in subject.results.items():
+        times = f"The times of {name} break" if name in subject.others else "The reference breaks"
         for constraint in result.broken_constraints:
-            breaks = (
-                f"The times of {name} break" if name in subject.others else "The reference breaks"
-            )
-            yield Text(f"{breaks} a constraint of the job. {constraint}.")
+            yield Text(f"{times} a constraint of the job. {constraint}.")
 
 
 def _details(subject: Subject, name: str) -> Facts:
@@ -317,26 +310,17 @@ def _why_gains_disagree(subject: Subject) -> str:
 
 def searches(subject: Subject) -> Section | None:
     """The method of each search, how many sets it evaluated, and what it believed of its set."""
-    job, evaluated = subject.run.job["search"], _evaluated(subject)
-    if not evaluated:
+    job, copies = subject.run.job["search"], copies_of(subject.run)
+    if not copies:
         return None
-    rows = [_search_row(subject, search, evaluated.get(search["name"], 0)) for search in job]
-    meaning = Text(_EXACT_SEARCHES if subject.is_exact else _SEARCHES, detail=True)
+    rows = [_search_row(subject, search, sum(copies.get(search["name"], ()))) for search in job]
+    meaning = Text(_EXACT_SEARCHES if subject.summary.is_exact else _SEARCHES, detail=True)
     table = Table(
         "Searches", _SEARCHES_HEAD, rows, detail=True,
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
     )  # fmt: skip
     blocks: list[Block] = [without_empty_columns(table), meaning, Figures(["cost"])]
     return Section("How the times were found", blocks)
-
-
-def _evaluated(subject: Subject) -> dict[str, int]:
-    """Number of sets that each search has evaluated, in all its phases."""
-    if "evaluations" not in subject.run.tables:
-        return {}
-    rows = subject.run.table("evaluations")
-    names = rows["phase"].astype(str).str.partition(".")[0]
-    return {str(name): int(count) for name, count in rows.groupby(names)["copies"].sum().items()}
 
 
 def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list[Cell]:
@@ -351,7 +335,7 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
         return [*cells, Cell(""), Cell(""), Cell("")]
     believed = with_error(result.search_cost, result.search_standard_error)
     cells.append(Cell(believed, result.search_cost))
-    if subject.is_exact:
+    if subject.summary.is_exact:
         return [*cells, Cell(""), Cell("exact")]
     excess = result.search_excess
     settings = ", ".join(f"{key} = {value}" for key, value in result.search_estimation.items())

@@ -1,6 +1,5 @@
 """Many runs in a table, and a list of the runs in a folder."""
 
-import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
@@ -8,27 +7,19 @@ from typing import Any
 import pandas as pd
 
 from pfdist.analysis.listed_run import FINISHED
+from pfdist.analysis.studies import is_numeric
 from pfdist.analysis.table_cells import formatted_gain, formatted_mse, formatted_value, keys_of
 from pfdist.common.dotted_keys import short_names
 from pfdist.common.formatted_times import formatted_age, formatted_seconds, formatted_size
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
 from pfdist.documents.parts import Cell, Page, Section, Table, Text
+from pfdist.errors import one_line
 from pfdist.job.sweep import parts_that_pay
 
-_LEFT_OUT = ("state", "billion steps")
 
-
-def table_page(frame: pd.DataFrame, line: str = "") -> Page:
-    """A table of runs: what differs between them, and what they found.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        As `pfdist.table` gives it.
-    line : str
-        Above the table.
-    """
+def table_page(frame: pd.DataFrame) -> Page:
+    """A table of runs, as `pfdist.table` gives it: what differs, and what the runs found."""
     keys = keys_of(frame)
     short = short_names(keys)
     head = ["run", *(short[key] for key in keys), "set", "expected MSE", "gain %", "seconds"]
@@ -40,7 +31,7 @@ def table_page(frame: pd.DataFrame, line: str = "") -> Page:
     references = sorted(set(frame["reference"].dropna().astype(str)))
     other = references[0] if len(references) == 1 else "the reference"
     gain = Text(f"gain %: how far the expected MSE is below that of {other} (95 %)")
-    return Page("", line, [Section("", [table, *([gain] if references else [])])])
+    return Page("", "", [Section("", [table, *([gain] if references else [])])])
 
 
 def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
@@ -49,7 +40,7 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
     seconds = row["worker_seconds"]
     return [
         Cell(str(row["run"])),
-        *(Cell(formatted_value(row[key]), _number(row[key])) for key in keys),
+        *(value_cell(row[key]) for key in keys),
         Cell(formatted_value(row["set"])),
         Cell(formatted_mse(row) or state),
         Cell(formatted_gain(row)),
@@ -57,9 +48,9 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
     ]
 
 
-def _number(value: Any) -> float | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if is_number and not math.isnan(value) else None
+def value_cell(value: Any) -> Cell:
+    """The value of a key of a job."""
+    return Cell(one_line(formatted_value(value)), value if is_numeric([value]) else None)
 
 
 def list_page(frame: pd.DataFrame, folder: str) -> Page:
@@ -75,16 +66,11 @@ def list_page(frame: pd.DataFrame, folder: str) -> Page:
     if frame.empty:
         return Page("", f"{folder}: no runs", [])
     now = datetime.now(UTC)
-    rows = [
-        [
-            Cell(row["run"]),
-            Cell(row["state"]),
-            Cell(formatted_age((now - row["changed"]).total_seconds())),
-            Cell(formatted_size(row["bytes"])),
-            Cell(_result(row)),
-        ]
-        for row in frame.to_dict("records")
-    ]
+    rows = []
+    for row in frame.to_dict("records"):
+        age = formatted_age((now - row["changed"]).total_seconds())
+        texts = row["run"], row["state"], age, formatted_size(row["bytes"]), _result(row)
+        rows.append([*map(Cell, texts)])
     head = ("run", "state", "age", "size", "found")
     return Page("", folder, [Section("", [Table("", head, rows, optional=["age", "size"])])])
 

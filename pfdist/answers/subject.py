@@ -1,6 +1,6 @@
 """The run that a report is about, and phrases that several sections use."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -12,8 +12,8 @@ from pfdist.analysis.reference import label
 from pfdist.analysis.stored_run import problem_of
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
-from pfdist.common.percent import percent, range_of, times_100
-from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.percent import cost, percent, range_of, times_100
+from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.documents.parts import Cell, Table, Text
 from pfdist.errors import one_line
 
@@ -46,21 +46,10 @@ class Subject:
         return self.summary.results
 
     @property
-    def problem(self) -> Mapping[str, Any]:
-        """The section [problem] of the job."""
-        problem: Mapping[str, Any] = self.run.job["problem"]
-        return problem
-
-    @property
     def model_name(self) -> str:
         """The name that the model gives itself; in an older run, the name that the job gives."""
         own_name = read_recorded(self.run.path)[0]["provenance"].get("name_of_model")
         return one_line(own_name or without_folder(self.run.job["model"]["name"]))
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the engine knows expected errors without draws."""
-        return self.summary.is_exact
 
     @property
     def is_compared(self) -> bool:
@@ -75,38 +64,23 @@ class Subject:
     @property
     def others(self) -> dict[str, SetResult]:
         """Results of all sets but the reference."""
-        names = list(self.results)
-        return {name: self.results[name] for name in names[1:]}
-
-    @property
-    def best(self) -> str:
-        """Name of the found set with the least expected MSE: exact, or on the compared draws."""
-        return self.by_error[0]
-
-    @property
-    def by_error(self) -> list[str]:
-        """Names of the found sets, the best first; of all sets in a run without a search."""
-        return self.summary.by_error
+        return dict([*self.results.items()][1:])
 
     @property
     def shown(self) -> list[str]:
         """Names of the sets that have figures in a report: some of the best."""
-        return [name for name in self.by_error if name in self.others][:MOST_SETS]
+        return [name for name in self.summary.by_error if name in self.others][:MOST_SETS]
 
     @property
     def about_others(self) -> list[Text]:
         """Say where the figures of the other sets are."""
         others = len(self.others) - len(self.shown)
-        if not others:
-            return []
-        adjective = "found " if self.found_results else ""
-        shown = number_of(len(self.shown), f"{adjective}set")
-        return [
-            Text(
-                f"Figures are shown of {shown} with the least expected error. Those of the other "
-                f"{number_of(others, 'set')} are in the folder figures of the run."
-            )
-        ]
+        shown = number_of(len(self.shown), "found set" if self.found_results else "set")
+        text = (
+            f"Figures are shown of {shown} with the least expected error. Those of the other "
+            f"{number_of(others, 'set')} are in the folder figures of the run."
+        )
+        return [Text(text)] if others else []
 
     def reaching(self, target: float) -> dict[str, dict[str, Any]]:
         """How many measurements reach an expected MSE; see `pfdist.analysis.reaching`."""
@@ -141,19 +115,6 @@ class Subject:
         return formatted_times(times, self.unit)
 
 
-def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, str]:
-    """A fraction in per cent, and its 95 % interval, as two texts.
-
-    Parameters
-    ----------
-    fraction : float
-    interval : list of float
-        Lower and upper end.
-    """
-    value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
-    return f"{value} %", f"{low} to {high} %"
-
-
 def effect(
     gain: float, interval: Sequence[float | None], what: str = "the expected error"
 ) -> tuple[str, str]:
@@ -186,8 +147,8 @@ def effect(
         phrase = f"{changes} {what} by {value} %"
         return phrase, "There are too few draws to say how exact this figure is."
     ends = [low, high] if gain >= 0 else [-high, -low]
-    value, low_to_high = percent_and_interval(abs(gain), ends)
-    phrase = f"{changes} {what} by {value} (95 %: {low_to_high})"
+    value, least, most = with_interval(*(100 * part for part in (abs(gain), *ends)))
+    phrase = f"{changes} {what} by {value} % (95 %: {least} to {most} %)"
     open_ = "The interval contains 0, so these draws do not tell which times are better."
     return phrase, open_ if low <= 0.0 <= high else ""
 
@@ -210,6 +171,12 @@ def exact_effect(mse: float, reference: float, what: str = "the expected error")
     change = percent(abs(1 - mse / reference))
     ends = f"from {rounded(reference)} to {rounded(mse)}"
     return f"{changes} {what} by {change}, {ends}: the filter knows both exactly"
+
+
+def mse_cell(expected_mse: float | None, error: float | None) -> Cell:
+    """A cell with an expected MSE and its standard error; None stands for an infinite value."""
+    mse = cost(expected_mse)
+    return Cell(with_error(mse, error), mse)
 
 
 def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:

@@ -21,6 +21,7 @@ from pfdist.analysis.studies import (
 )
 from pfdist.analysis.table_cells import formatted_gain, formatted_mse, formatted_value, is_missing
 from pfdist.answers.pictures import picture
+from pfdist.answers.runs import value_cell
 from pfdist.answers.subject import number_of
 from pfdist.answers.sweep_subject import Point, SweepSubject
 from pfdist.common.formatted_times import (
@@ -60,6 +61,11 @@ _SEEDS = (
     "Each seed has draws of its own. So the interval of a mean, by Student's t over the seeds, "
     "holds the chance of the search and that of the draws together."
 )
+_BARS = "Bars are the 95 % intervals of each run."
+_BARS_OF_MEANS = (
+    "Small points are the runs of single seeds. Lines and cells show the means over the seeds, and "
+    "bars are 95 % intervals of the means, by Student's t."
+)
 _LINES = "A result of all points against a key of their jobs, with 95 % intervals."
 _MAP = "A result of all points as a heat map over two keys of their jobs."
 _TIMES = "The found times of all points, a row for each run and set."
@@ -92,7 +98,7 @@ def means(subject: SweepSubject) -> Section | None:
     gain_of = {each.point: each for each in gains}
     rows = [
         [
-            *(map(_value, each.point) if each.point else [Cell("all")]),
+            *(map(value_cell, each.point) if each.point else [Cell("all")]),
             Cell(str(len(each.replicates)), len(each.replicates)),
             _interval_cell(each),
             Cell(f"{rounded(min(each.replicates), 4)} to {rounded(max(each.replicates), 4)}"),
@@ -129,9 +135,9 @@ def points(subject: SweepSubject) -> Section:
         blocks.append(Text(f"{links} {seconds}".strip()))
         blocks.append(without_empty_columns(Table("All points", head, rows)))
     damaged = [
-        [Cell(point.name, None, point.link, _linked(point)), Cell(f"{DAMAGED}: {point.fault}")]
+        [Cell(point.name, None, point.link, _linked(point)), Cell(f"{DAMAGED}: {fault}")]
         for point in subject.points
-        if point.state == DAMAGED
+        if (fault := point.listed.fault) is not None
     ]
     if damaged:
         blocks.append(Table("Points that cannot be read", ["point", "why"], damaged))
@@ -147,7 +153,9 @@ def figures(subject: SweepSubject) -> Section | None:
         blocks += _heat_map(subject)
     title = "How the results depend on the keys" if blocks else "What was found"
     if blocks:
-        blocks.insert(0, Text(_said_of_intervals(subject)))
+        points = averages(frame, subject.columns, "expected_mse")
+        has_seeds = any(len(each.replicates) > 1 for each in points)
+        blocks.insert(0, Text(_BARS_OF_MEANS if has_seeds else _BARS))
     if frame["measurement_times"].notna().any():
         blocks.append(_found_times(subject))
     return Section(title, blocks) if blocks else None
@@ -156,7 +164,7 @@ def figures(subject: SweepSubject) -> Section | None:
 def computed(subject: SweepSubject) -> Section:
     """Say how many points are finished, how long all took, and with which versions."""
     per_run = subject.frame.drop_duplicates("path")["worker_seconds"]
-    states = dict.fromkeys([FINISHED, *(point.state for point in subject.points)])
+    states = dict.fromkeys([FINISHED, *(point.listed.state for point in subject.points)])
     versions = dict.fromkeys(version_of(run) for run in subject.runs)
     facts = [
         ("points", f"{len(subject.points):,}"),
@@ -192,29 +200,25 @@ def _best(subject: SweepSubject, value: str, superlative: str, result: str) -> s
     if seeds > 1 and not subject.columns:  # the seeds alone differ: there is nothing to choose
         return f"The {result} is {estimate}"
     text = f"The {superlative} {result} is that of {point}: {estimate}"
-    rivals = sum(_overlap(best, other) for other in others)
+    rivals = sum(other.low <= best.high and best.low <= other.high for other in others)
     if rivals:
         number = f"{rivals:,} of the {len(others):,}" if rivals < len(others) else f"all {rivals:,}"
         text += f" The intervals of {number} others overlap this interval."
     return text
 
 
-def _overlap(best: Average, other: Average) -> bool:
-    return other.low <= best.high and best.low <= other.high
-
-
 def _row(subject: SweepSubject, keys: list[str], row: Row) -> list[Cell]:
     point = subject.by_path[row["path"]]
-    cells = [_value(row[key]) for key in keys] or [Cell(point.name)]
+    cells = [value_cell(row[key]) for key in keys] or [Cell(point.name)]
     cells[0] = Cell(cells[0].text or "none", cells[0].value, point.link, _linked(point))
-    is_finished = all(each.state in (FINISHED, DAMAGED) for each in subject.points)
+    is_finished = all(each.listed.state in (FINISHED, DAMAGED) for each in subject.points)
     mse, gain = row["expected_mse"], row[GAIN]
     times = row["measurement_times"]
     unit = subject.frame.attrs.get("time_unit", "")
     return [
         *cells,
         Cell(formatted_value(row[SET])),
-        Cell("" if is_finished else point.state),
+        Cell("" if is_finished else point.listed.state),
         Cell(formatted_mse(row), None if is_missing(mse) else mse),
         Cell(formatted_gain(row), None if is_missing(gain) else gain),
         Cell(formatted_seconds(row["worker_seconds"]), row["worker_seconds"]),
@@ -224,23 +228,6 @@ def _row(subject: SweepSubject, keys: list[str], row: Row) -> list[Cell]:
 
 def _linked(point: Point) -> str:
     return f"report of {point.name}"
-
-
-def _value(value: Any) -> Cell:
-    return Cell(one_line(formatted_value(value)), value if is_numeric([value]) else None)
-
-
-def _said_of_intervals(subject: SweepSubject) -> str:
-    several = any(
-        len(each.replicates) > 1
-        for each in averages(subject.frame, subject.columns, "expected_mse")
-    )
-    if several:
-        return (
-            "Small points are the runs of single seeds. Lines and cells show the means over the "
-            "seeds, and bars are 95 % intervals of the means, by Student's t."
-        )
-    return "Bars are the 95 % intervals of each run."
 
 
 def _against(subject: SweepSubject, key: str) -> Picture:
@@ -264,19 +251,16 @@ def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) ->
     name, order = subject.short[key], [v for v in values_of(subject.frame, key) if v in least]
     if not order:
         return f"Expected MSE against {name}."
-    if subject.numeric(key) and len(order) > 1:
+    if is_numeric(values_of(subject.frame, key)) and len(order) > 1:
         first, last = (formatted_value(order[end]) for end in (0, -1))
-        start, end = (_number(least[order[end]]) for end in (0, -1))
+        ends = (least[order[end]] for end in (0, -1))
+        start, end = (with_interval(each.mean, each.low, each.high)[0] for each in ends)
         change = f"stays at {start}" if start == end else f"goes from {start} to {end}"
         text = f"From {name} = {first} to {last}, the lowest expected MSE {change}"
     else:
         best = min(order, key=lambda value: least[value].mean)
         text = f"The lowest expected MSE is that of {subject.phrase([key], [best])}"
     return f"{text}{_held_phrase(subject, held)}."
-
-
-def _number(average: Average) -> str:
-    return with_interval(average.mean, average.low, average.high)[0]
 
 
 def _held_phrase(subject: SweepSubject, held: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from pfdist.analysis.studies import (
     averages,
     formatted_point,
     in_order,
-    is_numeric,
     selected,
     still_varying,
     values_of,
@@ -45,19 +44,11 @@ class Point:
     ----------
     path : Path
     listed : ListedRun
-        How far it is.
-    fault : str
-        Why it cannot be read; empty if it can.
+        How far it is, as `pfdist.list_runs` says it; damaged if a table cannot be read.
     """
 
     path: Path
     listed: ListedRun
-    fault: str = ""
-
-    @property
-    def state(self) -> str:
-        """How far it is, as `pfdist.list_runs` says it; damaged if a table cannot be read."""
-        return DAMAGED if self.fault else self.listed.state
 
     @property
     def name(self) -> str:
@@ -95,12 +86,7 @@ class SweepSubject:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        folders = list(runs_below(path, 1))
-        listed = [listed_run(folder, folder.name) for folder in folders]
-        self.points = [
-            Point(folder, line, line.fault or "")
-            for folder, line in zip(folders, listed, strict=True)
-        ]
+        self.points = [Point(each, listed_run(each, each.name)) for each in runs_below(path, 1)]
         self.runs, self.frame = self._read()
         self.judged_fault = ""
         try:
@@ -149,7 +135,7 @@ class SweepSubject:
 
     def count(self, state: str) -> int:
         """The number of points in a state."""
-        return sum(point.state == state for point in self.points)
+        return sum(point.listed.state == state for point in self.points)
 
     def ranked(self, value: str, *, is_best_low: bool) -> list[Average]:
         """The averages over seeds of a result that are known and finite, the best first."""
@@ -193,10 +179,6 @@ class SweepSubject:
             frame = selected(self.frame, held)
         return frame, held
 
-    def numeric(self, name: str) -> bool:
-        """Whether all values of a column are numbers."""
-        return is_numeric(values_of(self.frame, name))
-
     def _read_judged(self) -> pd.DataFrame:
         """Read the finished comparisons of finished points; if points were added, the latest."""
         runs = {run.path.name: run for run in self.runs if run.state == FINISHED}
@@ -213,25 +195,25 @@ class SweepSubject:
 
     def _read(self) -> tuple[list[Run], pd.DataFrame]:
         """Read all runs; those that cannot be read become damaged points."""
-        runs = [open_run(point.path) for point in self.points if not point.fault]
         try:
-            return runs, _table(runs)
+            return self._read_points()
         except Exception:  # a report of many runs must not fail because of one of them
-            self.points = [point if point.fault else _tried(point) for point in self.points]
-            runs = [open_run(point.path) for point in self.points if not point.fault]
-            return runs, _table(runs)
+            self.points = [_tried(point) for point in self.points]
+            return self._read_points()
 
-
-def _table(runs: Sequence[Run]) -> pd.DataFrame:
-    return runs_table(runs) if runs else pd.DataFrame(columns=["run", *RESULTS])
+    def _read_points(self) -> tuple[list[Run], pd.DataFrame]:
+        runs = [open_run(point.path) for point in self.points if point.listed.fault is None]
+        return runs, runs_table(runs) if runs else pd.DataFrame(columns=["run", *RESULTS])
 
 
 def _tried(point: Point) -> Point:
     """A point with the reason why it cannot be read, if it cannot."""
     try:
-        runs_table([open_run(point.path)])
+        if point.listed.fault is None:
+            runs_table([open_run(point.path)])
     except Exception as error:
-        return Point(point.path, point.listed, _reason(error).replace(f"{point.path}/", ""))
+        fault = _reason(error).replace(f"{point.path}/", "")
+        return replace(point, listed=replace(point.listed, state=DAMAGED, fault=fault))
     return point
 
 

@@ -98,11 +98,7 @@ def _of_set(
         return blocks
     levels = (windows_of(rows, STRICT), windows_of(rows, WIDE))
     cells = [
-        [
-            Cell(formatted_time(strict.measurement), strict.t),
-            Cell(strict.text),
-            Cell(wide.text),
-        ]
+        [Cell(formatted_time(strict.measurement), strict.t), Cell(strict.text), Cell(wide.text)]
         for strict, wide in zip(*levels, strict=True)
     ]
     table = Table(f"Sampling windows, times of {name}", _WINDOWS_HEAD, cells, detail)

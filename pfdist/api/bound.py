@@ -22,7 +22,6 @@ from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
 from pfdist.runner.door import Session, complete
 from pfdist.runner.prover import Look, Prover
-from pfdist.times.clock import Clock
 
 _DEFAULT = BoundSettings()
 
@@ -57,6 +56,8 @@ class Bound(Shown):
     shares : tuple of float
         Shares of the scenarios on the draws of the bound, if the worst scenario decides; else
         empty.
+    within : float or None
+        The limit of the gaps that was demanded.
     """
 
     run: Path
@@ -73,21 +74,21 @@ class Bound(Shown):
     leaves_out_limits: bool = False
     has_scenarios: bool = False
     shares: tuple[float, ...] = ()
+    within: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
-        apart = ("run", "gaps", "losses")
+        apart = ("run", "gaps", "losses", "within")
         own = {key: value for key, value in vars(self).items() if key not in apart}
         sets = {gap.name: gap.columns() for gap in self.gaps}
         for row in sets.values():
             del row["name"]
         for name, loss in self.losses.items():
             sets[name] |= loss.columns() | {"warning": loss.warning}
-        answer: dict[str, Any] = finite({"run": str(self.run), **own, "sets": sets})
-        return answer
+        return finite({"run": str(self.run), **own, "sets": sets})
 
     def _page(self) -> Page:
-        return bound_page(self.as_json())
+        return bound_page(self.as_json(), self.within)
 
 
 @with_options
@@ -144,7 +145,7 @@ def bound(
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
         check_pool(built.job.execution)
-        prover, within = _prover(built, settings), settings.within
+        prover, within, clock = _prover(built, settings), settings.within, built.job.problem.clock
         with own_store(proved, built, tell) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
@@ -168,20 +169,21 @@ def bound(
         look.draws,
         prover.confidence,
         None if within is None else look.is_within(within, built.unjudged),
-        [_on_clock(gap, built.job.problem.clock) for gap in look.gaps],
+        [
+            replace(
+                gap,
+                measurement_times=tuple(clock.written_of(gap.measurement_times)),
+                path=tuple(clock.written_of(gap.path)),
+            )
+            for gap in look.gaps
+        ],
         particle_losses_of(proved),
         built.job.problem.is_constrained,
         bool(built.feasible.limits),
         built.job.scenarios is not None,
         prover.shares,
+        within,
     )
-
-
-def _on_clock(gap: Gap, clock: Clock) -> Gap:
-    """A gap with times on the clock in the place of instants."""
-    times: Any = tuple(clock.written_of(gap.measurement_times))
-    path: Any = tuple(clock.written_of(gap.path))
-    return replace(gap, measurement_times=times, path=path)
 
 
 def _prover(built: Built, settings: BoundSettings) -> Prover:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from pfdist.analysis import Run
-from pfdist.api.options import Options, with_options
+from pfdist.api.options import MOST_DRAWS, Options, with_options
 from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import number_argument, whole_argument
@@ -15,7 +15,6 @@ from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 DRAWS = 4000
-MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
 @with_options

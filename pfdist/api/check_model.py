@@ -7,7 +7,7 @@ from typing import TypeGuard
 
 import pandas as pd
 
-from pfdist.checks.model import Check, check_object
+from pfdist.checks.model import Check, check_loaded
 from pfdist.checks.model import check_model as check_named
 from pfdist.common.arguments import whole_argument
 from pfdist.errors import ArgumentError, ModelError, shown
@@ -16,7 +16,6 @@ from pfdist.job.problem import Problem
 from pfdist.job.source import JobSource, as_job
 from pfdist.models import PYTHON, CarriedModel, StateSpaceModel, carried
 from pfdist.runner.build import models_of
-from pfdist.times.clock import Time
 
 HORIZON, PARTICLES = 60, 500
 MOST_INSTANTS, MOST_PARTICLES = 32_000, 10_000_000
@@ -77,16 +76,12 @@ def checks_of(
         As `check_model` raises; and if times are given with a job.
     """
     job = as_job(model) if _is_job(model) else None
-    own = (HORIZON, PARTICLES)
-    if job is not None:
-        own = (
-            job.problem.feasible.horizon,
-            PARTICLES if job.filter.is_automatic else job.filter.particles,
-        )
-    instants = whole_argument("horizon", own[0] if horizon is None else horizon, 1, MOST_INSTANTS)
-    count = whole_argument(
-        "particles", own[1] if particles is None else particles, 1, MOST_PARTICLES
-    )
+    if horizon is None:
+        horizon = job.problem.feasible.horizon if job else HORIZON
+    if particles is None:
+        particles = job.filter.particles if job and not job.filter.is_automatic else PARTICLES
+    instants = whole_argument("horizon", horizon, 1, MOST_INSTANTS)
+    count = whole_argument("particles", particles, 1, MOST_PARTICLES)
     if job is not None:
         if times:
             raise ArgumentError("a job has a clock of its own, got times, too", argument="times")
@@ -94,7 +89,7 @@ def checks_of(
     if isinstance(model, str):
         return check_named(model, instants, count, times=times)
     if isinstance(model, StateSpaceModel):
-        return _checks_of_object(model, instants, count)
+        return check_loaded(lambda: carried(model, f"{PYTHON}{model.name}").model, instants, count)
     raise ArgumentError(
         "a model must be a StateSpaceModel, the name of a model, a problem or a job, got "
         f"{shown(model)}",
@@ -114,30 +109,17 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
     except ModelError as error:
         yield Check("load", "wrong", str(error))
         return
-    clock = job.problem.clock.times if job.problem.has_clock else ()
-    yield from _checks_of(model, horizon, particles, clock)
+    clock = job.problem.clock if job.problem.has_clock else None
+    if clock is not None:
+        horizon = min(horizon, clock.horizon)
+
+    def checks(carried: CarriedModel) -> Iterator[Check]:
+        def load() -> StateSpaceModel:
+            return carried.model if clock is None else carried.model.on_clock(clock.times)
+
+        return check_loaded(load, horizon, particles)
+
+    yield from checks(model)
     if filter_model.key != model.key:
-        for check in _checks_of(filter_model, horizon, particles, clock):
+        for check in checks(filter_model):
             yield replace(check, name=f"filter: {check.name}")
-
-
-def _checks_of_object(model: StateSpaceModel, horizon: int, particles: int) -> Iterator[Check]:
-    try:
-        carried(model, f"{PYTHON}{model.name}")
-    except ModelError as error:
-        yield Check("load", "wrong", str(error))
-    else:
-        yield from check_object(model, horizon, particles)
-
-
-def _checks_of(
-    model: CarriedModel, horizon: int, particles: int, clock: Sequence[Time]
-) -> Iterator[Check]:
-    try:
-        loaded = model.model
-        if clock:
-            loaded, horizon = loaded.on_clock(clock), min(horizon, len(clock) - 1)
-    except ModelError as error:
-        yield Check("load", "wrong", str(error))
-    else:
-        yield from check_object(loaded, horizon, particles)

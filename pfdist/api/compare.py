@@ -8,19 +8,19 @@ from typing import Any, Unpack
 
 from pfdist.analysis import Run, read_recorded
 from pfdist.analysis.stored_run import check_one_number, problem_of
+from pfdist.api.evaluate import OneSet, instants_of
 from pfdist.api.options import Chosen, Options, following, with_options
-from pfdist.api.run import Ending, run_built
+from pfdist.api.run import run_built
 from pfdist.api.run_of_job import finished_run, folder_of
-from pfdist.errors import JobError, MeasurementTimesError, shown
+from pfdist.errors import JobError, shown
 from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.identity import changed_fingerprints
-from pfdist.times.clock import Clock, Time
+from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import REGULAR, Times
-from pfdist.times.written import validated_instants
 
 _STRANGE = re.compile(r"[^a-z0-9]+")
 _SAME = 1e-9  # times that differ by so little are the same
@@ -89,7 +89,7 @@ class SetsToCompare:
                 continue
             self._add(self._free_name(name, instants, run), instants)
 
-    def add_times(self, times: Mapping[str, Iterable[Time | str] | str]) -> None:
+    def add_times(self, times: Mapping[str, OneSet]) -> None:
         """Add sets that a user names.
 
         Raises
@@ -112,9 +112,7 @@ class SetsToCompare:
                     f"{', '.join(self._written)}, got {name!r}",
                     argument="times",
                 )
-            instants = self._regular
-            if not (isinstance(written, str) and written == REGULAR):
-                instants = self._read(name, written)
+            instants = instants_of(self._job, name, written)
             if name in RESERVED and not (name == REGULAR and instants == self._regular):
                 raise JobError(
                     f"names of times must not be {', '.join(map(repr, RESERVED))}, got {name!r}; "
@@ -122,20 +120,6 @@ class SetsToCompare:
                     argument="times",
                 )
             self._add(name, instants)
-
-    def _read(self, name: str, written: Iterable[Time | str] | str) -> Times:
-        if not isinstance(written, Iterable):
-            raise JobError(
-                f"times of {name} must be a list of times, or a text as '0:60:3', got "
-                f"{shown(written)}",
-                argument="times",
-            )
-        place = f"times of {name}"
-        try:
-            return validated_instants(written, self._clock, place, place)
-        except MeasurementTimesError as error:
-            error.argument = "times"
-            raise
 
     def job(self) -> Job:
         """The job that compares the sets, without a search.
@@ -187,13 +171,7 @@ class SetsToCompare:
     def _check_clock(self, run: Run) -> None:
         own, first = problem_of(run).clock, self._clock
         must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
-        if own.sensors != first.sensors:
-            raise JobError(
-                f"sets of all runs must have the sensors of the first problem, "
-                f"{', '.join(first.sensors) or 'none'}, got {', '.join(own.sensors) or 'none'} "
-                f"({run.path})"
-            )
-        if (own.counts, own.unit) != (first.counts, first.unit):
+        if (own.counts, own.unit, own.sensors) != (first.counts, first.unit, first.sensors):
             raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
@@ -228,22 +206,19 @@ def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
 
 
 def _counted(clock: Clock) -> str:
-    if clock.counts:
-        return "counts instants"
-    return f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
+    text = f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"
+    text = "counts instants" if clock.counts else text
+    return text + f" and has the sensors {', '.join(clock.sensors)}" * bool(clock.sensors)
 
 
 # --- the comparison -------------------------------------------------------------------------------
-
-Written = Iterable[Time | str] | str
-"""Times as a user writes them, for instance [0, 3, 6] or "0:60:3"; "regular": regular times."""
 
 
 @with_options
 def compare(
     job: JobSource,
     *runs: Run | str | Path,
-    times: Mapping[str, Written] | None = None,
+    times: Mapping[str, OneSet] | None = None,
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),
@@ -304,8 +279,7 @@ def compare(
         built = build(compared)
         for sentence in [*sets.differences, *_other_models(opened, built)]:
             tell(sentence)
-        ending = Ending(chosen.figures, chosen.has_report)
-        return run_built(built, path, ending, show, tell)
+        return run_built(built, path, chosen, show, tell)
 
 
 def _other_models(runs: Iterable[Run], built: Built) -> list[str]:

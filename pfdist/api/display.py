@@ -2,8 +2,8 @@
 
 import sys
 import time
+from collections.abc import Callable
 from html import escape
-from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
@@ -23,27 +23,6 @@ from pfdist.runner.progress import Progress as State
 from pfdist.runner.progress import SetGain
 
 
-class NotebookCell:
-    """A line below the cell that runs now.
-
-    Parameters
-    ----------
-    display : callable
-        As of `IPython.display.display`.
-    """
-
-    def __init__(self, display: Any) -> None:
-        self._handle = display(_Line(""), display_id=True)
-
-    def show(self, line: str) -> None:
-        """Write the line anew."""
-        self._handle.update(_Line(line))
-
-    def close(self) -> None:
-        """Remove the line."""
-        self._handle.update(_Line(""))
-
-
 class _Line:
     def __init__(self, text: str) -> None:
         self._text = text
@@ -55,15 +34,16 @@ class _Line:
         return f"<code>{escape(self._text)}</code>" if self._text else ""
 
 
-def notebook_cell() -> NotebookCell | None:
-    """The cell that runs now; None outside a notebook."""
+def notebook_line() -> Callable[[str], Any] | None:
+    """A function that writes a line anew below the cell that runs now; None outside a notebook."""
     ipython = sys.modules.get("IPython")  # a notebook has loaded it
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):
         return None
     from IPython.display import display  # noqa: PLC0415
 
-    return NotebookCell(display)
+    handle: Any = display(_Line(""), display_id=True)
+    return lambda line: handle.update(_Line(line))
 
 
 # --- the display ----------------------------------------------------------------------------------
@@ -104,12 +84,10 @@ class Display:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True, highlight=False)
         self._bar = Progress(
-            *_columns(self._console.width >= WIDE),
-            console=self._console,
-            transient=True,
+            *_columns(self._console.width >= WIDE), console=self._console, transient=True
         )
         self._live = self._console.is_terminal
-        self._cell = notebook_cell() if console is None else None
+        self._cell = notebook_line() if console is None else None
         self._task: Any = None
         # Rates count from the first answer of a phase: before it, workers start and compile. They
         # start again if the evaluations do: a phase may filter its draws several times.
@@ -120,16 +98,11 @@ class Display:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._task is not None:
             self._bar.stop()
         if self._cell is not None:
-            self._cell.close()
+            self._cell("")
 
     def say(self, line: str) -> None:
         """Print one line."""
@@ -138,29 +111,25 @@ class Display:
     def show(self, state: State) -> None:
         """Show the progress of a run."""
         now = time.monotonic()
-        if state.phase != self._start.phase or state.evaluations < self._last:
-            self._start, self._start_time, self._answered = state, now, False
-        elif not self._answered and state.done > self._start.done:
-            self._start, self._start_time, self._answered = state, now, True
+        begins = state.phase != self._start.phase or state.evaluations < self._last
+        if begins or (not self._answered and state.done > self._start.done):
+            self._start, self._start_time, self._answered = state, now, not begins
         self._last = state.evaluations
         line = "  ".join([*_position(state), *self._rate(state, now)])
+        percent = 100 * state.done / state.total
         if self._cell is not None:
-            self._cell.show(f"{100 * state.done / state.total:.1f} %  {line}")
+            self._cell(f"{percent:.1f} %  {line}")
             return
         if self._live:
-            self._show_live(state, line)
+            if self._task is None:
+                self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
+                self._bar.start()
+            self._bar.update(self._task, completed=state.done, description=line)
             return
         finished = state.done == state.total and state.done != self._last_done
         if finished or now - self._last_time >= LINE_SECONDS:
             self._last_done, self._last_time = state.done, now
-            percent = 100 * state.done / state.total
             self.say(f"{percent:5.1f} %  {line}  {self._time_left(state, now)}")
-
-    def _show_live(self, state: State, line: str) -> None:
-        if self._task is None:
-            self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
-            self._bar.start()
-        self._bar.update(self._task, completed=state.done, description=line)
 
     def _rate(self, state: State, now: float) -> list[str]:
         """The evaluations or draws per second, if they are known."""

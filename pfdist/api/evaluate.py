@@ -1,9 +1,8 @@
 """The expected MSE of sets of measurement times, computed in this process."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from functools import partial
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
-from pfdist.times.clock import Clock, Time
+from pfdist.times.clock import Time
 from pfdist.times.measurement_times import REGULAR, Times
 from pfdist.times.written import validated_instants
 
@@ -105,70 +104,51 @@ def prepare(
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    built, policy = build(job), job.evaluation.degenerate_draws
-    evaluator, clock = built.evaluator, job.problem.clock
-    if evaluator.exact:
-        return partial(_exact, built, sets, policy, clock)
-    evaluation = Settings.from_job(built.job)
-    work = Work(
-        measurement_times=tuple(sets.values()),
-        ends=(evaluator.horizon,) * len(sets),
-        filter_streams=(stream,) * len(sets),
-        draws_stream=stream,
-        draws=(0, evaluation.draws),
-        estimation=evaluation.estimation,
-        ids=tuple(sets),
-        sensors=evaluator.sensors,
-    )
-    return partial(_estimated, built, work, policy, clock)
+    return partial(_evaluated, build(job), sets, stream)
 
 
 def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
     """The instants of a set; the error names the option, and the set if it has a name."""
     if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()
+    place = f"times of {name}" if name else "measurement_times"
     try:
-        return validated_instants(written, job.problem.clock, where=name and f"times of {name}")
+        return validated_instants(written, job.problem.clock, place, where=name and place)
     except MeasurementTimesError as error:
         error.argument = "times"
         raise
 
 
-def _exact(
-    built: Built, sets: Mapping[str, Times], policy: str, clock: Clock
-) -> dict[str, Evaluation]:
-    costs = built.exact_costs([*sets.values()])
+def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str, Evaluation]:
+    """The evaluation of each set by name, with times on the clock."""
+    evaluator, times, count = built.evaluator, tuple(sets.values()), len(sets)
+    exact, scenarios = [None] * count, None
+    if evaluator.exact:
+        exact, mse = built.exact_costs([*times]).tolist(), np.empty((count, 0))
+    else:
+        evaluation = Settings.from_job(built.job)
+        work = Work(
+            measurement_times=times,
+            ends=(evaluator.horizon,) * count,
+            filter_streams=(stream,) * count,
+            draws_stream=stream,
+            draws=(0, evaluation.draws),
+            estimation=evaluation.estimation,
+            ids=tuple(sets),
+            sensors=evaluator.sensors,
+        )
+        scenarios = evaluator.scenarios_of(stream, range(evaluation.draws))
+        pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
+        mse = np.concatenate(pieces).T.copy()
     return {
-        name: _on_clock(
-            Evaluation(times, np.empty(0), policy, float(cost), purpose="evaluate"), clock
+        name: Evaluation(
+            tuple(built.job.problem.clock.written_of(sets[name])),
+            mse_of_set,
+            built.job.evaluation.degenerate_draws,
+            cost,
+            purpose="evaluate",
+            scenarios=scenarios,
+            is_worst=built.is_worst,
         )
-        for (name, times), cost in zip(sets.items(), costs, strict=True)
+        for name, mse_of_set, cost in zip(sets, mse, exact, strict=True)
     }
-
-
-def _estimated(built: Built, work: Work, policy: str, clock: Clock) -> dict[str, Evaluation]:
-    evaluator = built.evaluator
-    scenarios = evaluator.scenarios_of(work.draws_stream, range(*work.draws))
-    pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
-    return {
-        name: _on_clock(
-            Evaluation(
-                times,
-                mse,
-                policy,
-                purpose="evaluate",
-                scenarios=scenarios,
-                is_worst=built.is_worst,
-            ),
-            clock,
-        )
-        for name, times, mse in zip(
-            work.ids, work.measurement_times, np.concatenate(pieces).T.copy(), strict=True
-        )
-    }
-
-
-def _on_clock(evaluation: Evaluation, clock: Clock) -> Evaluation:
-    """An evaluation with times on the clock in the place of instants."""
-    times: Any = tuple(clock.written_of(evaluation.measurement_times))
-    return replace(evaluation, measurement_times=times)

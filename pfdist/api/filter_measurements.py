@@ -116,8 +116,7 @@ class FilteredMeasurements(Shown):
             **({"time_unit": self.time_unit} if self.time_unit else {}),
             **{name: files.get(name) for name in ("table", "figure", "report")},
         }
-        values: dict[str, Any] = finite(answer)
-        return values
+        return finite(answer)
 
     def _page(self) -> Page:
         return filtered_answer(self.as_json())
@@ -188,7 +187,10 @@ def filter_measurements(
     files = _files(table, out)[: 3 if report else 2]
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    for file, check in zip(files, _checks(schema), strict=False):
+    check_table = partial(check_table_replaceable, schema=schema)
+    checks: Sequence[Callable[[Path], None]]
+    checks = check_table, check_figure_replaceable, check_page_replaceable
+    for file, check in zip(files, checks, strict=False):
         check(file)
     filtering = filter_of(plan.built, plan.prior)
     problem = plan.built.job.problem
@@ -235,12 +237,6 @@ def _files(measurements: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ..
     return tuple(
         folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png", "html")
     )
-
-
-def _checks(schema: pa.Schema) -> Iterable[Callable[[Path], None]]:
-    """The checks that no foreign file is replaced, for each file of the result."""
-    table = partial(check_table_replaceable, schema=schema)
-    return table, check_figure_replaceable, check_page_replaceable
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:

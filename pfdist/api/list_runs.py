@@ -53,13 +53,9 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
         The folder cannot be listed.
     """
     path = path_argument("folder", folder)
-    rows = [listed_run(run, _name(run, path)) for run in runs_below(path, _DEPTH)]
+    rows = [listed_run(run, str(run.relative_to(path))) for run in runs_below(path, _DEPTH)]
     columns = {
         name: pd.Series([getattr(row, name) for row in rows], dtype=kind)
         for name, kind in _COLUMNS.items()
     }
     return pd.DataFrame(columns)
-
-
-def _name(run: Path, folder: Path) -> str:
-    return str(run.relative_to(folder))

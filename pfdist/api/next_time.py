@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain
 from numbers import Integral, Real
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +100,7 @@ class NextTime(Shown):
             "is_improbable": self.is_improbable,
             **({"time_unit": self.time_unit} if self.time_unit else {}),
         }
-        values: dict[str, Any] = finite(answer)
-        return values
+        return finite(answer)
 
     def _page(self) -> Page:
         return next_page(self.as_json())
@@ -160,7 +160,7 @@ def next_time(
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
-    planner = Planner.of_built(plan.built, clock.written_of(plan.times), plan.prior)
+    planner = Planner(plan.built, clock.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
     start = clock.instants([planner.estimate().t])[0]
     rows = read_measurements(table, believed, clock, start)
@@ -211,7 +211,7 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     """
     surprises, clock = list[float](), planner.clock
     missed = ((t, None) for t in rows.missed)
-    instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=_t)
+    instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
     for t, y in instants:
         if y is None:
             planner.missed(clock.time(t))
@@ -220,10 +220,6 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
             surprises += [] if estimate.surprise is None else [estimate.surprise]
     surprise = min(1.0, len(surprises) * min(surprises)) if surprises else None
     return instants[-1][0] if instants else -1, surprise
-
-
-def _t(row: tuple[int, Any]) -> int:
-    return row[0]
 
 
 def _instant_now(now: Time, last: int, clock: Clock) -> int:

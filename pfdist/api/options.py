@@ -14,6 +14,7 @@ from pfdist.errors import ArgumentError
 from pfdist.runner.progress import Show
 
 Say = Callable[[str], Any]
+MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
 def silent(line: str) -> None:

@@ -1,12 +1,13 @@
 """Choose when to measure one real system next, from all that was measured so far."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.api.options import MOST_DRAWS
 from pfdist.api.planned_run import filter_of
 from pfdist.common.arguments import whole_argument
 from pfdist.common.formatted_times import formatted_time
@@ -28,7 +29,6 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.written import validated_instants
 
-MOST_DRAWS = 100_000_000
 EXPECTED_DRAWS = 2000
 """Simulated systems on which an expected MSE is estimated."""
 _FIRST_SEARCH = METHODS["survivors"].section()
@@ -45,6 +45,7 @@ class Planner:
     ----------
     job : Problem, Job, str or Path
         A problem, a job, or the path of a job file. Its section [online] says how plans are made.
+        A job that is built already is not built again.
     times : iterable of int or float, optional
         The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible
         set of the job, or of one of its measurement budgets. By default a short search finds some.
@@ -75,25 +76,29 @@ class Planner:
 
     def __init__(
         self,
-        job: JobSource,
+        job: JobSource | Built,
         times: Iterable[Time] | None = None,
         *,
         prior: Prior | ArrayLike | None = None,
         draw: int = 0,
     ) -> None:
-        built = build(as_job(job))
+        built = job if isinstance(job, Built) else build(as_job(job))
         believed, clock = built.evaluator.believed, built.job.problem.clock
-        first_prior = None if prior is None else as_prior(prior, believed, clock)
-        self._begin(built, times, first_prior, draw)
-
-    @classmethod
-    def of_built(
-        cls, built: Built, times: Iterable[Time], prior: Prior | None = None, draw: int = 0
-    ) -> "Planner":
-        """Make a planner from a job that is built already; parameters as above."""
-        planner = cls.__new__(cls)
-        planner._begin(built, times, prior, draw)
-        return planner
+        start = None if prior is None else as_prior(prior, believed, clock)
+        planning = planning_of(built.job, built.evaluator.cheapest_estimator)
+        stream = stream_of("online", built.job.seed, "planner")
+        planned = None if times is None else validated_instants(times, clock, "times", "times")
+        feasible = _feasible(built, planned)
+        self._replanner = Replanner(built.evaluator, feasible, planning, stream)
+        self._filter = filter_of(built, start, draw)
+        self._built, self._draw = built, int(draw)
+        self._now, self._taken = Now(start), ()
+        if planned is None:
+            first = replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
+            planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
+        first_left = self._now.first * feasible.sensors
+        self._plan = tuple(time for time in planned if time >= first_left)
+        self._before = tuple(time for time in planned if time < first_left)
 
     def next_time(self) -> Time | None:
         """The time to measure next; None if no measurement is left."""
@@ -181,9 +186,8 @@ class Planner:
         MeasurementsError
             The time is wrong.
         """
-        if t is None:
-            return self._on_clock(self._filter.now)
-        return self._on_clock(self._filter.predict(instant_on(self.clock, t)))
+        now = self._filter.now
+        return self._on_clock(now if t is None else self._filter.predict(instant_on(self.clock, t)))
 
     def expected(self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS) -> list[Evaluation]:
         """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
@@ -206,7 +210,7 @@ class Planner:
         first = self._now.first
         wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
         for plan in wanted:
-            if plan and plan[0] < first * self._sensors:
+            if plan and plan[0] < first * self.feasible.sensors:
                 least = formatted_time(self.clock.time(first))
                 got = formatted_time(self.clock.written(plan[0]))
                 raise MeasurementTimesError(
@@ -214,35 +218,13 @@ class Planner:
                 )
         estimation = self._built.comparing
         evaluations = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
-        times: Iterator[Any] = (tuple(self.clock.written_of(plan)) for plan in wanted)
         return [
-            replace(each, measurement_times=plan)
-            for each, plan in zip(evaluations, times, strict=True)
+            replace(each, measurement_times=tuple(self.clock.written_of(plan)))
+            for each, plan in zip(evaluations, wanted, strict=True)
         ]
-
-    def _begin(
-        self, built: Built, times: Iterable[Time] | None, prior: Prior | None, draw: int
-    ) -> None:
-        planning = planning_of(built.job, built.evaluator.cheapest_estimator)
-        stream = stream_of("online", built.job.seed, "planner")
-        clock = built.job.problem.clock
-        planned = None if times is None else validated_instants(times, clock, "times", "times")
-        feasible = _feasible(built, planned)
-        self._replanner = Replanner(built.evaluator, feasible, planning, stream)
-        self._filter = filter_of(built, prior, draw)
-        self._built, self._draw = built, int(draw)
-        self._now, self._taken = Now(prior), ()
-        if planned is None:
-            first = replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
-            planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
-        first_left = self._now.first * self._sensors
-        self._plan = tuple(time for time in planned if time >= first_left)
-        self._before = tuple(time for time in planned if time < first_left)
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
         """An estimate whose time is one on the clock."""
-        if self.clock.counts:
-            return estimate
         time: Any = self.clock.time(estimate.t)
         return replace(estimate, t=time)
 
@@ -262,16 +244,12 @@ class Planner:
                 f"no measurement is left of the plan, got one without t (measured: "
                 f"{shown(self.measured)})"
             )
-        return self._plan[0] // self._sensors
-
-    @property
-    def _sensors(self) -> int:
-        return self._built.evaluator.sensors
+        return self._plan[0] // self.feasible.sensors
 
     def _plan_anew(self, time: int) -> None:
         """Plan what is left after a time, from what the filter knows."""
         self._now = Now(self._filter.cloud, measured=True)
-        left = tuple(planned for planned in self._plan if planned // self._sensors > time)
+        left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
         taken = (*self._before, *self._taken)
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)
 

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,18 +18,10 @@ from pfdist.runner.door import Driver, Session
 from pfdist.runner.identity import opened
 from pfdist.runner.progress import Progress, Show
 from pfdist.runner.provenance import lender
-from pfdist.store import Store, check_not_held, holds_run
+from pfdist.store import Store, holds_run, is_held
 
 _MORE = 2  # points at work than workers: some wait for others, and some are at their last tasks
 _MOST = 16  # points at work: each needs memory
-
-
-@dataclass
-class _Share:
-    """How far a point is."""
-
-    phase: str = ""
-    done: float = 0.0
 
 
 class Points(NamedTuple):
@@ -72,7 +63,7 @@ class PointsAtWork:
         self._busy: dict[str, str] = {}  # who computes points that this process leaves out
         self._sweep, self._path, self._bound = sweep, path, bound
         self._show, self._say = show, say
-        self._shares: dict[str, _Share] = {}
+        self._progress: dict[str, Progress] = {}
         self._at_work = self._finished = 0
 
     def drivers(self) -> Iterator[Driver | None]:
@@ -89,7 +80,7 @@ class PointsAtWork:
                 yield self._point(name)
             while self._at_work:
                 yield None
-            todo = [name for name in self._busy if not _is_held(self._path / name)]
+            todo = [name for name in self._busy if not is_held(self._path / name)]
         for name, why in self._busy.items():
             self._say(f"{name}: left out: {why}")
 
@@ -130,8 +121,7 @@ class PointsAtWork:
         """Compute a point. An error of it does not end the others."""
 
         def show(progress: Progress) -> None:
-            share = progress.done / progress.total if progress.total else 0.0
-            self._shares[name] = _Share(progress.phase, min(share, 1.0))
+            self._progress[name] = progress
             self._tell()
 
         def say(line: str) -> None:
@@ -150,7 +140,7 @@ class PointsAtWork:
             return
         finally:
             self._at_work -= 1
-            self._shares.pop(name, None)
+            self._progress.pop(name, None)
         self._finished += 1
         self._tell()
         self._say(f"{name}: finished ({self._finished} of {len(self._sweep.points)})")
@@ -158,21 +148,14 @@ class PointsAtWork:
     def _tell(self) -> None:
         total = len(self._sweep.points)
         ended = self._finished + len(self._failed)
-        phases = [f"{name}: {share.phase}" for name, share in self._shares.items()]
+        begun = [each for each in self._progress.values() if each.total]
+        phases = [f"{name}: {each.phase}" for name, each in self._progress.items()]
         doing = f"; {', '.join(phases)}" if phases else ""
         self._show(
             Progress(
                 phase="sweep",
-                done=ended + sum(share.done for share in self._shares.values()),
+                done=ended + sum(min(each.done / each.total, 1.0) for each in begun),
                 total=total,
                 doing=f"{self._finished} of {total} points finished{doing}",
             )
         )
-
-
-def _is_held(path: Path) -> bool:
-    try:
-        check_not_held(path)
-    except BusyError:
-        return True
-    return False

@@ -9,20 +9,15 @@ from pfdist.answers.run import page_of
 from pfdist.api.options import Say, silent
 from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
-from pfdist.errors import ArgumentError, PfdistError, StoreError, one_line, shown_text
-from pfdist.store import check_not_held, holds_run, remove_file, write_file
-from pfdist.store.folder import REPORT, check_page_replaceable, runs_below
+from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
+from pfdist.store import holds_run, is_held, remove_file, write_file
+from pfdist.store.folder import REPORT, check_page_replaceable, has_report, runs_below
 
 SECONDS = 5.0
 """Between two reports of a run that goes on."""
 
 
-def report(
-    run: Run | str | Path,
-    *,
-    watch: bool = False,
-    say: Say = silent,
-) -> Path:
+def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> Path:
     """Write the report of a run or a sweep: one HTML file that loads nothing and can be sent.
 
     The report is made from the tables of the run alone; no model is run.
@@ -91,7 +86,7 @@ def _watch(path: Path, say: Say) -> None:
     """Write the report again and again, until the run is finished or no process computes it."""
     say(f"{path / REPORT} is written again every {SECONDS:.0f} s while the run goes on")
     try:
-        while is_computed(path) and open_run(path).state != "finished":
+        while is_held(path) and open_run(path).state != "finished":
             write_report(open_run(path), round(SECONDS))
             time.sleep(SECONDS)
     except KeyboardInterrupt:
@@ -102,15 +97,6 @@ def _watch(path: Path, say: Say) -> None:
         say(f"{path} is not finished ({state}), and no process computes it: run its job on")
 
 
-def is_computed(path: Path) -> bool:
-    """Whether a process computes the run in a folder."""
-    try:
-        check_not_held(path)
-    except StoreError:
-        return True
-    return False
-
-
 def is_sweep(path: Path) -> bool:
     """Whether a folder is no run but has runs in it."""
     if holds_run(path) or not path.is_dir():
@@ -118,37 +104,25 @@ def is_sweep(path: Path) -> bool:
     return next(runs_below(path, 1), path) != path
 
 
-def try_report(run: Run, say: Say) -> None:
-    """Write the report of a run whose results stand, whatever becomes of the report.
+def try_report(run: Run | Path, say: Say) -> None:
+    """Write the report of a run or a sweep whose results stand, whatever becomes of the report.
 
     No error of the report ends the command that has computed the results, not even a mistake in
     pfdist. It becomes one line.
 
     Parameters
     ----------
-    run : Run
+    run : Run or Path
+        A run, or the folder of a sweep.
     say : callable
         Receives a line if there is no report.
     """
-    _try(lambda: write_report(run), run.path, say)
-
-
-def try_sweep_report(path: Path, say: Say) -> None:
-    """Write the report of a sweep whose results stand, as `try_report` does for a run.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of the sweep.
-    say : callable
-        Receives a line if there is no report.
-    """
-    _try(lambda: write_sweep_report(path), path, say)
-
-
-def _try(write: Callable[[], object], path: Path, say: Say) -> None:
+    path = run.path if isinstance(run, Run) else run
     try:
-        write()
+        if isinstance(run, Run):
+            write_report(run)
+        else:
+            write_sweep_report(path)
     except PfdistError as error:
         say(f"there is no report: {error}")
     except Exception as error:
@@ -207,8 +181,5 @@ def remove_report(path: Path) -> None:
     StoreError
         The report cannot be removed.
     """
-    try:
-        check_page_replaceable(path / REPORT)
-    except StoreError:  # it is the user's own file
-        return
-    remove_file(path / REPORT)
+    if has_report(path):
+        remove_file(path / REPORT)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -28,6 +27,7 @@ from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
 from pfdist.store.folder import has_report, remove_figures
 
+_OF_FIGURES = ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special")
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
 
 
@@ -75,36 +75,19 @@ def run(
     others = paths_argument("reuse", reuse)
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([job], tell)
-        ending = Ending(chosen.figures, chosen.has_report, settings)
         built = build(job)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
-        return run_built(built, path, ending, show, tell, others)
-
-
-@dataclass(frozen=True)
-class Ending:
-    """Settings of what follows the comparison of a run.
-
-    Parameters
-    ----------
-    figures, report : bool
-        Whether the figures are drawn, and the report is written.
-    bound : BoundSettings or None
-        Settings of the lower bound; None for no bound.
-    """
-
-    figures: bool
-    report: bool
-    bound: BoundSettings | None = None
+        return run_built(built, path, chosen, show, tell, settings, others)
 
 
 def run_built(
     built: Built,
     path: Path,
-    ending: Ending,
+    chosen: Chosen,
     show: Show,
     say: Say,
+    bound: BoundSettings | None = None,
     reuse: Iterable[Path] = (),
 ) -> Run:
     """Compute what a run in a folder lacks, and make its figures and its report.
@@ -114,9 +97,12 @@ def run_built(
     built : Built
     path : Path
         The run's own folder.
-    ending : Ending
+    chosen : Chosen
+        Says whether figures are drawn and a report is written.
     show, say : callable
         Receive the progress and the messages.
+    bound : BoundSettings, optional
+        Settings of the lower bound; by default there is no bound.
     reuse : iterable of Path
         Folders of other runs whose evaluations this run takes.
 
@@ -132,15 +118,17 @@ def run_built(
 
     def draw() -> Run:
         run = Run(path, built.job)
-        if ending.figures:
-            _draw_missing_figures(run)
+        if chosen.figures:
+            from pfdist.plots import draw_missing_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+            draw_missing_figures(run)
         return run
 
     def finish(*, is_new: bool) -> Run:
         run = draw()
         if is_new:
             remove_report(path)  # somebody may have asked for one of the unfinished run
-        if ending.report and not has_report(path):
+        if chosen.has_report and not has_report(path):
             try_report(run, say)
         return run
 
@@ -149,10 +137,11 @@ def run_built(
     with opened(path, built, say) as store, ThreadPoolExecutor(1) as beside:
 
         def driver() -> Generator[Batch, None, Future[Run]]:
-            if (ending.figures or ending.report) and open_run(path).state != "finished":
-                beside.submit(_load_libraries_of_figures)
+            if (chosen.figures or chosen.has_report) and open_run(path).state != "finished":
+                for module in _OF_FIGURES:  # otherwise they would be waited for later
+                    beside.submit(import_module, module)
             session = Session(built, store, show, say)
-            is_new = yield from compute(session, ending.bound, partial(beside.submit, draw))
+            is_new = yield from compute(session, bound, partial(beside.submit, draw))
             return beside.submit(finish, is_new=is_new)
 
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
@@ -160,22 +149,8 @@ def run_built(
     return run
 
 
-def _load_libraries_of_figures() -> None:
-    """Import Matplotlib and Jinja beside the search, which would otherwise be waited for later."""
-    for module in ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special"):
-        import_module(module)
-
-
-def _draw_missing_figures(run: Run) -> None:
-    from pfdist.plots import draw_missing_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
-
-    draw_missing_figures(run)
-
-
 def compute(
-    session: Session,
-    settings: BoundSettings | None,
-    compared: Callable[[], object] = lambda: None,
+    session: Session, settings: BoundSettings | None, compared: Callable[[], object] = lambda: None
 ) -> Generator[Batch, None, bool]:
     """Compute what a run lacks, with its lower bound; False if it lacks nothing.
 

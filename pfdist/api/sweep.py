@@ -12,7 +12,7 @@ from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import at_work
 from pfdist.api.options import Chosen, Options, Say, following, with_options
 from pfdist.api.points_at_work import Points, PointsAtWork
-from pfdist.api.report import try_report, try_sweep_report
+from pfdist.api.report import try_report
 from pfdist.api.run import bound_settings
 from pfdist.api.table import table
 from pfdist.common.arguments import path_argument
@@ -167,9 +167,12 @@ def sweep(
             refused = error
         searches, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
         if chosen.has_report:
-            _report(searches.runs, tell)
+            for position, run in enumerate(searches.runs.values(), 1):
+                if not has_report(run.path):
+                    tell(f"writes report {position} of {len(searches.runs)}")
+                    try_report(run, tell)
             if part is None:
-                try_sweep_report(path, tell)
+                try_report(path, tell)
     if refused is not None:
         raise refused
     if failed := searches.failed | judges.failed:
@@ -198,14 +201,6 @@ def _judged(sweep_job: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob 
     judged = judging(sweep_job, times_by_search(runs))
     say(f"judges the found times at all {len(sweep_job.points)} points")
     return judged
-
-
-def _report(runs: Mapping[str, Run], say: Say) -> None:
-    """Write the reports that runs lack."""
-    for position, run in enumerate(runs.values(), 1):
-        if not has_report(run.path):
-            say(f"writes report {position} of {len(runs)}")
-            try_report(run, say)
 
 
 def checked_folder(
@@ -239,8 +234,6 @@ def foreseen(
     job: JobSource,
     over: Values = _NOTHING,
     *,
-    parallel: Sequence[Values] = (),
-    points: Sequence[Values] = (),
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     judge: bool | None = None,
@@ -249,7 +242,7 @@ def foreseen(
 
     Parameters
     ----------
-    job, over, parallel, points, results, changes, judge
+    job, over, results, changes, judge
         As for `sweep`.
 
     Returns
@@ -265,7 +258,7 @@ def foreseen(
     PfdistError
         The sweep is wrong, or the model of a point.
     """
-    sweep_job = read_sweep(job, over, parallel, points, changes, {})
+    sweep_job = read_sweep(job, over, (), (), changes, {})
     path, judges = checked_folder(sweep_job, results, judge)
     rows, steps_a_set, number_of_sets = [], [], 0
     for point in sweep_job.points:

@@ -3,8 +3,9 @@
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -23,9 +24,9 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.dotted_keys import short_names
 from pfdist.errors import ArgumentError, shown
 from pfdist.store import holds_run, write_file
-from pfdist.store.files import check_replaceable
+from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.folder import runs_below
-from pfdist.store.tables import read_schema, write_table
+from pfdist.store.tables import holds_table, write_table
 
 _MARK = b"runs"  # the metadata "table" of a Parquet file
 _COMMENT = "% A table of runs by pfdist. It needs the package booktabs.\n"
@@ -95,13 +96,21 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     StoreError
         A folder holds no run, a run cannot be read, or the file cannot be written.
     """
-    path = None if out is None else table_path(out)
+    path = None if out is None else path_argument("out", out)
+    if path is not None and path.suffix.lower() not in _KINDS:
+        allowed = ", ".join(_KINDS)
+        raise ArgumentError(
+            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
+            argument="out",
+        )
     opened = {os.path.abspath(run.path): run for run in _opened(runs)}
     if not opened:
         raise ArgumentError("table needs at least one run, got none")
     frame = runs_table(list(opened.values()))
     if path is not None:
-        write_table_of_runs(frame, path)
+        write, is_earlier = _KINDS[path.suffix.lower()]
+        check_replaceable(path, is_earlier)
+        write_file(path, lambda temporary: write(frame, temporary))
     return frame
 
 
@@ -123,46 +132,6 @@ def _folders(run: str | Path) -> list[Path]:
 
 
 # --- the table in a file --------------------------------------------------------------------------
-
-
-def table_path(path: str | Path) -> Path:
-    """The path of a file for a table of runs, after checking its ending.
-
-    Raises
-    ------
-    ArgumentError
-        No table has this ending.
-    """
-    path = path_argument("out", path)
-    if path.suffix.lower() not in _KINDS:
-        allowed = ", ".join(_KINDS)
-        raise ArgumentError(
-            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
-            argument="out",
-        )
-    return path
-
-
-def write_table_of_runs(frame: pd.DataFrame, path: Path) -> None:
-    """Write a table of runs atomically, in the format that the ending of the file names.
-
-    An earlier table of runs is replaced, and no other file.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        As `pfdist.table` gives it.
-    path : Path
-        As `table_path` gives it.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written, or another file has this name.
-    """
-    kind = _KINDS[path.suffix.lower()]
-    check_replaceable(path, kind.is_earlier)
-    write_file(path, lambda temporary: kind.write(frame, temporary))
 
 
 def tex(frame: pd.DataFrame) -> str:
@@ -239,23 +208,12 @@ def _arrow(column: "pd.Series[Any]") -> pa.Array:
     try:
         return pa.array(values)
     except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeEncodeError):  # a path need not be UTF-8
-        return pa.array([None if value is None else _in_utf8(value) for value in values])
-
-
-def _in_utf8(value: Any) -> str:
-    return formatted_value(value).encode(errors="replace").decode()
+        texts = [None if value is None else formatted_value(value) for value in values]
+        return pa.array([text and text.encode(errors="replace").decode() for text in texts])
 
 
 def _write_tex(frame: pd.DataFrame, path: Path) -> None:
     path.write_text(tex(frame), encoding="utf-8", errors="replace")
-
-
-def _is_earlier_parquet(path: Path) -> bool:
-    try:
-        metadata = read_schema(path).metadata or {}
-    except pa.ArrowException:
-        return False
-    return bool(metadata.get(b"table") == _MARK)
 
 
 def _is_earlier_csv(path: Path) -> bool:
@@ -263,21 +221,9 @@ def _is_earlier_csv(path: Path) -> bool:
         return _HEAD.match(file.readline(_LONGEST_HEAD)) is not None
 
 
-def _is_earlier_tex(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(_COMMENT)) == _COMMENT.encode()
-
-
-class _Kind(NamedTuple):
-    """How a table is written, and how an earlier table of this kind is known."""
-
-    write: Callable[[pd.DataFrame, Path], None]
-    is_earlier: Callable[[Path], bool]
-
-
-_KINDS = {
-    ".csv": _Kind(_write_csv, _is_earlier_csv),
-    ".parquet": _Kind(_write_parquet, _is_earlier_parquet),
-    ".tex": _Kind(_write_tex, _is_earlier_tex),
+_KINDS: dict[str, tuple[Callable[[pd.DataFrame, Path], None], Callable[[Path], bool]]] = {
+    ".csv": (_write_csv, _is_earlier_csv),
+    ".parquet": (_write_parquet, partial(holds_table, name=_MARK)),
+    ".tex": (_write_tex, partial(begins_with, mark=_COMMENT.encode(), most=len(_COMMENT))),
 }
-"""The allowed endings."""
+"""How a table is written, and how an earlier table is known, by each allowed ending."""

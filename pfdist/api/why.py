@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import Run, finite, open_run
 from pfdist.analysis.stored_run import check_one_number, found_sets
 from pfdist.answers.why import why_page
-from pfdist.api.options import Say, following, silent
+from pfdist.api.options import MOST_DRAWS, Say, following, silent
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import own_store, run_and_job
 from pfdist.common.arguments import whole_argument
@@ -41,7 +41,6 @@ DRAWS = 2000
 FIGURES = ("why", "sampling_windows", "filters")
 _PARTS = ("profile", "worth", "sampling_windows", "jitter")
 _STEPS = 3  # for each set: worth, windows, jitter
-MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
 @dataclass(frozen=True, repr=False)
@@ -109,8 +108,7 @@ class Why(Shown):
             }
             sets[str(name)] = row | {key: frame.to_dict("records") for key, frame in parts.items()}
         values = {"run": str(self.run), "draws": self.draws, "sets": sets}
-        answer: dict[str, Any] = finite(values | {"figures": list(map(str, self.figures))})
-        return answer
+        return finite(values | {"figures": list(map(str, self.figures))})
 
     def _page(self) -> Page:
         return why_page(self.as_json(), found_sets(open_run(self.run)))

@@ -4,7 +4,6 @@ Each check gives a state, "ok", "note" or "wrong", and a text.
 """
 
 import ast
-import linecache
 import math
 import types
 from collections.abc import Callable, Iterator
@@ -312,46 +311,36 @@ def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 def _slow_places(function: Callable[..., Any]) -> Iterator[tuple[str, str, str]]:
     """Yield calls that make an array, in a function and those it calls, with place and remedy."""
-    for called in _functions(function):
-        code = called.__code__
-        lines = {line for *_, line in code.co_lines() if line}
-        for node in ast.walk(_parsed(code.co_filename)):
-            line = getattr(node, "lineno", None)
-            if line not in lines:
-                continue
-            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
-                yield "@", f"{code.co_filename}:{line}", _OUT
-            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
-                name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-                if name in _SLOW:
-                    yield name, f"{code.co_filename}:{line}", _SLOW[name]
+    for place, _, node in _nodes(function):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            yield "@", place, _OUT
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if name in _SLOW:
+                yield name, place, _SLOW[name]
 
 
 def _indexed(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
     """Yield the global arrays that a function and those it calls index, and the places."""
-    for called in _functions(function):
-        node = node_of(called)
-        for each in ast.walk(node) if node else ():
-            if isinstance(each, ast.Subscript) and isinstance(each.value, ast.Name):
-                value = called.__globals__.get(each.value.id)
-                if isinstance(value, np.ndarray):
-                    yield each.value.id, f"{called.__code__.co_filename}:{each.lineno}"
+    for place, scope, node in _nodes(function):
+        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name):
+            name = node.value.id
+            if isinstance(scope.get(name), np.ndarray):
+                yield name, place
 
 
-def _parsed(file: str) -> ast.AST:
-    try:
-        return ast.parse("".join(linecache.getlines(file)))
-    except (SyntaxError, ValueError):  # it was edited since, or is no file
-        return ast.Module(body=[], type_ignores=[])
+def _nodes(function: Any) -> Iterator[tuple[str, dict[str, Any], ast.AST]]:
+    """The syntax of a function and of the module's functions that it calls, node by node.
 
-
-def _functions(function: Any) -> Iterator[types.FunctionType]:
-    """A function and the module's functions that it calls."""
+    Each node has its place and the global variables of its function.
+    """
     waiting, seen = [function], set[int]()
     while waiting:
-        value = waiting.pop()
-        if not isinstance(value, types.FunctionType) or id(value) in seen:
+        called = waiting.pop()
+        if not isinstance(called, types.FunctionType) or id(called) in seen:
             continue
-        seen.add(id(value))
-        yield value
-        waiting += [value.__globals__.get(name) for name in names_in(value.__code__)]
+        seen.add(id(called))
+        scope, code, node = called.__globals__, called.__code__, node_of(called)
+        for each in ast.walk(node) if node else ():
+            yield f"{code.co_filename}:{getattr(each, 'lineno', 0)}", scope, each
+        waiting += [scope.get(name) for name in names_in(code)]

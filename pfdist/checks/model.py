@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -92,8 +92,15 @@ def check_model(
     the clock: the time of each instant. By default it is 0..T for a model that reads a clock, and
     other models have none.
     """
+    return check_loaded(lambda: carried_model(name, folder).model, horizon, particles, times)
+
+
+def check_loaded(
+    load: Callable[[], StateSpaceModel], horizon: int, particles: int, times: Sequence[float] = ()
+) -> Iterator[Check]:
+    """Yield the result of each check of the model that a function loads; see `check_model`."""
     try:
-        model = carried_model(name, folder).model
+        model = load()
     except ModelError as error:
         yield Check("load", "wrong", str(error))
     else:
@@ -126,20 +133,21 @@ def check_object(
         text = f"{error}; give them in the model, or in a job, and check the job"
         yield Check("simulate", "wrong", text)
         return
+    state = ""
     try:
-        few = few_draws(model, horizon)
+        for look, state, text in look_at_formulas(model, few_draws(model, horizon)):
+            yield Check(look, state, text)
+        if state != "wrong":
+            yield from _computed(model, horizon, Estimation(particles))
     except ModelError as error:
         yield Check("simulate", "wrong", str(error))
-        return
-    state = ""
-    for look, state, text in look_at_formulas(model, few):
-        yield Check(look, state, text)
-    if state != "wrong":
-        yield from _computed(model, horizon, Estimation(particles))
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
-    """Yield checks of a model whose formulas are right in NumPy, as an engine computes it."""
+    """Yield checks of a model whose formulas are right in NumPy, as an engine computes it.
+
+    Raises `ModelError` if a formula fails in a simulation.
+    """
     engine = "compiled"
     try:
         Evaluator(model, horizon).compile(estimation)
@@ -147,14 +155,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     except CompileError as error:
         engine = "numpy"
         yield Check("compile", "note", f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower")
-    except ModelError as error:  # it compiles, and fails when it is called
-        yield Check("simulate", "wrong", str(error))
-        return
-    try:
-        draws = ENGINES[engine].simulate(model, horizon, range(_DRAWS), 0)
-    except ModelError as error:
-        yield Check("simulate", "wrong", str(error))
-        return
+    draws = ENGINES[engine].simulate(model, horizon, range(_DRAWS), 0)
     yield Check(
         "simulate", "ok", f"x, y and z are finite in {_DRAWS} draws of {horizon + 1} instants"
     )

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping
+from inspect import signature
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -55,26 +56,23 @@ def _plain(value: Any) -> Any:
 
 
 def computed(
-    function: Callable[..., Any],
-    options: Namespace,
-    *arguments: Any,
-    has_progress: bool = True,
-    **chosen: Any,
+    function: Callable[..., Any], options: Namespace, *arguments: Any, **chosen: Any
 ) -> Any:
     """Call a function of `pfdist.api` for a job, and show its progress.
 
-    The function gets the job, these arguments, and every option that `pfdist.cli.arguments` has
-    added for it.
+    The function gets the job, these arguments, and every other option of the command that has the
+    name of one of its keywords.
     """
     from pfdist.api.display import Display  # noqa: PLC0415
 
-    names = ("results", "pool", "workers", "address", "wait_for_cores", "reuse")
-    chosen |= {name: getattr(options, name) for name in names if hasattr(options, name)}
+    given = signature(function).bind_partial(options.job, *arguments).arguments
+    keywords = [key for key in signature(function).parameters if key not in given]
+    chosen = {key: getattr(options, key) for key in keywords if hasattr(options, key)} | chosen
     if hasattr(options, "no_report"):
         chosen["report"] = not options.no_report
     with Display() as display:
         chosen |= {"changes": options.set, "say": display.say}
-        if has_progress:
+        if "progress" in keywords:
             chosen["progress"] = display.show
         return function(options.job, *arguments, **chosen)
 

@@ -4,8 +4,9 @@ import contextlib
 import math
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from pfdist.cli.command import AddArguments
 from pfdist.common.parsing import finite_number, whole_number
 from pfdist.errors import shown
 from pfdist.pools.kinds import AUTO, POOLS
@@ -13,6 +14,32 @@ from pfdist.pools.kinds import AUTO, POOLS
 T = TypeVar("T")
 RESULTS = "results/<name of the job file without .toml>"
 """The folder of a run, if the user names none."""
+
+
+def argument(*names: str, **settings: Any) -> AddArguments:
+    """A function that adds an argument with these settings of argparse to a parser."""
+
+    def add(parser: ArgumentParser) -> None:
+        parser.add_argument(*names, **settings)
+
+    return add
+
+
+add_changes = argument(
+    "--set",
+    nargs="+",
+    action="extend",
+    default=[],
+    metavar="KEY=VALUE",
+    help="change keys of the job, for instance seed=3 search.genetic.generations=5",
+)
+add_run = argument("run", metavar="RUN", help="folder of a run")
+add_json = argument("--json", action="store_true", help="print one JSON object and no text")
+add_no_report = argument(
+    "--no-report",
+    action="store_true",
+    help="write no report (an HTML file that can be sent; see `pfdist report`)",
+)
 
 
 def add_job(parser: ArgumentParser) -> None:
@@ -36,28 +63,6 @@ def add_job_of_run(parser: ArgumentParser) -> None:
     )
 
 
-def add_changes(parser: ArgumentParser) -> None:
-    """Add ``--set``."""
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change keys of the job, for instance seed=3 search.genetic.generations=5",
-    )
-
-
-def add_run(parser: ArgumentParser) -> None:
-    """Add RUN."""
-    parser.add_argument("run", metavar="RUN", help="folder of a run")
-
-
-def add_json(parser: ArgumentParser) -> None:
-    """Add ``--json``."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object and no text")
-
-
 def add_answer(parser: ArgumentParser) -> None:
     """Add ``--verbose`` and ``--json``."""
     parser.add_argument(
@@ -66,15 +71,6 @@ def add_answer(parser: ArgumentParser) -> None:
         help="also print the details: all sets of times, what each search believed, quartiles",
     )
     add_json(parser)
-
-
-def add_no_report(parser: ArgumentParser) -> None:
-    """Add ``--no-report``."""
-    parser.add_argument(
-        "--no-report",
-        action="store_true",
-        help="write no report (an HTML file that can be sent; see `pfdist report`)",
-    )
 
 
 def add_pool(parser: ArgumentParser) -> None:
@@ -108,9 +104,7 @@ def add_pool(parser: ArgumentParser) -> None:
     )
 
 
-def computing(
-    results: str, *, reuse: bool = True, what: str = "run"
-) -> Callable[[ArgumentParser], None]:
+def computing(results: str, *, reuse: bool = True, what: str = "run") -> AddArguments:
     """A function that adds what a command needs to compute a run.
 
     Parameters

@@ -39,11 +39,6 @@ def interrupt_command() -> None:
         signal.signal(signal.SIGINT, _interrupt)
 
 
-def preempted() -> bool:
-    """Whether a batch system has asked the program to end."""
-    return bool(_received)
-
-
 def _leave(number: int, frame: FrameType | None) -> None:
     os.write(sys.stderr.fileno(), b"pfdist: interrupted\n")
     os._exit(130)
@@ -121,10 +116,10 @@ def _run(options: Namespace, *, ends: bool) -> int:
         code = _AGAIN if isinstance(error, SilenceError) else _ERROR
         return _failed(str(error), f" (--{option})" if option else hint, code)
     except KeyboardInterrupt:
-        cause = "asked to end" if preempted() else "interrupted"
+        cause = "asked to end" if _received else "interrupted"
         goes_on = f"; {_GOES_ON}" if options.called.goes_on else ""
         print(f"pfdist: {cause}{goes_on}", file=sys.stderr)
-        return _AGAIN if preempted() else _INTERRUPTED
+        return _AGAIN if _received else _INTERRUPTED
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
         return _ERROR

@@ -31,9 +31,7 @@ def make_parser() -> argparse.ArgumentParser:
     """
     notes = f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}"
     parser = _Parser(
-        prog="pfdist",
-        epilog=f"{notes}\n\n{examples_text(way_in())}",
-        formatter_class=HelpFormatter,
+        prog="pfdist", epilog=f"{notes}\n\n{examples_text(way_in())}", formatter_class=HelpFormatter
     )
     parser.sentence = PROGRAM
     parser.add_argument("--version", action="version", version=f"pfdist {pfdist.__version__}")
@@ -42,10 +40,7 @@ def make_parser() -> argparse.ArgumentParser:
         notes = (_GOES_ON if command.goes_on else "") + _EXIT_CODES
         examples = f"\n\n{examples_text(command.examples)}" if command.examples else ""
         added = subparsers.add_parser(
-            name,
-            help=command.description,
-            epilog=notes + examples,
-            formatter_class=HelpFormatter,
+            name, help=command.description, epilog=notes + examples, formatter_class=HelpFormatter
         )
         added.sentence, added.declared = command.description, command
         added.set_defaults(called=command)
@@ -90,7 +85,7 @@ class _Parser(argparse.ArgumentParser):
         self.add_declared_arguments()
         words = joined(sys.argv[1:] if args is None else args, self._actions)
         # The words after a command are those of the parser of this command.
-        own = takewhile(_is_option, words) if self._subparsers else words
+        own = takewhile(lambda word: word.startswith("-"), words) if self._subparsers else words
         options = [option for action in self._actions for option in action.option_strings]
         if unknown := unknown_option(own, options):
             meant = did_you_mean(unknown, options)
@@ -118,10 +113,6 @@ class _Parser(argparse.ArgumentParser):
         """Print what is wrong in one line without long values, and exit with 2."""
         text = shown_text(one_line(message))
         self.exit(2, f"{self.prog}: error: {text} (see `{self.prog} --help`)\n")
-
-
-def _is_option(word: str) -> bool:
-    return word.startswith("-")
 
 
 # --- the help: a sentence, the arguments, notes, and examples at the end --------------------------

@@ -1,6 +1,6 @@
 """Checks of arguments of public functions, with errors in one line."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -44,10 +44,7 @@ def paths_argument(name: str, value: Any) -> list[Path]:
 
     A single path becomes a list with one path.
     """
-    paths = [value] if isinstance(value, str | Path) else value
-    if not isinstance(paths, Iterable):
-        raise ArgumentError(f"{name} must be a list of paths, got {shown(value)}", argument=name)
-    return [path_argument(name, path) for path in paths]
+    return [Path(path) for path in _listed(name, value, str | Path, "paths")]
 
 
 def texts_argument(name: str, value: Any) -> list[str]:
@@ -55,14 +52,20 @@ def texts_argument(name: str, value: Any) -> list[str]:
 
     A single text becomes a list with one text.
     """
-    texts = [value] if isinstance(value, str) else value
-    if not isinstance(texts, Iterable) or not all(isinstance(each, str) for each in texts):
-        raise ArgumentError(f"{name} must be a list of texts, got {shown(value)}", argument=name)
-    return list(texts)
+    return _listed(name, value, str, "texts")
 
 
-def called_argument(name: str, value: Any) -> Callable[..., Any]:
-    """An argument that is to be called; an `ArgumentError` if it cannot be called."""
+def _listed(name: str, value: Any, kind: Any, what: str) -> list[Any]:
+    """An argument with entries of some kind as a list; an iterator is read once."""
+    if isinstance(value, kind):
+        return [value]
+    entries = [*value] if isinstance(value, Iterable) else [None]
+    if not all(isinstance(each, kind) for each in entries):
+        raise ArgumentError(f"{name} must be a list of {what}, got {shown(value)}", argument=name)
+    return entries
+
+
+def called_argument(name: str, value: Any) -> None:
+    """Raise an `ArgumentError` if an argument cannot be called."""
     if not callable(value):
         raise ArgumentError(f"{name} must be a function, got {shown(value)}", argument=name)
-    return value  # type: ignore[no-any-return]

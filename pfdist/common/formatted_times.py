@@ -59,15 +59,15 @@ def times_of(measurements: Iterable[float | str]) -> list[float]:
 
 
 def by_sensor(measurements: Iterable[float | str]) -> dict[str, list[float]]:
-    """The times of each sensor; one nameless sensor makes measurements without a sensor.
+    """The times of each sensor; one nameless sensor makes measurements without a sensor, or none.
 
-    >>> by_sensor(["0 x-ray", "2 ct", "3 x-ray"]), by_sensor([0, 6])
-    ({'ct': [2.0], 'x-ray': [0.0, 3.0]}, {'': [0, 6]})
+    >>> by_sensor(["0 x-ray", "2 ct", "3 x-ray"]), by_sensor([0, 6]), by_sensor([])
+    ({'ct': [2.0], 'x-ray': [0.0, 3.0]}, {'': [0, 6]}, {'': []})
     """
     times = dict[str, list[float]]()
     for time, sensor in map(time_and_sensor, measurements):
         times.setdefault(sensor, []).append(time)
-    return dict(sorted(times.items()))
+    return dict(sorted(times.items())) or {"": []}
 
 
 _SPANS = (("day", 86_400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))

@@ -19,12 +19,7 @@ from pfdist.plots.measurements import sampling_windows, shifts, worth
 from pfdist.plots.online import online_gain, online_raster, online_shares
 from pfdist.plots.sweeps import against, found_times, heat_map
 from pfdist.plots.times_axis import times, uncertainty
-from pfdist.plots.why import (
-    degenerate_draws,
-    effective_sample_size,
-    error_profile,
-    particle_losses,
-)
+from pfdist.plots.why import degenerate_draws, effective_sample_size, error_profile, particle_losses
 
 __all__ = [
     "against",

@@ -1,6 +1,7 @@
 """A filter's belief about z over time, from real measurements, with 50 and 90 % bands."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -22,7 +23,7 @@ from pfdist.plots.panel import (
     thin,
 )
 from pfdist.plots.style import BLUE, GREY, ORANGE, RED
-from pfdist.store.files import check_replaceable
+from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.schema import components_in
 
 _TITLE = "pfdist: filtered measurements"
@@ -91,12 +92,7 @@ def check_figure_replaceable(path: Path) -> None:
     StoreError
         The file exists, and is no earlier figure of filtered measurements.
     """
-    check_replaceable(path, _is_earlier)
-
-
-def _is_earlier(path: Path) -> bool:
-    with path.open("rb") as file:
-        return _TITLE.encode() in file.read(_START)
+    check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))
 
 
 def belief(
@@ -139,7 +135,7 @@ def belief(
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
     label_quantity(ax, quantities, component)
-    sensors = [*by_sensor([*measured, *missing, *to_come])] or [""]
+    sensors = [*by_sensor([*measured, *missing, *to_come])]
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}

@@ -339,7 +339,7 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
     ):
         text = rf"$\hat{{z}}(t)$, {verbatim(name)}"
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=text)
-        for k, (sensor, measured) in enumerate(by_sensor(times).items() or [("", [])]):
+        for k, (sensor, measured) in enumerate(by_sensor(times).items()):
             row += 1
             level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
             ax.plot(

@@ -7,13 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pfdist.analysis.sampling_windows import (
-    STRICT,
-    WIDE,
-    runs_of,
-    sentences,
-    windows_of,
-)
+from pfdist.analysis.sampling_windows import STRICT, WIDE, runs_of, sentences, windows_of
 from pfdist.analysis.stored_run import found_sets
 from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.plots.figure import Plot, Tables, figure

@@ -137,9 +137,7 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
 def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_], Clock]:
     """The draws, whether each is measured at each instant, and the clock."""
     draws = _draws_of(source)
-    times = list(draws.rows["measurement_times"])
-    last = max((t for chosen in [*times, draws.planned_times] for t in chosen), default=0)
-    clock = draws.clock or Clock.counting(int(last))
+    clock, times = draws.clock, draws.rows["measurement_times"]
     return draws, measured_at([clock.instants(times_of(t)) for t in times], clock.horizon), clock
 
 

@@ -134,14 +134,11 @@ def uncertainty(
     table = trajectories.table("trajectories") if isinstance(trajectories, Run) else trajectories
     quantities = components_in(table, "z_")
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
-    columns = list(map(str, table.columns))
-    ends = [
-        column.removeprefix("estimate_") for column in columns if column.startswith("estimate_")
-    ]
+    ends = [each.suffix for each in components_in(table, "estimate_")]
     every = [
         name
         for name in (end.removesuffix(f"_{suffix}") for end in ends if end.endswith(f"_{suffix}"))
-        if all(f"estimate_{name}_{each.suffix}" in columns for each in quantities)
+        if all(f"{name}_{each.suffix}" in ends for each in quantities)
     ]
     names = [chosen(name, every, "names") for name in names] or every
     if len(names) > _MOST_LINES:
@@ -255,17 +252,12 @@ def times_inches(sets: int) -> float:
 
 def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, str, list[float]]]:
     """Name, label and times of each row of a set: one row, or one for each of its sensors."""
-    return [
+    rows = []
+    for sensor, at in by_sensor(measurements).items():
         # The name of a sensor alone has the name of the sensor.
-        (
-            name,
-            f"{name}, {sensor}"
-            if sensor and name != f"alone_{sensor}".lower().replace("-", "_")
-            else name,
-            at,
-        )
-        for sensor, at in by_sensor(measurements).items() or [("", [])]
-    ]
+        is_named = name == f"alone_{sensor}".lower().replace("-", "_")
+        rows.append((name, name if is_named or not sensor else f"{name}, {sensor}", at))
+    return rows
 
 
 def _forbidden_times(run: Run) -> list[float]:

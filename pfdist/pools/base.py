@@ -5,8 +5,8 @@ import platform
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 Function = Callable[[Any], Any]
@@ -50,7 +50,7 @@ class Outcome:
     refused: bool = False  # whether no worker can make the function; `error` says why
 
 
-class Pool(Protocol):
+class Pool(AbstractContextManager["Pool"], Protocol):
     """Workers that do tasks; a context manager."""
 
     workers: int
@@ -61,15 +61,6 @@ class Pool(Protocol):
         None in place of a task says that there is none now. The pool asks again while a task is in
         flight, and ends when none is.
         """
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
 
 
 def do(function: Function, work: Any) -> tuple[Any, float, str, str, str | None]:

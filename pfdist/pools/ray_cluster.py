@@ -40,13 +40,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from pfdist.pools.cores import usable_cores
 from pfdist.pools.guard import Guard, environment
-from pfdist.pools.ray_rehearsal import (
-    host_and_port,
-    reach,
-    reason,
-    rehearse,
-    shortened,
-)
+from pfdist.pools.ray_rehearsal import host_and_port, reach, reason, rehearse, shortened
 
 __all__ = ["NodeAffinitySchedulingStrategy", "ray"]  # also for the pool, with the environment above
 
@@ -315,9 +309,7 @@ def about() -> dict[str, Any]:
     }
 
 
-@ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
-def _about_node() -> dict[str, Any]:
-    return about()
+_about_node: Any = ray.remote(num_cpus=0)(about)
 
 
 def describe_nodes(address: str) -> list[dict[str, Any]]:

@@ -83,12 +83,7 @@ class RayPool:
     """
 
     def __init__(
-        self,
-        workers: int = 0,
-        address: str = "",
-        wait_for_cores: int = 0,
-        *,
-        threaded: bool = True,
+        self, workers: int = 0, address: str = "", wait_for_cores: int = 0, *, threaded: bool = True
     ) -> None:
         self._demanded, self._address, self._threaded = workers, address, threaded
         self._least_cores = wait_for_cores

@@ -27,7 +27,7 @@ from pfdist.store.folder import (
     holds_run,
     is_job_of_run,
 )
-from pfdist.store.lock import check_not_held, held
+from pfdist.store.lock import held, is_held
 from pfdist.store.manifest import Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import (

@@ -154,6 +154,12 @@ def remove_unfinished(folder: Path) -> None:
             remove(temporary)
 
 
+def begins_with(path: Path, mark: bytes, most: int) -> bool:
+    """Whether the first bytes of a file, so many, contain a mark."""
+    with path.open("rb") as file:
+        return mark in file.read(most)
+
+
 def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
     """Raise a `StoreError` if a file exists that a result must not replace.
 

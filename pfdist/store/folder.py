@@ -10,11 +10,12 @@ import re
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
-from pfdist.store.files import check_replaceable, reading
+from pfdist.store.files import begins_with, check_replaceable, reading
 from pfdist.store.files import remove as remove_file
 
 ABOUT = ("job.toml", "run.json")
@@ -80,12 +81,7 @@ def is_plain_file(path: Path) -> bool:
 
 def check_page_replaceable(path: Path) -> None:
     """Raise a `StoreError` unless a file is missing, or is an earlier report."""
-
-    def is_page(path: Path) -> bool:
-        with path.open("rb") as file:
-            return _MARK in file.read(_START)
-
-    check_replaceable(path, is_page)
+    check_replaceable(path, partial(begins_with, mark=_MARK, most=_START))
 
 
 def has_report(path: Path) -> bool:
@@ -213,18 +209,11 @@ def _listed(folder: Path) -> dict[str, bool]:
         return {entry.name: entry.is_dir(follow_symlinks=False) for entry in entries}
 
 
-@dataclass(frozen=True)
-class Extent:
-    """How large a folder is, and when it changed last."""
+def extent(folder: Path) -> tuple[int, float]:
+    """The bytes of all files in a folder, and when it changed last, in seconds since 1970.
 
-    bytes: int  # sum of the lengths of all files
-    changed: float  # seconds since 1970 at which the newest file or folder changed
-
-
-def extent(folder: Path) -> Extent:
-    """The extent of a folder with everything in it; links count as themselves.
-
-    Entries that cannot be read, or that vanish meanwhile, are left out.
+    Everything in the folder counts, and links count as themselves. Entries that cannot be read, or
+    that vanish meanwhile, are left out.
     """
     total, changed, waiting = 0, 0.0, [os.fspath(folder)]
     while waiting:
@@ -243,7 +232,7 @@ def extent(folder: Path) -> Extent:
                 waiting.append(entry.path)
             else:
                 total += about.st_size
-    return Extent(total, changed)
+    return total, changed
 
 
 _NUMBER = re.compile(r"((?:(?<==)-)?[0-9]+(?:\.[0-9]+)?(?:e[-+][0-9]+)?)")

@@ -54,6 +54,15 @@ def check_not_held(folder: Path) -> None:
         os.close(lock)
 
 
+def is_held(folder: Path) -> bool:
+    """Whether a driver holds a run's folder, or something else lies in the place of its lock."""
+    try:
+        check_not_held(folder)
+    except StoreError:
+        return True
+    return False
+
+
 def try_lock(path: Path) -> None:
     """Lock a file as a driver locks its run, and unlock it; raise an `OSError` if it fails."""
     with path.open("rb") as file:

@@ -279,10 +279,7 @@ class Store:
         return tables + parts
 
     def _load(
-        self,
-        table: str,
-        phase: str = "",
-        filters: pc.Expression | None = None,
+        self, table: str, phase: str = "", filters: pc.Expression | None = None
     ) -> list[pa.Table]:
         """Contents of all files of a table, or of those of one phase."""
         return self._again(
@@ -325,10 +322,7 @@ class Store:
         return rows.filter(pa.array(first_occurrences(rows[column].to_numpy())))
 
     def _read(
-        self,
-        path: Path,
-        columns: list[str] | None = None,
-        filters: pc.Expression | None = None,
+        self, path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None
     ) -> pa.Table:
         rows = read_file(path, columns, filters, self._run_key)
         if not rows.num_rows and path.parts[-3] == "tables" and not rows_and_run(path)[0]:

@@ -4,9 +4,10 @@ If a path is text, pyarrow takes ``a:b`` for the address of a file system and re
 not UTF-8. So pyarrow gets open files, which are opened by the bytes of their names.
 """
 
+import contextlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,13 @@ def write_table(table: pa.Table, path: Path) -> None:
         pq.write_table(table, file, compression="zstd", write_page_checksum=True)
 
 
-def read_schema(path: Path) -> pa.Schema:
-    """The schema of a Parquet file."""
-    with pa.OSFile(os.fsencode(path)) as file:
-        return pq.read_schema(file)
+def holds_table(path: Path, name: bytes) -> bool:
+    """Whether a file is a Parquet file whose metadata give its table this name."""
+    try:
+        with pa.OSFile(os.fsencode(path)) as file:
+            return bool((pq.read_schema(file).metadata or {}).get(b"table") == name)
+    except pa.ArrowException:
+        return False
 
 
 def rows_and_run(path: Path) -> tuple[int, str | None]:
@@ -41,12 +45,8 @@ def rows_and_run(path: Path) -> tuple[int, str | None]:
     Raises `FileNotFoundError` if there is no such file, and `StoreError` if it is no readable
     Parquet file.
     """
-
-    def read() -> Any:
-        with pa.OSFile(os.fsencode(path)) as file:
-            return pq.read_metadata(file)
-
-    about = _guarded(path, read)
+    with _reading(path) as file:
+        about = pq.read_metadata(file)
     key = (about.metadata or {}).get(RUN_KEY)
     return about.num_rows, None if key is None else key.decode(errors="replace")
 
@@ -63,19 +63,15 @@ def read_file(
     `FileNotFoundError` if there is no such file. Raises `StoreError` if it cannot be read, has
     another schema version, or belongs to another run.
     """
-
-    def read() -> pa.Table:
-        with pa.OSFile(os.fsencode(path)) as file:
-            return pq.read_table(
-                file,
-                columns=columns,
-                filters=filters,
-                partitioning=None,
-                use_threads=False,  # each thread would keep its own memory
-                page_checksum_verification=True,
-            )
-
-    table: pa.Table = _guarded(path, read)
+    with _reading(path) as file:
+        table = pq.read_table(
+            file,
+            columns=columns,
+            filters=filters,
+            partitioning=None,
+            use_threads=False,  # each thread would keep its own memory
+            page_checksum_verification=True,
+        )
     metadata = table.schema.metadata or {}
     if metadata.get(RUN_KEY) != (run_key.encode() if run_key else None):
         carries = f"the run's key {run_key}" if run_key else "no key"
@@ -138,10 +134,12 @@ def check_names(names: Iterable[object], where: Path) -> None:
             )
 
 
-def _guarded(path: Path, read: Callable[[], Any]) -> Any:
-    """The value of a function that reads a file; its errors name the file."""
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[Any]:
+    """An open file inside a with statement, whose errors name the file."""
     try:
-        return read()
+        with pa.OSFile(os.fsencode(path)) as file:
+            yield file
     except FileNotFoundError:
         raise
     except (OSError, pa.ArrowInvalid) as error:

@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import shown
-from pfdist.store.files import check_replaceable, write_file
-from pfdist.store.tables import read_schema, write_table
+from pfdist.store.files import begins_with, check_replaceable, write_file
+from pfdist.store.tables import holds_table, write_table
 
 Array = NDArray[np.float64]
 CheckHeader = Callable[[list[str]], None]
@@ -196,11 +196,6 @@ def check_table_replaceable(path: Path, schema: pa.Schema) -> None:
 
 def _is_earlier(schema: pa.Schema, path: Path) -> bool:
     if is_parquet(path):
-        try:
-            metadata = read_schema(path).metadata or {}
-        except pa.ArrowException:
-            return False
-        return bool(metadata.get(b"table") == schema.metadata[b"table"])
+        return holds_table(path, schema.metadata[b"table"])
     line = ",".join(schema.names).encode() + b"\n"
-    with path.open("rb") as file:
-        return file.read(len(line)) == line
+    return begins_with(path, line, len(line))

@@ -501,6 +501,7 @@ def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
     assert (soon.draws, late.draws) == (LEAST_DRAWS, 4 * LEAST_DRAWS)
     reached = (whole.within_reached, soon.within_reached, late.within_reached)
     assert reached == (None, True, False)
+    assert f"is above {50 * widest:g} %" in late._repr_html_()
     # With three looks, each limit holds with 1 - 0.05/3.
     assert late.confidence == pytest.approx(1 - 0.05 / 3)
     for gap, other in zip(whole.gaps, late.gaps, strict=True):

@@ -282,7 +282,7 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
         ({"A": [0], "b": [1]}, r"names of comparison\.sets must be lower-case .* got 'A'"),
         ({"regular": [0], "b": [1]}, "names of times must not be 'regular', .* got 'regular'"),
         ({"a": [13], "b": [1]}, r"must lie in 0\.\.12, got 13 \(times of a\)"),
-        ({"a": 3, "b": [1]}, "times of a must be a list of times, .* got 3"),
+        ({"a": 3, "b": [1]}, "times of a must be a sequence of times, got 3"),
         ([[0], [1]], "times must name sets, as .* got "),
     ],
 )

@@ -266,6 +266,17 @@ def test_the_exact_bound_is_that_of_brute_force_but_for_a_duality_gap(
     assert sum(answer.shares) == pytest.approx(1.0)
 
 
+def test_a_list_of_runs_names_the_best_set_as_the_run_does(tmp_path: Path) -> None:
+    sets = {"early": (0, 1, 2, 3), "mean": (0, 8, 11, 12), "worst": (5, 6, 11, 12)}
+    for criterion in ("mean", "worst"):
+        best = combined(costs([*sets.values()], told=True), criterion).argmin()
+        assert [*sets][best] == criterion
+        asked, path = problem(criterion, engine="kalman"), tmp_path / criterion
+        run = pfdist.compare(asked, times=sets, results=path, draws=1000, figures=False)
+        assert run.best.measurement_times == list(sets[criterion])
+        assert pfdist.list_runs(path)["best"].tolist() == [criterion]
+
+
 def test_the_best_shares_beat_every_weighting_on_a_grid() -> None:
     feasible = problem().job().problem.feasible
     relaxation = relaxation_with(feasible, 2, HORIZON + 1)

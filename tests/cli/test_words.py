@@ -39,7 +39,7 @@ def test_a_folder_is_no_part_of_a_list(tmp_path: Path, monkeypatch: pytest.Monke
         words = ["compare", "--times", "m=0:60:3", "5", folder, "a", "--times=n=1", ",", "2e0"]
         options = make_parser().parse_args(words)
         assert options.times == [("m", "0:60:3 5"), ("n", "1 , 2e0")]
-        assert (options.job, options.runs) == (folder, ["a"])
+        assert (options.job, options.folders) == (folder, ["a"])
 
 
 def test_a_list_may_be_long_and_there_may_be_several() -> None:

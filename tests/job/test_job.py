@@ -10,6 +10,7 @@ from pfdist.errors import JobError
 from pfdist.filters.estimate import DEGENERATE_POLICIES
 from pfdist.job.job import job_toml, load_job
 from pfdist.job.sections import EvaluationSection
+from pfdist.job.source import as_job
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
 
@@ -42,6 +43,10 @@ def write(tmp_path):
         return path
 
     return job_file
+
+
+def test_changes_that_are_made_one_by_one_change_the_job(write):
+    assert as_job(write(), (f"seed={seed}" for seed in (7,))).seed == 7
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from pfdist.errors import JobError
 from pfdist.plots.figure import FIGURES, Tables, drawn
 from pfdist.plots.style import PRINT, SCREEN, styled
 from pfdist.store import filtered_schema
+from pfdist.times.clock import Clock
 
 NAMES = [
     name for name in plots.__all__ if "ax" in inspect.signature(getattr(plots, name)).parameters
@@ -471,7 +472,7 @@ def _with_costly_names() -> dict[str, Draw]:
         "found_times": call(study),
         "heat_map": call(of_models),
         "one_draw": call(trajectory, sets),
-        "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows)),
+        "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows, Clock.counting(12))),
         "shifts": call(worth),
         "times": call(sets),
         "worth": call(worth),

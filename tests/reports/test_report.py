@@ -212,7 +212,7 @@ def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
     out, err = capsys.readouterr()
     assert out == f"{file}\n"
     assert "is not finished (comparing), and no process computes it: run its job on" in err
-    monkeypatch.setattr("pfdist.api.report.is_computed", lambda path: True)
+    monkeypatch.setattr("pfdist.api.report.is_held", lambda path: True)
     monkeypatch.setattr("pfdist.api.report.time.sleep", go_on)
     assert main(["report", str(folder), "--watch"]) == 0
     assert capsys.readouterr().out == f"{file}\n"
@@ -310,7 +310,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     run = make(f"search=[{random}]", "comparison.draws=2")
     subject = Subject(run)
     costs = {name: found.search_cost for name, found in subject.found_results.items()}
-    assert subject.by_error == sorted(costs, key=lambda name: costs[name])
+    assert subject.summary.by_error == sorted(costs, key=lambda name: costs[name])
     assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
 
 

@@ -3,27 +3,21 @@
 shtab makes the script from the parser. The shell completes a word without starting Python.
 """
 
-import argparse
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from typing import Any
 
 import shtab
 
+from pfdist.cli.arguments import argument
 from pfdist.cli.command import command
 from pfdist.cli.parser import complete_parser, subparsers_of
 
 _SHELLS = ("bash", "zsh", "fish")
 
 
-def _add_shell(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "shell", metavar="SHELL", choices=_SHELLS, help=f"your shell: {', '.join(_SHELLS)}"
-    )
-
-
 @command(
     "completion",
-    _add_shell,
+    argument("shell", metavar="SHELL", choices=_SHELLS, help=f"your shell: {', '.join(_SHELLS)}"),
     examples={
         'eval "$(pfdist completion bash)"': "Complete by Tab in this terminal",
         "pfdist completion bash > ~/.pfdist.bash": (
@@ -84,22 +78,17 @@ def script(shell: str) -> str:
     shell : str
         A shell that shtab knows, for instance bash.
     """
-    parser = complete_parser()
-    for added in subparsers_of(parser).values():
-        for argument in added._actions:
-            _complete(argument)
-            if shell == "zsh" and isinstance(argument.metavar, str):
-                # zsh takes what follows a bare colon for a command that completes the value.
-                argument.metavar = argument.metavar.replace(":", r"\:")
-    return shtab.complete(parser, shell)
-
-
-def _complete(argument: argparse.Action) -> None:
-    """Say in the attributes that shtab reads which values an argument can have."""
     from pfdist.models import installed_models
 
-    value: Any = argument
-    if argument.metavar in _VALUES:
-        value.complete = _VALUES[str(argument.metavar)]
-    elif argument.metavar == "MODEL":
-        value.choices = sorted(installed_models())
+    parser = complete_parser()
+    for added in subparsers_of(parser).values():
+        action: Any  # shtab reads from its attributes which values an argument can have
+        for action in added._actions:
+            if action.metavar in _VALUES:
+                action.complete = _VALUES[action.metavar]
+            elif action.metavar == "MODEL":
+                action.choices = sorted(installed_models())
+            if shell == "zsh" and isinstance(action.metavar, str):
+                # zsh takes what follows a bare colon for a command that completes the value.
+                action.metavar = action.metavar.replace(":", r"\:")
+    return shtab.complete(parser, shell)

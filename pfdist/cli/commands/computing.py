@@ -10,6 +10,7 @@ from pfdist.cli.arguments import (
     add_changes,
     add_job,
     add_json,
+    argument,
     computing,
     finite,
     whole,
@@ -104,8 +105,7 @@ def plan_command(options: Namespace) -> None:
     """Find measurement times for a job's problem, and prove how good they are."""
     from pfdist.api.plan import plan
 
-    chosen = {"search": options.search, "bound_draws": options.bound_draws}
-    print_run(computed(plan, options, **chosen), options)
+    print_run(computed(plan, options), options)
 
 
 def _add_numbers(parser: ArgumentParser) -> None:
@@ -166,14 +166,13 @@ def budget_command(options: Namespace) -> None:
     """Find times for each number of measurements, and compare them with regular times."""
     from pfdist.api.budget import budget
 
-    chosen = {name: getattr(options, name) for name in ("draws", "target", "bound_draws")}
-    finished = computed(budget, options, set(options.measurements), **chosen)
+    finished = computed(budget, options, set(options.measurements))
     print_run(finished, options, options.target)
 
 
 def _add_sets(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "runs",
+        "folders",
         nargs="*",
         default=[],
         metavar="RUN",
@@ -214,27 +213,23 @@ def compare_command(options: Namespace) -> None:
     from pfdist.api.compare import compare
 
     times = sets_by_name(options.times)
-    finished = computed(compare, options, *options.runs, times=times, draws=options.draws)
+    finished = computed(compare, options, *options.folders, times=times)
     print_run(finished, options)
 
 
 _RESULTS_OF_ONLINE = f"{RESULTS}, with -online after it unless the job has a section [online]"
 
 
-def _add_online_draws(parser: ArgumentParser) -> None:
-    parser.add_argument(
+@command(
+    "online",
+    add_job,
+    argument(
         "--draws",
         type=whole,
         metavar="K",
         help="number of draws whose times are chosen one after another, for instance 200; they are "
         "the first draws of the comparison (default: online.draws of the job)",
-    )
-
-
-@command(
-    "online",
-    add_job,
-    _add_online_draws,
+    ),
     computing(_RESULTS_OF_ONLINE),
     add_answer,
     goes_on=True,
@@ -251,7 +246,7 @@ def online_command(options: Namespace) -> None:
     """Choose times one after another, and compare them with times found in advance."""
     from pfdist.api.online import online
 
-    print_run(computed(online, options, draws=options.draws), options)
+    print_run(computed(online, options), options)
 
 
 def _add_sweep(parser: ArgumentParser) -> None:
@@ -350,8 +345,7 @@ def sweep_command(options: Namespace) -> None:
         else:
             print_page(foreseen_page(points), options)
         return
-    chosen = {name: getattr(options, name) for name in ("judge", "part", "bound_draws")}
-    _print_sweep(computed(sweep, options, over, **chosen), options)
+    _print_sweep(computed(sweep, options, over), options)
 
 
 def _print_sweep(finished: "Sweep", options: Namespace) -> None:

@@ -3,7 +3,6 @@
 import time
 from argparse import ArgumentParser, Namespace
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
 
 from pfdist.cli.answers import computed, print_answer, print_json, print_page
 from pfdist.cli.arguments import (
@@ -14,6 +13,7 @@ from pfdist.cli.arguments import (
     add_measurements,
     add_no_report,
     add_pool,
+    argument,
     count,
     decimal,
     finite,
@@ -23,8 +23,7 @@ from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, sets_by_name
 from pfdist.common.parsing import SPELLING
 
-if TYPE_CHECKING:  # a command that evaluates nothing needs no NumPy
-    from pfdist.filters.estimate import Evaluation
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
 
 
 def _add_settings(parser: ArgumentParser) -> None:
@@ -88,16 +87,11 @@ def _add_settings(parser: ArgumentParser) -> None:
 )
 def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
-    from pfdist.answers.bound import bound_page
     from pfdist.api.bound import bound
     from pfdist.runner.bound_settings import BoundSettings
 
     settings = {field.name: getattr(options, field.name) for field in fields(BoundSettings)}
-    answer = computed(bound, options, BoundSettings(**settings)).as_json()
-    if options.json:
-        print_json(answer, options)
-    else:
-        print_page(bound_page(answer, options.within), options)
+    print_answer(computed(bound, options, BoundSettings(**settings)), options)
 
 
 def _add_why_draws(parser: ArgumentParser) -> None:
@@ -127,7 +121,7 @@ def why_command(options: Namespace) -> None:
     """Show what each measurement of a run is worth, and how exactly it must be kept."""
     from pfdist.api.why import why
 
-    answer = computed(why, options, options.draws)
+    answer = computed(why, options)
     print_answer(answer, options, answer.figures)
 
 
@@ -190,7 +184,11 @@ def evaluate_command(options: Namespace) -> None:
         for name, evaluation in evaluations.items()
     }
     if options.json:
-        answers = {name: _answer(evaluations[name], broken[name]) for name in evaluations}
+        answers = {
+            name: {key: getattr(evaluation, key) for key in _ANSWERED}
+            | {"broken_constraints": broken[name]}
+            for name, evaluation in evaluations.items()
+        }
         answer = answers[UNNAMED] if is_one else {"sets": answers}
         print_json(answer | {"seconds": round(seconds, 3)}, options)
         return
@@ -199,31 +197,16 @@ def evaluate_command(options: Namespace) -> None:
     print_page(evaluate_page(evaluations, broken, parameters), options)
 
 
-def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
-    return {
-        "expected_mse": evaluation.expected_mse,
-        "standard_error": evaluation.standard_error,
-        "draws": evaluation.draws,
-        "degenerate_draws": evaluation.degenerate_draws,
-        "top_percent_share": evaluation.top_percent_share,
-        "broken_constraints": broken,
-    }
-
-
-def _add_out(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--out",
-        default="",
-        metavar="DIR",
-        help="folder of table, figure and report (default: the folder of MEASUREMENTS)",
-    )
-
-
 @command(
     "filter",
     add_job_of_run,
     add_measurements,
-    _add_out,
+    argument(
+        "--out",
+        default="",
+        metavar="DIR",
+        help="folder of table, figure and report (default: the folder of MEASUREMENTS)",
+    ),
     add_no_report,
     add_json,
     examples={
@@ -237,28 +220,21 @@ def filter_command(options: Namespace) -> None:
     """Filter real measurements of one system, with the filter of a job."""
     from pfdist.api.filter_measurements import filter_measurements
 
-    chosen = {name: getattr(options, name) for name in ("planned", "prior", "out")}
-    answer = computed(
-        filter_measurements, options, options.measurements, has_progress=False, **chosen
-    )
+    answer = computed(filter_measurements, options)
     print_answer(answer, options, answer.files)
-
-
-def _add_now(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--now",
-        type=decimal,
-        metavar="T",
-        help="the last time that has passed, if nothing was measured then, for instance 17; "
-        "times planned up to it are planned again for later",
-    )
 
 
 @command(
     "next",
     add_job_of_run,
     add_measurements,
-    _add_now,
+    argument(
+        "--now",
+        type=decimal,
+        metavar="T",
+        help="the last time that has passed, if nothing was measured then, for instance 17; "
+        "times planned up to it are planned again for later",
+    ),
     add_json,
     examples={
         "pfdist next jobs/plan.toml patient.csv": "Say when to measure this patient next",
@@ -271,7 +247,4 @@ def next_command(options: Namespace) -> None:
     """Choose when to measure a system next, from the measurements so far."""
     from pfdist.api.next_time import next_time
 
-    chosen = {name: getattr(options, name) for name in ("now", "planned", "prior")}
-    print_answer(
-        computed(next_time, options, options.measurements, has_progress=False, **chosen), options
-    )
+    print_answer(computed(next_time, options), options)

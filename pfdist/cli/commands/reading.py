@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from pfdist.cli.answers import print_page, print_records, print_run
-from pfdist.cli.arguments import add_answer, add_json, add_run
+from pfdist.cli.arguments import add_answer, add_json, add_run, argument
 from pfdist.cli.command import command
 from pfdist.errors import StoreError, one_line
 
@@ -25,20 +25,16 @@ def status_command(options: Namespace) -> None:
     print_run(open_run(options.run), options)
 
 
-def _add_folder(parser: ArgumentParser) -> None:
-    parser.add_argument(
+@command(
+    "list",
+    argument(
         "folder",
         nargs="?",
         default="results",
         metavar="DIR",
         help="folder below which runs are sought, three levels deep; links are not followed "
         "(default: results)",
-    )
-
-
-@command(
-    "list",
-    _add_folder,
+    ),
     add_json,
     examples={
         "pfdist list": "Show all runs in the folder results",
@@ -98,23 +94,15 @@ def table_command(options: Namespace) -> None:
         print(one_line(options.out))
 
 
-def _add_run_or_sweep(parser: ArgumentParser) -> None:
-    parser.add_argument("run", metavar="RUN", help="folder of a run, or of a sweep")
-
-
-def _add_watch(parser: ArgumentParser) -> None:
-    parser.add_argument(
+@command(
+    "report",
+    argument("run", metavar="RUN", help="folder of a run, or of a sweep"),
+    argument(
         "--watch",
         action="store_true",
         help="write the report again every few seconds while the run goes on; the page reloads "
         "itself",
-    )
-
-
-@command(
-    "report",
-    _add_run_or_sweep,
-    _add_watch,
+    ),
     examples={
         "pfdist report results/plan": "Write report.html into the folder of the run",
         "pfdist report results/plan --watch": "Write it again and again while the run goes on",
@@ -131,11 +119,7 @@ def report_command(options: Namespace) -> None:
     print(one_line(str(file)))
 
 
-@command(
-    "plot",
-    add_run,
-    examples={"pfdist plot results/plan": "Draw the figures of a run again"},
-)
+@command("plot", add_run, examples={"pfdist plot results/plan": "Draw the figures of a run again"})
 def plot_command(options: Namespace) -> None:
     """Draw the figures of a run from its tables."""
     from pfdist.analysis import open_run
@@ -146,9 +130,7 @@ def plot_command(options: Namespace) -> None:
 
 
 @command(
-    "verify",
-    add_run,
-    examples={"pfdist verify results/plan": "Check a run after it was copied"},
+    "verify", add_run, examples={"pfdist verify results/plan": "Check a run after it was copied"}
 )
 def verify_command(options: Namespace) -> None:
     """Check every byte, row and key of a run."""
