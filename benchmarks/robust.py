@@ -24,7 +24,6 @@ TABLES: tuple[str, ...] = ("robust",)
 _JOBS = Path(__file__).parents[1] / "jobs"
 SCENARIOS = 8
 DRAWS = 24_000  # of the comparison
-SEARCHED = 4_800  # draws of a search: scenarios share them
 # Parameters that a plan may have guessed wrongly; `two_compartments` has its own scenarios.
 _GUESSES: dict[str, dict[str, dict[str, list[float]]]] = {
     "two_compartments": {},
@@ -71,10 +70,9 @@ def measure(quick: bool, say: Say) -> Tables:
 
 def _compared(name: str, quick: bool, say: Say) -> pd.DataFrame:
     """The rows of one system."""
-    job = tomllib.loads((_JOBS / f"{name}.toml").read_text(encoding="utf-8"))
+    job: dict[str, Any] = tomllib.loads((_JOBS / f"{name}.toml").read_text(encoding="utf-8"))
     own = job.pop("scenarios", None) or {"parameters": _GUESSES[name], "count": SCENARIOS}
     section = {**own, "criterion": "mean", "filter": "nominal"}
-    job["search"] = [{"method": "relaxation", "evaluation": {"draws": 240 if quick else SEARCHED}}]
     every = Scenarios.model_validate(section).each
     with tempfile.TemporaryDirectory(prefix="robust-") as folder:
         planned = _Planned(job, Path(folder))

@@ -338,6 +338,11 @@ class Job(Section):
         """The job file. Paths of models are relative to its folder, and a run has its name."""
         return self._origin.path
 
+    @property
+    def judged_apart(self) -> int:
+        """Number of scenarios that are judged each by its own draws; 1 if a mean decides."""
+        return len(self.scenarios.each) if self.scenarios and self.scenarios.is_worst else 1
+
     def with_changes(
         self,
         overrides: Iterable[str] = (),

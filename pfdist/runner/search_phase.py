@@ -93,10 +93,15 @@ def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, 
     if finalists and search.polishing and not polishes:
         session.say(f"search {search.name}: exchanges would take too long, and are left out")
     if finalists and polishes:
-        polishing = _polishing(session.built, search, finalists[0].measurement_times)
-        polished = yield from _finalists(session, polishing)
-        leaders = [*leaders, *polished[:1]]
-        finalists = [*polished[:_POLISHED], *finalists[:_UNPOLISHED]]
+        start, ends = finalists[0].measurement_times, list[Evaluation]()
+        for name in search.polishes:
+            polished = yield from _finalists(
+                session, _polishing(session.built, search, start, name)
+            )
+            start = polished[0].measurement_times if polished else start
+            ends = [*polished[:_POLISHED], *ends[:1]]
+        leaders = [*leaders, *ends[:1]]
+        finalists = [*ends, *finalists[:_UNPOLISHED]]
     return _Attempt(finalists, leaders, polishes)
 
 
@@ -184,7 +189,7 @@ def search_steps(built: Built, search: NamedSearch) -> float:
     phases: list[Phase] = [_searching(built, search)]
     if search.polishing:
         if not _is_too_long(built, search):
-            phases.append(_polishing(built, search, start))
+            phases += [_polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
     if search.again:
         phases.append(_probing(built, search, ()))
@@ -203,18 +208,28 @@ def _searching(built: Built, search: NamedSearch) -> Phase:
     )
 
 
-def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase:
-    """Exchanges on draws of their own: the draws of the search favour the set that it found."""
+def _polishing(built: Built, search: NamedSearch, start: Times, name: str) -> Phase:
+    """Exchanges on draws of their own: the draws of the search favour the set that it found.
+
+    Exchanges for the worst scenario judge each scenario by its own draws. They may end in a local
+    optimum, so they begin at the best mean, which races with their result.
+    """
     feasible, settings = built.feasible, search.polishing or search.settings
     reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
-    exchange = Exchange(feasible, settings.draws, start, reach)
-    return Phase(search.polish, exchange, "search", settings, built)
+    of_mean, scenarios = name != search.polish, 1
+    if search.is_worst and not of_mean:  # Few particles may have another worst scenario.
+        scenarios, estimation = built.job.judged_apart, built.comparing
+        settings = replace(settings, draws=scenarios * settings.draws, estimation=estimation)
+    exchange = Exchange(feasible, settings.draws, start, reach, scenarios=scenarios)
+    return Phase(name, exchange, "search", settings, built, additive=of_mean)
 
 
 def _is_too_long(built: Built, search: NamedSearch) -> bool:
     """Whether the exchanges that polish would take too long; the worst scenario needs them."""
     start = built.job.problem.feasible.regular()
-    return not built.is_worst and _polishing(built, search, start).steps() > _MOST_STEPS
+    return (
+        not built.is_worst and _polishing(built, search, start, search.polish).steps() > _MOST_STEPS
+    )
 
 
 def _probing(built: Built, search: NamedSearch, sought: tuple[Candidate, ...]) -> Phase:

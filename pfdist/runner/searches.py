@@ -169,6 +169,7 @@ class NamedSearch:
     polishing: Settings | None  # of exchanges that polish the best set; None for no exchanges
     racing: Settings  # of the race, which the job's own filter decides by the squared error
     additive: bool  # whether the optimiser adds errors of instants; then costs must be means
+    is_worst: bool  # whether the worst scenario decides
     # The same search by the squared error, with the particles of the job's own filter. It takes the
     # place of this search if the estimator cannot be trusted. None if this search uses it.
     again: "NamedSearch | None" = None
@@ -184,6 +185,11 @@ class NamedSearch:
         return f"{self.name}.polish"
 
     @property
+    def polishes(self) -> tuple[str, ...]:
+        """Names of all phases of exchanges; the worst scenario follows the mean."""
+        return (f"{self.name}.polish_mean", self.polish) if self.is_worst else (self.polish,)
+
+    @property
     def shortlist(self) -> str:
         """Name of the phase that decides between the sets at the end of the search."""
         return f"{self.name}.shortlist"
@@ -191,7 +197,7 @@ class NamedSearch:
     @property
     def phases(self) -> tuple[str, ...]:
         """Names of all phases that the search may have."""
-        own = self.name, self.polish, self.shortlist
+        own = self.name, *self.polishes, self.shortlist
         return own if self.again is None else (*own, self.probe, *self.again.phases)
 
     @property
@@ -232,14 +238,17 @@ def comparing_of(job: Job) -> Estimation:
 def _with_settings(
     job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
 ) -> NamedSearch:
+    apart = job.judged_apart
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
     if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
         believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
         polishing = replace(polishing, estimation=believed)
-    racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=comparing_of(job))
+    racing = replace(
+        settings, draws=apart * _RACE_DRAWS, common_noise=True, estimation=comparing_of(job)
+    )
     additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None
-    return NamedSearch(name, optimiser, settings, polishing_or_none, racing, additive)
+    return NamedSearch(name, optimiser, settings, polishing_or_none, racing, additive, apart > 1)
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:

@@ -24,6 +24,7 @@ from pfdist.search.methods import method
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
+_FEWEST = 32  # draws of the first evaluation; enough to know a standard error
 _LONGEST_RUN = 48
 """The most times of a run that is shifted, so that a set of N times has at most 96 N shifts.
 
@@ -50,7 +51,6 @@ def shifts(feasible: Feasible, times: Times) -> list[Times]:
     return [new for new in shifted if len({*new}) == len(new) and feasible.accepts(new)]
 
 
-_FEWEST = 32  # draws of the first evaluation; enough to know a standard error
 # Differences in standard errors:
 _WORSE = 2.0  # from here on a neighbour is worse than the best neighbour, and dropped
 _BETTER = 3.0  # from here on a neighbour is better than the best set
@@ -85,6 +85,8 @@ class Exchange:
         Largest distance that a time is moved. By default there is no limit.
     moves : int
         Largest number of moves.
+    scenarios : int
+        Number of scenarios that are judged each by its own draws.
     """
 
     feasible: Feasible
@@ -92,6 +94,7 @@ class Exchange:
     start: Times | None = None
     reach: int | None = None
     moves: int = 200
+    scenarios: int = 1
 
     @property
     def generations(self) -> int:
@@ -148,7 +151,7 @@ class Exchange:
 
     @property
     def _fewest(self) -> int:
-        return min(_FEWEST, self.draws)
+        return min(_FEWEST * self.scenarios, self.draws)
 
     def _around(self, times: Times) -> ExchangeState:
         neighbours = self.feasible.exchanges(times, self.reach) + shifts(self.feasible, times)
