@@ -6,14 +6,17 @@ So it finds what cannot travel before any worker has a task.
 """
 
 import dataclasses
+import io
 import linecache
 import pickle
 import sys
-from collections.abc import Iterator, Mapping
+import types
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Final
+from typing import Any, ClassVar, Final
 
 import cloudpickle
 
@@ -97,14 +100,36 @@ def carried(
     }
     try:
         with _sent_by_value(inspection.modules):
-            content = cloudpickle.dumps((fields, inspection.texts))
+            written = io.BytesIO()
+            _Pickler(written).dump((fields, inspection.texts))
     except Exception as error:  # an object of the user may raise any exception
         raise ModelError(
             f"model {model.name} cannot be sent to workers: {error_line(error)}"
         ) from error
-    result = CarriedModel(name, content, inspection.fingerprint)
+    result = CarriedModel(name, written.getvalue(), inspection.fingerprint)
     result.model  # noqa: B018  made here first, to find what cannot be made
     return result
+
+
+def _reduced(code: types.CodeType) -> tuple[Any, ...]:
+    """How code is pickled: as cloudpickle does, with its file, which newer releases leave out.
+
+    The fingerprint, errors and the cache of compiled code read the source of a formula there.
+    """
+    make, parts = cloudpickle.Pickler.dispatch_table[types.CodeType](code)
+    return _of_file, (make, parts, code.co_filename)
+
+
+def _of_file(
+    make: Callable[..., types.CodeType], parts: tuple[Any, ...], file: str
+) -> types.CodeType:
+    return make(*parts).replace(co_filename=file)
+
+
+class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it ships no type hints
+    dispatch_table: ClassVar[Mapping[Any, Any]] = ChainMap(
+        {types.CodeType: _reduced}, cloudpickle.Pickler.dispatch_table
+    )
 
 
 @contextmanager

@@ -248,3 +248,10 @@ def test_threads_load_each_their_own_helper(write: Write, tmp_path: Path) -> Non
         loaded = pool.map(lambda name: carried_model(f"{name}/mine.py:model", tmp_path), "abab")
         assert [moved(each) for each in loaded] == [4.0, 10.0, 4.0, 10.0]
     assert sys.path == path
+
+
+def test_formulas_that_travelled_keep_their_source(write: Write) -> None:
+    """Without it no formula has a key for the cache of compiled code, or a line in an error."""
+    arrived = pickle.loads(pickle.dumps(write("", "2 * x[0]"))).model
+    assert Path(arrived.transition.__code__.co_filename).name == "mine.py"
+    assert formulas_key("mine", arrived.formulas) is not None
