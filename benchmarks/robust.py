@@ -182,7 +182,6 @@ def plot(tables: Tables) -> Figure:
         ):
             ax.plot(100 * plans[column], plans["planned_for"], "o", color=colour, label=label)
         ax.set_title(str(system))
-        ax.set_xlim(-2)
     axes[0].invert_yaxis()
     axes[-1].set_xlabel("loss, %")
     canvas.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)

@@ -357,14 +357,17 @@ def robust() -> str:
     plans = pd.read_csv(BENCHMARKS / "robust.csv", comment="#")
     rows = [
         [
+            f"`{row.system}`",
             row.planned_for,
-            re.sub(r" ([ic])\w+", r" \1", row.times),
-            with_error(row.expected_mse, row.standard_error),
+            with_error(row.mean_mse, row.mean_error),
             with_error(row.worst_mse, row.worst_error),
+            f"{100 * row.worst_loss:.1f}",
+            f"{100 * row.mean_loss:.1f}",
         ]
         for row in plans.itertuples()
     ]
-    return _table(["planned for", "times, h", "mean error", "error in the worst scenario"], rows)
+    errors, losses = ("mean error", "largest error"), ("largest loss, %", "loss of the mean, %")
+    return _table(["job", "planned for", *errors, *losses], rows)
 
 
 def engines() -> str:
