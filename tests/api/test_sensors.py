@@ -153,9 +153,10 @@ def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
 
 
 def test_given_sets_are_compared_with_regular_times(tmp_path: Path) -> None:
-    """The first set is the reference, as in a plan."""
+    """The first set is the reference, as in a plan. It may be asked for, too."""
     run = pfdist.compare(
-        _problem(SYSTEMS[3], measurement_budget=2), times={"mine": "2 near, 9 far"}, draws=50,
+        _problem(SYSTEMS[3], measurement_budget=2),
+        times={"regular": "regular", "mine": "2 near, 9 far"}, draws=50,
         results=tmp_path / "run", pool="serial", report=False, figures=False,
     )  # fmt: skip
     assert list(run.sets) == ["regular", "alone_far", "alone_both", "rotation", "mine"]
@@ -189,6 +190,16 @@ def test_measurements_have_a_row_for_each_sensor(
     np.testing.assert_allclose(filtered.table["mean_0"], means, rtol=1e-9, atol=1e-12)
     following = pfdist.next_time(problem, table, results=run.path)
     assert following.measured == ("2 near", "4 near", "4 both")
+
+
+def test_the_last_instant_of_a_clock_is_planned(tmp_path: Path) -> None:
+    """The clock of what is left has a single instant."""
+    problem = _problem(SYSTEMS[3], measurement_budget=2, time_step=1, time_unit="h")
+    planner = pfdist.Planner(problem, ["2 near", "9 far"])
+    planner.missed(HORIZON - 1)
+    assert {str(time).split()[0] for time in planner.plan()} == {str(HORIZON)}
+    planner.missed(HORIZON)
+    assert planner.plan() == ()
 
 
 @pytest.mark.parametrize(
