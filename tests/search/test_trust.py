@@ -15,10 +15,10 @@ from pfdist.search.probe import (
     PROBE_DRAWS,
     Probe,
     ProbeState,
+    failed_probe,
     judged,
     misordered,
     new_leaders,
-    failed_probe,
     unchecked_probe,
     wrong_order,
 )
