@@ -16,8 +16,10 @@ from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
+from pfdist.sequential.measurements import read_measurements
 from pfdist.sequential.one_filter import OneFilter
 from pfdist.sequential.work import seen
+from pfdist.times.clock import Clock
 
 BUDGET = 6
 
@@ -200,6 +202,22 @@ def test_the_last_instant_of_a_clock_is_planned(tmp_path: Path) -> None:
     assert {str(time).split()[0] for time in planner.plan()} == {str(HORIZON)}
     planner.missed(HORIZON)
     assert planner.plan() == ()
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("2,near,1.5\n\n40,near,1", r"t must lie in 0\.\.12, got 40 \(line 4\)$"),
+        ("2,Near,1.5", "got 'Near' in line 2; did you mean 'near'"),
+        ("2,near,wet", "column 'y0' must hold numbers, got 'wet' in line 2$"),
+        ("2,near,1,5", "decimals have a point; .* got 4 values in line 2, 3 in the first$"),
+    ],
+)
+def test_a_mistake_in_a_table_names_its_line(rows: str, said: str, tmp_path: Path) -> None:
+    table = tmp_path / "case.csv"
+    table.write_text(f"t,sensor,y0\n{rows}\n")
+    with pytest.raises(pfdist.PfdistError, match=said):
+        read_measurements(table, SYSTEMS[3].as_model(), Clock.counting(HORIZON))
 
 
 @pytest.mark.parametrize(
