@@ -73,7 +73,7 @@ def _ended(session: Session, search: NamedSearch, name: str) -> Generator[Batch,
         wrong = misordered(attempt.believed, raced) if again and raced else None
         if again is None or wrong is None:
             return SearchEnd(_winners(session, name, attempt, raced))
-        distrust = wrong_order(*wrong, session.built.job.problem.clock)
+        distrust = wrong_order(*wrong, clock=session.built.job.problem.clock)
     estimation = search.settings.estimation
     estimator = f"{estimation.estimator} of {estimation.particles} particles"
     distrust = f"{estimator} cannot be believed: {distrust}"
@@ -118,10 +118,10 @@ def _distrusted(
     probe, clock = (yield from run_phase(phase, session)), session.built.job.problem.clock
     if probe and not judged(*probe).is_known:
         estimator = search.settings.estimation.estimator
-        reason = unchecked_probe(*probe, clock)
+        reason = unchecked_probe(*probe, clock=clock)
         session.say(f"search {search.name}: {estimator} could not be checked: {reason}")
         return None
-    return failed_probe(*probe, clock) if probe else None
+    return failed_probe(*probe, clock=clock) if probe else None
 
 
 def _raced(

@@ -216,7 +216,7 @@ def misordered(
     return None
 
 
-def failed_probe(estimated: Evaluation, squared: Evaluation, clock: Clock) -> str:
+def failed_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
     """A sentence that says how far an estimate is too small on a set.
 
     The evaluations are those of `judged`. Sets are written as users read them, on the clock.
@@ -230,7 +230,7 @@ def failed_probe(estimated: Evaluation, squared: Evaluation, clock: Clock) -> st
     )
 
 
-def unchecked_probe(estimated: Evaluation, squared: Evaluation, clock: Clock) -> str:
+def unchecked_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
     """A sentence about the set on which an estimator could not be tested, as for `judged`."""
     usable = int(np.sum(np.isfinite(estimated.mse) & np.isfinite(squared.mse)))
     return (
@@ -239,7 +239,7 @@ def unchecked_probe(estimated: Evaluation, squared: Evaluation, clock: Clock) ->
     )
 
 
-def wrong_order(better: Evaluation, worse: Evaluation, clock: Clock) -> str:
+def wrong_order(better: Evaluation, worse: Evaluation, *, clock: Clock) -> str:
     """A sentence that says which two finalists an estimator puts in the wrong order.
 
     Both evaluations are by the squared error, on common draws.

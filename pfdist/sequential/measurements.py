@@ -159,9 +159,9 @@ def checked_measurement(
 ) -> Array | None:
     """A measurement as an array (m,), after it was checked; None if every component is missing.
 
-    `t` is the time as errors name it, and `names` are the components. Raises `MeasurementsError` if the number of components is
-    wrong, if one is no finite number, or if one is missing though the model does not declare that
-    it takes such measurements.
+    `t` is the time, and `names` the components, as errors name them. Raises `MeasurementsError` if
+    the number of components is wrong, if one is no finite number, or if one is missing though the
+    model does not declare that it takes such measurements.
     """
     components = model.components[1]
     if y is None:
