@@ -94,6 +94,8 @@ def _values(value: Any) -> str:
 
 def _measurements(job: Mapping[str, Any]) -> str:
     problem, budget = job["problem"], job.get("budget")
+    if budget and budget.get("numbers"):
+        return ", ".join(map(str, budget["numbers"]))
     if budget:
         return f"every number from {budget['least']} to {budget['most']}"
     if problem.get("total_cost"):

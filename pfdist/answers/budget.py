@@ -57,6 +57,8 @@ def _answer(subject: Subject) -> list[Text]:
         text = f"No smaller number of found times reaches the error of {regular_times}."
     if reached["impossible"] is not None:
         text += f" No {number_of(reached['impossible'], 'time')} can (95 %)."
+    if untried := _untried(subject, number):
+        text += f" {untried}."
     return [Text(text, prominent=True)]
 
 
@@ -65,7 +67,9 @@ def _target(subject: Subject) -> Iterator[Text]:
     if subject.target is None:
         return
     for kind, reached in subject.reaching(subject.target).items():
-        yield Text(_reached(kind, reached, subject.target), prominent=True)
+        number, text = reached["measurements"], _reached(kind, reached, subject.target)
+        untried = "" if number is None else _untried(subject, number)
+        yield Text(f"{text}; {untried}" if untried else text, prominent=True)
         if reached["measurement_times"] is not None and kind == "found":
             times = subject.listed(reached["measurement_times"])
             yield Text(f"To reach {subject.target:g}, measure at t = {times}.")
@@ -86,6 +90,16 @@ def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:
     impossible = reached.get("impossible")
     times = "time" if impossible == 1 else "times"
     return text if impossible is None else f"{text}; no {impossible} {times} can (95 %)"
+
+
+def _untried(subject: Subject, number: int) -> str:
+    """Say which numbers below this one were left out, down to the next that was tried."""
+    tried = {each.measurements for each in subject.results.values()}
+    below = max((each for each in tried if each < number), default=number - 1)
+    if below == number - 1:
+        return ""
+    first, last = below + 1, number - 1
+    return f"{first} was not tried" if first == last else f"{first} to {last} were not tried"
 
 
 def _rows(results: Sequence[SetResult]) -> list[list[Cell]]:

@@ -166,7 +166,8 @@ def next_page(answer: Mapping[str, Any]) -> Page:
     facts = [("expected MSE", _expected(answer, ""))]
     if answer["plan"]:
         following, *later = answer["plan"]
-        line = f"measure next at t = {formatted_times([following], unit)}"
+        own_unit = "" if later and isinstance(following, str) else unit
+        line = f"measure next at t = {formatted_times([following], own_unit)}"
         if later:
             shown = formatted_times(later[:_SHOWN], unit)
             line += f"; then about {shown}{', ...' if len(later) > _SHOWN else ''}"

@@ -77,7 +77,7 @@ _EXACT_SEARCHES = (
 Chapter = Callable[[Subject], Section | None]
 
 
-def page_of(run: Run, seconds: int = 0) -> Page:
+def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     """The report of a run, with its figures and how it was computed.
 
     Parameters
@@ -86,8 +86,10 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         Finished or not.
     seconds : int
         After so many seconds the page reloads itself; 0 for never.
+    target : float, optional
+        An expected MSE: how many measurements reach it.
     """
-    subject = Subject(run)
+    subject = Subject(run, target=target)
     chapters: Sequence[Chapter] = (
         answer, scenarios, compared, problem, gains, proof, worth, online,
     )  # fmt: skip

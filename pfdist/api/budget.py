@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from pfdist.analysis import Run
-from pfdist.api.options import MOST_DRAWS, Options, with_options
+from pfdist.api.options import MOST_DRAWS, Chosen, Options, with_options
+from pfdist.api.report import try_report
 from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import number_argument, whole_argument
@@ -50,7 +51,7 @@ def budget(
     target : float, optional
         An expected MSE. A second figure, ``budget-target-<target>``, shows the target, the least
         number of measurements that reaches it, and the largest number that is proved not to reach
-        it, as `pfdist.analysis.reaching` gives them.
+        it, as `pfdist.analysis.reaching` gives them. The report says so, too.
     bound_draws : int
         Number of draws of the lower bound for each number of measurements; 0 for no bound. See
         `pfdist.bound`.
@@ -87,13 +88,18 @@ def budget(
         )
     # The run must not depend on the measurement budget that the job file names.
     job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
+    chosen = Chosen(**options)
+    if target is not None:
+        options["report"] = False  # it is written below: the run knows no target
     finished = run(
         job, folder_of(job, results, "-budget"), bound_draws=bound_draws, reuse=reuse, **options
     )
-    if target is not None and options.get("figures", True):
+    if target is not None and chosen.figures:
         from pfdist.plots import draw_target  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
         draw_target(finished, target)
+    if target is not None and chosen.has_report:
+        try_report(finished, chosen.say, target)
     return finished
 
 

@@ -97,7 +97,7 @@ class SetsToCompare:
         MeasurementTimesError
             Times are not those of the clock.
         JobError
-            A name is used twice.
+            A name is used twice, for other times.
         """
         if not isinstance(times, Mapping):
             raise JobError(
@@ -106,13 +106,15 @@ class SetsToCompare:
                 argument="times",
             )
         for name, written in times.items():
+            instants = instants_of(self._job, name, written)
+            if self._instants.get(name) == instants:  # it is compared anyway
+                continue
             if name in self._written:
                 raise JobError(
                     f"names of times must differ from each other and from the sets of the runs, "
                     f"{', '.join(self._written)}, got {name!r}",
                     argument="times",
                 )
-            instants = instants_of(self._job, name, written)
             if name in RESERVED and not (name == REGULAR and instants == self._regular):
                 raise JobError(
                     f"names of times must not be {', '.join(map(repr, RESERVED))}, got {name!r}; "

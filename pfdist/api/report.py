@@ -60,11 +60,20 @@ def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> 
     return write_report(open_run(path))
 
 
-def write_report(run: Run, seconds: int = 0) -> Path:
-    """Write the report of a run; after so many seconds the page reloads itself, 0 is never."""
+def write_report(run: Run, seconds: int = 0, target: float | None = None) -> Path:
+    """Write the report of a run.
+
+    Parameters
+    ----------
+    run : Run
+    seconds : int
+        After so many seconds the page reloads itself; 0 is never.
+    target : float, optional
+        An expected MSE: how many measurements reach it, in a run for several numbers.
+    """
     from pfdist.answers.pictures import with_pictures  # noqa: PLC0415  Matplotlib loads if a page is made
 
-    return _write(lambda: with_pictures(page_of(run, seconds), run), run.path)
+    return _write(lambda: with_pictures(page_of(run, seconds, target), run), run.path)
 
 
 def write_sweep_report(path: Path) -> Path:
@@ -104,7 +113,7 @@ def is_sweep(path: Path) -> bool:
     return next(runs_below(path, 1), path) != path
 
 
-def try_report(run: Run | Path, say: Say) -> None:
+def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
     """Write the report of a run or a sweep whose results stand, whatever becomes of the report.
 
     No error of the report ends the command that has computed the results, not even a mistake in
@@ -116,11 +125,13 @@ def try_report(run: Run | Path, say: Say) -> None:
         A run, or the folder of a sweep.
     say : callable
         Receives a line if there is no report.
+    target : float, optional
+        As of `write_report`.
     """
     path = run.path if isinstance(run, Run) else run
     try:
         if isinstance(run, Run):
-            write_report(run)
+            write_report(run, target=target)
         else:
             write_sweep_report(path)
     except PfdistError as error:

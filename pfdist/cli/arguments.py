@@ -184,7 +184,8 @@ def add_measurements(parser: ArgumentParser) -> None:
         metavar="MEASUREMENTS",
         help="table with the columns t, y0, y1, ... (or y_ and the model's name of the component), "
         "in CSV or Parquet, for instance patient.csv; an empty cell is a missing component, "
-        "a row without any value a missed time",
+        "a row without any value a missed time; if the model has sensors, the column sensor names "
+        "the sensor of a row, whose components are y0, y1, ...",
     )
     parser.add_argument(
         "--planned",

@@ -73,7 +73,7 @@ def _ended(session: Session, search: NamedSearch, name: str) -> Generator[Batch,
         wrong = misordered(attempt.believed, raced) if again and raced else None
         if again is None or wrong is None:
             return SearchEnd(_winners(session, name, attempt, raced))
-        distrust = wrong_order(*wrong)
+        distrust = wrong_order(*wrong, clock=session.built.job.problem.clock)
     estimation = search.settings.estimation
     estimator = f"{estimation.estimator} of {estimation.particles} particles"
     distrust = f"{estimator} cannot be believed: {distrust}"
@@ -115,14 +115,13 @@ def _distrusted(
     probed = attempt.leaders if races else [*attempt.leaders, *attempt.finalists]
     sought = dict.fromkeys(Candidate(each.measurement_times, each.end) for each in probed)
     phase = _probing(session.built, search, tuple(sought))
-    probe = yield from run_phase(phase, session)
+    probe, clock = (yield from run_phase(phase, session)), session.built.job.problem.clock
     if probe and not judged(*probe).is_known:
         estimator = search.settings.estimation.estimator
-        session.say(
-            f"search {search.name}: {estimator} could not be checked: {unchecked_probe(*probe)}"
-        )
+        reason = unchecked_probe(*probe, clock=clock)
+        session.say(f"search {search.name}: {estimator} could not be checked: {reason}")
         return None
-    return failed_probe(*probe) if probe else None
+    return failed_probe(*probe, clock=clock) if probe else None
 
 
 def _raced(

@@ -21,8 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
+from pfdist.common.formatted_times import formatted_times
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.search.base import Candidate
+from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -214,38 +216,40 @@ def misordered(
     return None
 
 
-def failed_probe(estimated: Evaluation, squared: Evaluation) -> str:
-    """A sentence that says how far an estimate is too small on a set; arguments as of `judged`."""
+def failed_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
+    """A sentence that says how far an estimate is too small on a set.
+
+    The evaluations are those of `judged`. Sets are written as users read them, on the clock.
+    """
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     estimate, error = np.mean(estimated.mse[usable]), Estimate.of_mean(squared.mse[usable])
-    up_to = "" if estimated.end is None else f" up to t = {estimated.end}"
+    up_to = "" if estimated.end is None else f" up to t = {clock.formatted(estimated.end)}"
     return (
-        f"it gives {estimate:.4g} for {_text(estimated.measurement_times)}{up_to}, where the "
-        f"squared error of the job's own filter is {error.value:.4g} ± {error.standard_error:.2g}"
+        f"it gives {estimate:.4g} for {_text(estimated, clock)}{up_to}, where the squared "
+        f"error of the job's own filter is {error.value:.4g} ± {error.standard_error:.2g}"
     )
 
 
-def unchecked_probe(estimated: Evaluation, squared: Evaluation) -> str:
+def unchecked_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
     """A sentence about the set on which an estimator could not be tested, as for `judged`."""
     usable = int(np.sum(np.isfinite(estimated.mse) & np.isfinite(squared.mse)))
     return (
-        f"in {_text(estimated.measurement_times)} only {usable} of {estimated.mse.size} draws had "
+        f"in {_text(estimated, clock)} only {usable} of {estimated.mse.size} draws had "
         "no degenerate filter, and 2 are needed; more particles would help"
     )
 
 
-def wrong_order(better: Evaluation, worse: Evaluation) -> str:
+def wrong_order(better: Evaluation, worse: Evaluation, *, clock: Clock) -> str:
     """A sentence that says which two finalists an estimator puts in the wrong order.
 
     Both evaluations are by the squared error, on common draws.
     """
     apart = difference(worse, better)
     return (
-        f"it prefers {_text(worse.measurement_times)} to {_text(better.measurement_times)}, where "
-        f"the squared error of the job's own filter is larger by {apart.value:.4g} ± "
-        f"{apart.standard_error:.2g}"
+        f"it prefers {_text(worse, clock)} to {_text(better, clock)}, where the squared error of "
+        f"the job's own filter is larger by {apart.value:.4g} ± {apart.standard_error:.2g}"
     )
 
 
-def _text(times: Times) -> str:
-    return f"{{{', '.join(map(str, times))}}}"
+def _text(evaluation: Evaluation, clock: Clock) -> str:
+    return f"{{{formatted_times(clock.written_of(evaluation.measurement_times))}}}"

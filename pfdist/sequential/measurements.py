@@ -16,7 +16,7 @@ from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.one_filter import made
-from pfdist.store.user_tables import read_user_table
+from pfdist.store.user_tables import SEPARATORS, read_user_table, row_in
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
@@ -55,10 +55,16 @@ def read_measurements(
     try:
         check = partial(_check_header, allowed)
         columns = read_user_table(path, check, names={"sensor": sensors})
+        for row, t in enumerate(columns["t"].tolist()):
+            try:
+                instant_on(clock, t, start)
+            except MeasurementsError as error:
+                raise MeasurementsError(f"{error} ({row_in(path, row)})") from error
         if sensors:
             columns = _side_by_side(columns, model)
             allowed = [["t", *(f"y{component}" for component in range(model.components[1]))]]
         wanted = next(names for names in allowed if names[1] in columns)
+        components = _components_of_sensors(model) if sensors else wanted[1:]
         times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
             if t == following:
@@ -66,7 +72,7 @@ def read_measurements(
                 raise MeasurementsError(f"a time must stand in one row, got t = {repeated} twice")
         table = np.stack([columns[name] for name in wanted[1:]], axis=1)
         rows = [
-            (t, checked_measurement(table[row], model, formatted_time(clock.time(t))))
+            (t, checked_measurement(table[row], model, formatted_time(clock.time(t)), components))
             for row, t in sorted(enumerate(times), key=itemgetter(1))
         ]
     except (MeasurementsError, ValueError) as error:
@@ -80,6 +86,15 @@ def read_measurements(
         np.array(list(measured.values())).reshape(-1, model.components[1]),
         tuple(t for t, y in rows if y is None),
     )
+
+
+def _components_of_sensors(model: StateSpaceModel) -> list[str]:
+    """The components of y as a table names them: by their column and the sensor of their row."""
+    return [
+        f"y{column} of {part.name}"
+        for part in model.parts
+        for column in range(part.model.components[1])
+    ]
 
 
 def _side_by_side(columns: dict[str, Array], model: StateSpaceModel) -> dict[str, Array]:
@@ -140,13 +155,13 @@ def checked_instant(t: Any, start: int, horizon: int) -> int:
 
 
 def checked_measurement(
-    y: float | Sequence[float] | Array, model: StateSpaceModel, t: str
+    y: float | Sequence[float] | Array, model: StateSpaceModel, t: str, names: Sequence[str] = ()
 ) -> Array | None:
     """A measurement as an array (m,), after it was checked; None if every component is missing.
 
-    `t` is the time as errors name it. Raises `MeasurementsError` if the number of components is
-    wrong, if one is no finite number, or if one is missing though the model does not declare that
-    it takes such measurements.
+    `t` is the time, and `names` the components, as errors name them. Raises `MeasurementsError` if
+    the number of components is wrong, if one is no finite number, or if one is missing though the
+    model does not declare that it takes such measurements.
     """
     components = model.components[1]
     if y is None:
@@ -163,11 +178,12 @@ def checked_measurement(
             f"a measurement must have as many components as y of the model {model.name}, "
             f"{components}, got {got} at t = {t}"
         )
+    names = names or [f"y[{component}]" for component in range(components)]
     infinite = np.flatnonzero(np.isinf(values))
     if infinite.size:
         raise MeasurementsError(
             f"a measurement must be finite, or NaN where a component is missing, got "
-            f"y[{infinite[0]}] = {values[infinite[0]]} at t = {t}"
+            f"{names[infinite[0]]} = {values[infinite[0]]} at t = {t}"
         )
     missing = np.flatnonzero(np.isnan(values))
     if missing.size == components:
@@ -177,7 +193,7 @@ def checked_measurement(
     partly = [k for k in missing.tolist() if not any(y.start <= k < y.stop for y in idle)]
     if partly and not model.missing_components:
         raise MeasurementsError(
-            f"all components of y must be measured or none, got y[{partly[0]}] missing at "
+            f"all components of y must be measured or none, got {names[partly[0]]} missing at "
             f"t = {t}: the model {model.name} does not declare missing_components=True, which says "
             "that its log_likelihood takes NaN"
         )
@@ -190,7 +206,7 @@ def _check_header(allowed: list[list[str]], header: list[str]) -> None:
     choices = " or ".join(map(", ".join, allowed))
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
     if len(header) == 1 and any(separator in header[0] for separator in ";\t|"):
-        text += "; the separator of columns is the comma"
+        text += f"; {SEPARATORS}"
     elif header[0][:1].isdigit():
         text += "; the first line must name the columns"
     raise MeasurementsError(text)

@@ -1,8 +1,10 @@
 """Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
 
+import re
 import stat
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
 from pfdist.store.tables import holds_table, write_table
@@ -27,6 +30,8 @@ MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold man
 MOST_COLUMNS = 1000
 _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
+_UNEQUAL = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")  # the words of pandas
+SEPARATORS = "columns must be separated by commas; decimals have a point"
 
 
 def read_user_table(
@@ -64,7 +69,9 @@ def read_user_table(
             )
         header, column, numbers = (_in_parquet if is_parquet(path) else _in_csv)(path, check)
     return {
-        name: _places(name, column(k), names[name]) if name in names else numbers(name, column(k))
+        name: _places(path, name, column(k), names[name])
+        if name in names
+        else numbers(name, column(k))
         for k, name in enumerate(header)
         if not only or name in only
     }
@@ -75,12 +82,28 @@ def is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _places(name: str, texts: Iterable[Any], names: Sequence[str]) -> Array:
+def row_in(table: Path | pd.DataFrame, row: int) -> str:
+    """The place of a row, which counts from 0: the line of a CSV file, or the row of another table.
+
+    The line that names the columns is line 1. Blank lines are no rows.
+    """
+    if isinstance(table, pd.DataFrame) or is_parquet(table):
+        return f"row {row + 1}"
+    with table.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = (number for number, line in enumerate(file, 1) if line.strip())
+        return f"line {next(islice(lines, row + 1, None), row + 2)}"
+
+
+def _places(
+    path: Path | pd.DataFrame, name: str, texts: Iterable[Any], names: Sequence[str]
+) -> Array:
     """The place of each text of a column among the names that it may hold."""
-    for text in (entries := [str(text).strip() for text in texts]):
+    entries = [str(text).strip() for text in texts]
+    for row, text in enumerate(entries):
         if text not in names:
             raise ValueError(
-                f"column {shown(name)} must hold {', '.join(names)}, got {shown(text)}"
+                f"column {shown(name)} must hold {', '.join(names)}, got {shown(text)} in "
+                f"{row_in(path, row)}{did_you_mean(text, names)}"
             )
     return np.array([names.index(text) for text in entries], np.float64)
 
@@ -107,23 +130,27 @@ def _in_csv(path: Path, check: _Check) -> _Columns:
         try:
             text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False, low_memory=True)
         except UnicodeDecodeError as error:
-            raise ValueError("a CSV table must be UTF-8 text, got other bytes") from error
+            raise ValueError(
+                "a CSV table must be UTF-8 text, got other bytes: save the sheet as CSV in UTF-8"
+            ) from error
         except pd.errors.EmptyDataError as error:
             raise ValueError("a table must have a line that names the columns, got none") from error
         except (pd.errors.ParserError, OverflowError) as error:
             reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
+            if unequal := _UNEQUAL.search(reason):
+                expected, line, seen = unequal.groups()
+                reason = f"got {seen} values in line {line}, {expected} in the first"
             raise ValueError(
-                f"a CSV table must have as many values in each line, with commas between them and "
-                f"points in decimals: {reason}"
+                f"{SEPARATORS}; lines must have as many values as the first: {reason}"
             ) from error
     text = text.fillna("")
     header = [str(name).strip() for name in text.iloc[0]]
     check(header, len(text) - 1)
     values = text.iloc[1:]
-    return header, lambda k: values.iloc[:, k].str.strip(), _numbers
+    return header, lambda k: values.iloc[:, k].str.strip(), partial(_numbers, path)
 
 
-def _numbers(name: str, text: "pd.Series[str]") -> Array:
+def _numbers(path: Path, name: str, text: "pd.Series[str]") -> Array:
     """A column of a CSV file as numbers."""
     missing = text.str.lower().isin(_MISSING).to_numpy(dtype=bool)
     numbers: Array = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, copy=True)
@@ -131,7 +158,8 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
     if wrong.size:
         row = int(wrong[0])
         raise ValueError(
-            f"column {shown(name)} must hold numbers, got {shown(text.iloc[row])} in row {row + 1}"
+            f"column {shown(name)} must hold numbers, got {shown(text.iloc[row])} in "
+            f"{row_in(path, row)}"
         )
     numbers[missing] = np.nan
     return numbers

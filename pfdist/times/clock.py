@@ -87,9 +87,9 @@ class Clock:
 
     @cached_property
     def is_even(self) -> bool:
-        """Whether all steps are equal."""
+        """Whether all steps are equal; a clock of a single instant has none."""
         steps = np.diff(self.times)
-        return bool(np.abs(steps - steps.mean()).max() <= self.slack)
+        return not steps.size or bool(np.abs(steps - steps.mean()).max() <= self.slack)
 
     @cached_property
     def slack(self) -> float:

@@ -199,6 +199,22 @@ def test_numbers_with_gaps_have_the_times_that_they_have_without_gaps(
         pd.testing.assert_series_equal(few[column], whole[column][few.index])
 
 
+def test_numbers_that_were_not_tried_are_named(
+    exact_job: Job, found: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The report says the same as the terminal, and which numbers there are."""
+    costs, run = found["expected_mse"], tmp_path / "run"
+    words = f"--measurements 2:6:2 --draws 300 --target {(costs[3] + costs[4]) / 2}"
+    command = ["budget", str(exact_job.path), *words.split(), "--results", str(run)]
+    assert main([*command, "--set", *EXACT]) == 0
+    answer = " ".join(capsys.readouterr().out.split())
+    said = "4 found times reach it (95 %: 4 to 4); no 2 times can (95 %); 3 was not tried"
+    assert said in answer
+    page = " ".join((run / "report.html").read_text(encoding="utf-8").split())
+    assert said in page
+    assert "<dd>2, 4, 6</dd>" in page
+
+
 def test_numbers_may_be_a_range_or_a_set_and_without_a_gap_are_the_same_run(
     exact: pfdist.Run, exact_job: Job, tmp_path: Path
 ) -> None:

@@ -16,8 +16,10 @@ from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
+from pfdist.sequential.measurements import read_measurements
 from pfdist.sequential.one_filter import OneFilter
 from pfdist.sequential.work import seen
+from pfdist.times.clock import Clock
 
 BUDGET = 6
 
@@ -153,9 +155,10 @@ def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
 
 
 def test_given_sets_are_compared_with_regular_times(tmp_path: Path) -> None:
-    """The first set is the reference, as in a plan."""
+    """The first set is the reference, as in a plan. It may be asked for, too."""
     run = pfdist.compare(
-        _problem(SYSTEMS[3], measurement_budget=2), times={"mine": "2 near, 9 far"}, draws=50,
+        _problem(SYSTEMS[3], measurement_budget=2),
+        times={"regular": "regular", "mine": "2 near, 9 far"}, draws=50,
         results=tmp_path / "run", pool="serial", report=False, figures=False,
     )  # fmt: skip
     assert list(run.sets) == ["regular", "alone_far", "alone_both", "rotation", "mine"]
@@ -189,6 +192,32 @@ def test_measurements_have_a_row_for_each_sensor(
     np.testing.assert_allclose(filtered.table["mean_0"], means, rtol=1e-9, atol=1e-12)
     following = pfdist.next_time(problem, table, results=run.path)
     assert following.measured == ("2 near", "4 near", "4 both")
+
+
+def test_the_last_instant_of_a_clock_is_planned(tmp_path: Path) -> None:
+    """The clock of what is left has a single instant."""
+    problem = _problem(SYSTEMS[3], measurement_budget=2, time_step=1, time_unit="h")
+    planner = pfdist.Planner(problem, ["2 near", "9 far"])
+    planner.missed(HORIZON - 1)
+    assert {str(time).split()[0] for time in planner.plan()} == {str(HORIZON)}
+    planner.missed(HORIZON)
+    assert planner.plan() == ()
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("2,near,1.5\n\n40,near,1", r"t must lie in 0\.\.12, got 40 \(line 4\)$"),
+        ("2,Near,1.5", "got 'Near' in line 2; did you mean 'near'"),
+        ("2,near,wet", "column 'y0' must hold numbers, got 'wet' in line 2$"),
+        ("2,near,1,5", "decimals have a point; .* got 4 values in line 2, 3 in the first$"),
+    ],
+)
+def test_a_mistake_in_a_table_names_its_line(rows: str, said: str, tmp_path: Path) -> None:
+    table = tmp_path / "case.csv"
+    table.write_text(f"t,sensor,y0\n{rows}\n")
+    with pytest.raises(pfdist.PfdistError, match=said):
+        read_measurements(table, SYSTEMS[3].as_model(), Clock.counting(HORIZON))
 
 
 @pytest.mark.parametrize(

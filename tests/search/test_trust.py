@@ -15,11 +15,14 @@ from pfdist.search.probe import (
     PROBE_DRAWS,
     Probe,
     ProbeState,
+    failed_probe,
     judged,
     misordered,
     new_leaders,
     unchecked_probe,
+    wrong_order,
 )
+from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -78,9 +81,22 @@ def test_an_estimator_that_no_draws_can_check_is_said_to_be_unchecked(usable: in
     pair = Probe(FEASIBLE).finalists(state)
     assert not state.failed
     assert [evaluation.measurement_times for evaluation in pair] == 2 * [(4, 5, 6)]
-    text = unchecked_probe(*pair)
+    text = unchecked_probe(*pair, clock=Clock.counting(12))
     assert f"in {{4, 5, 6}} only {usable} of {PROBE_DRAWS} draws" in text
     assert "more particles" in text
+
+
+def test_sets_are_written_with_their_times_on_the_clock_and_their_sensors() -> None:
+    """A set has numbers of possible measurements, t * S + sensor, which nobody has written."""
+    clock = Clock((0, 0.5, 1, 1.5), "d", sensors=("probe", "core"))
+    pair = tuple(Evaluation((0, 2, 7), values, end=3) for values in (np.ones(4), np.ones(4) + 1))
+    assert "gives 1 for {0 probe, 0.5 probe, 1.5 core} up to t = 1.5 d, " in failed_probe(
+        *pair, clock=clock
+    )
+    assert "in {0 probe, 0.5 probe, 1.5 core} only 4 of 4 " in unchecked_probe(*pair, clock=clock)
+    other = Evaluation((1,), np.zeros(4))
+    text = wrong_order(other, pair[0], clock=clock)
+    assert text.startswith("it prefers {0 probe, 0.5 probe, 1.5 core} to {0 core}, ")
 
 
 def _probe(

@@ -37,6 +37,7 @@ def test_a_clock_of_equal_steps_is_even_and_every_multiple_is_an_instant(
     clock = Clock.regular(horizon, horizon / steps)
     assert clock.is_even
     assert clock.since(1).is_even
+    assert clock.since(clock.horizon).is_even  # a single instant
     assert clock.instants(k * horizon / steps for k in range(steps + 1)) == tuple(range(steps + 1))
     assert clock.successors(2 * horizon / steps)[:-1] == (*range(2, steps + 1), steps + 1)
     assert len(Clock.regular(24, 0.0166666666667).times) == 1441  # as a person types 1/60
