@@ -192,10 +192,10 @@ def filter_measurements(
     checks = check_table, check_figure_replaceable, check_page_replaceable
     for file, check in zip(files, checks, strict=False):
         check(file)
+    filtering = filter_of(plan.built, plan.prior)
     problem = plan.built.job.problem
     clock = problem.clock
-    rows = read_measurements(table, believed, clock, plan.start)  # before anything is compiled
-    filtering = filter_of(plan.built, plan.prior)
+    rows = read_measurements(table, believed, clock, filtering.now.t)
     sensors, made = len(believed.parts), rows.made_with(believed)
     wanted = [t for t in plan.times if t >= filtering.now.t * sensors]
     estimates = _table(_estimates(filtering, rows), quantities, believed.is_angle, schema)

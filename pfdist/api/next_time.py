@@ -160,10 +160,10 @@ def next_time(
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
-    start = plan.start
-    rows = read_measurements(table, believed, clock, start)  # before anything is compiled
     planner = Planner(plan.built, clock.written_of(plan.times), prior=plan.prior)
     feasible = planner.feasible
+    start = clock.instants([planner.estimate().t])[0]
+    rows = read_measurements(table, believed, clock, start)
     last, surprise = _tell(planner, rows)
     if now is not None:
         instant = _instant_now(now, max(last, start), clock)

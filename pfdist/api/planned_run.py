@@ -45,11 +45,6 @@ class PlannedRun(NamedTuple):
     built: Built
     prior: Prior | None
 
-    @property
-    def start(self) -> int:
-        """The first instant that can be measured: that of the prior."""
-        return 0 if self.prior is None else self.prior.t
-
 
 def planned_run(run_and_job: tuple[Run, Built], planned: str, prior: Any) -> PlannedRun:
     """A finished run whose times were planned, and what filters need.
