@@ -45,6 +45,8 @@ class SetResult:
     kind, measurement_times, expected_mse, standard_error, low, high, draws, degenerate_draws
         As of the table ``budget``, like worse_than, bound, bound_error and bound_low. Only
         the times are known before the comparison has begun, and the next two fields.
+    cost : float or None
+        What the measurements cost together, where the job has a total cost.
     search_cost, search_standard_error : float or None
         The search that found the set believed this cost of it.
     search_excess, search_estimation, search_cause, search_distrust
@@ -85,6 +87,7 @@ class SetResult:
     measurements: int
     search_cost: float | None
     search_standard_error: float | None
+    cost: float | None = None
     kind: str = ""
     expected_mse: float | None = None
     standard_error: float | None = None
@@ -266,9 +269,15 @@ def _results(run: StoredRun) -> dict[str, SetResult]:
     proofs = last_bounds(run)
     for name, columns in proofs.items():
         results[name]["lower_bound"] = columns
+    problem = problem_of(run)
+    if problem.total_cost is not None:
+        for result in results.values():
+            instants = problem.clock.measurements(result["measurement_times"])
+            cost = problem.feasible.cost_of(instants)
+            result["cost"] = cost if isinstance(cost, int) else float(cost)
     exact = exact_costs(run)
-    for name, cost in exact.items():
-        results[name]["exact_mse"] = cost
+    for name, mse in exact.items():
+        results[name]["exact_mse"] = mse
     for name, reference in run.references.items():
         if exact.get(reference):
             results[name]["exact_gain"] = 1 - exact[name] / exact[reference]
