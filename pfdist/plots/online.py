@@ -1,6 +1,7 @@
 """Times that are chosen one after another: when draws are measured, what they gain, one draw."""
 
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,12 +31,11 @@ from pfdist.plots.panel import (
     minus,
     stack,
     step_of,
+    styles_of,
     verbatim,
 )
-from pfdist.plots.style import BLUE, RED
 from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
-from pfdist.times.measurement_times import Times
 
 MOST_ROWS = 200  # draws in the raster: more could not be told apart
 
@@ -81,10 +81,10 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     share, ax = 100 * measured.mean(axis=0), axes_for(ax)
     step = step_of(clock.times)
     ax.bar(
-        clock.times, share, 0.8 * step, color=BLUE, alpha=0.75, lw=0,
+        clock.times, share, 0.8 * step, color=_styles(draws)["online"]["color"], alpha=0.75, lw=0,
         label=f"online, {len(measured):,} draws",
     )  # fmt: skip
-    _mark(ax, draws.planned_times, f"the plan, {verbatim(draws.plan)}")
+    _mark(ax, draws, f"the plan, {verbatim(draws.plan)}")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
     ax.set_xlim(clock.times[0] - 0.75 * step, clock.times[-1] + 0.75 * step)
@@ -122,11 +122,12 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
         nearest = np.abs(np.subtract.outer(np.array(clock.times), columns)).argmin(axis=1)
         shown = np.zeros((rows, len(columns)), np.bool_)
         shown[:, nearest] = in_order
+    colour = _styles(draws)["online"]["color"]
     ax.imshow(
-        shown, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", BLUE]),
+        shown, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", colour]),
         vmin=0, vmax=1, extent=(first, last, rows + 0.5, 0.5),
     )  # fmt: skip
-    _mark(ax, draws.planned_times)
+    _mark(ax, draws)
     ax.set_xlim(first - step / 4, last + step / 4)
     ax.set_ylabel(f"{rows:,} draws, sorted by times")
     ax.set_yticks([])
@@ -146,12 +147,17 @@ def _draws_of(source: Run | OnlineDraws) -> OnlineDraws:
     return online_draws(source) if isinstance(source, Run) else source
 
 
-def _mark(ax: Axes, planned: Times, label: str | None = None) -> None:
+def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
+    """The styles of the sets of the run, and that of the online times."""
+    return styles_of(draws.rows, [draws.reference, draws.plan, "online"])
+
+
+def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if there is one."""
-    times = times_of(planned)
+    times = times_of(draws.planned_times)
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,
-        color=RED, ms=marker(1.2), mew=0, label=label, zorder=5,
+        color=_styles(draws)[draws.plan]["color"], ms=marker(1.2), mew=0, label=label, zorder=5,
     )  # fmt: skip
 
 
@@ -186,16 +192,22 @@ def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     draws = _draws_of(source)
     online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
     return gain(
-        online, "online", reference=label(draws.reference), beside=(draws.plan, plan), ax=ax
-    )
+        online, "online", reference=label(draws.reference), beside=(draws.plan, plan),
+        sets=[*_styles(draws)], ax=ax,
+    )  # fmt: skip
 
 
 @figure("online_draw", applies=has_online)
 def online_draw_figure(tables: Tables) -> Plot:
-    """Truth, estimates and times of the draw with the median gain of online times over the plan."""
+    """Truth, estimates and times of the draw with the median gain of online times over the plan.
+
+    If online times differ from the plan in any draw with a trajectory, the median is that of the
+    draws in which they do.
+    """
     draws, trajectories = tables.online, tables.trajectories
-    rows = draws.rows[draws.rows["estimate"].notna()].set_index("draw")
-    rows = rows[rows.index.isin(trajectories["draw"])]
+    has_estimate = draws.rows["estimate"].notna() & draws.rows["draw"].isin(trajectories["draw"])
+    differ = has_estimate & draws.differ
+    rows = draws.rows[differ if differ.any() else has_estimate].set_index("draw")
     plan, online = (rows[f"mse_{name}"].to_numpy() for name in (draws.plan, "online"))
     gains = pd.Series(relative_gain(online, plan), index=rows.index).dropna()
     if gains.empty:
@@ -205,7 +217,8 @@ def online_draw_figure(tables: Tables) -> Plot:
     trajectory = with_online(trajectories[trajectories["draw"] == draw], rows["estimate"][draw])
     median = float(gains[draw])
     over = f"relative gain over {verbatim(draws.plan)}"
-    legend = minus(f"draw {draw}, {over} {100 * median:.1f} %, the median")
+    which = " of those with other times" if differ.any() else ""
+    legend = minus(f"draw {draw}, {over} {100 * median:.1f} %, the median{which}")
     title = title_of_draw(median, "online times", f"the times of {draws.plan}")
     return plot_of_draw(trajectory, sets, legend, title)
 
