@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, field
+from textwrap import shorten
 from typing import Any, TypeVar
 
 from pfdist.analysis.belief import belief_of
@@ -21,19 +22,22 @@ from pfdist.analysis.stored_run import (
     problem_of,
     statistics_of,
 )
+from pfdist.common.formatted_times import formatted_times
+from pfdist.common.rounding import with_error
 from pfdist.filters.engines import is_exact
 from pfdist.times.clock import Time
 
 Ends = list[float | None]
 Row = dict[str, Any]
 T = TypeVar("T")
+_MOST_LETTERS = 60  # of the times in the `repr` of a set
 
 
 def _unknown() -> Ends:
     return [None, None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SetResult:
     """The results of one set of times.
 
@@ -130,6 +134,11 @@ class SetResult:
     description: str = ""
     broken_constraints: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        mse = with_error(self.expected_mse, self.standard_error)
+        listed = shorten(formatted_times(self.measurement_times), _MOST_LETTERS, placeholder=" ...")
+        return f"<{self.measurements} measurements, expected MSE {mse}: t = {listed}>"
 
     @property
     def is_compared(self) -> bool:

@@ -10,7 +10,7 @@ from pfdist.common.rounding import with_interval
 from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text, without_empty_columns
 
 _PAIRS_HEAD = (
-    "first", "second", "first less second", "clear", "first is lower by, %",
+    "first", "second", "first less second", "clear", "in % of second",
     "draws where first is lower, %",
 )  # fmt: skip
 _MEANING = (
@@ -61,12 +61,17 @@ def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
 
 
 def _pair_row(pair: Mapping[str, Any]) -> list[Cell]:
-    shares = [
-        percent_cell(pair[key], [pair[f"{key}_low"], pair[f"{key}_high"]])
-        for key in ("gain_of_means", "first_wins")
+    keys = ("gain_of_means", "gain_of_means_high", "gain_of_means_low")
+    relative, low, high = (None if pair[key] is None else -pair[key] for key in keys)
+    wins = (pair["first_wins"], [pair["first_wins_low"], pair["first_wins_high"]])
+    return [
+        Cell(pair["first"]),
+        Cell(pair["second"]),
+        _difference(pair),
+        Cell("yes" if pair["clear"] else "no"),
+        percent_cell(relative, [low, high]),
+        percent_cell(*wins),
     ]
-    names = [Cell(pair["first"]), Cell(pair["second"])]
-    return [*names, _difference(pair), Cell("yes" if pair["clear"] else "no"), *shares]
 
 
 def _difference(row: Mapping[str, Any]) -> Cell:
