@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_rgba
+from matplotlib.typing import RGBAColorType
 from numpy.typing import NDArray
 
 from pfdist.analysis import Run, relative_gain
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.reference import label
-from pfdist.common.formatted_times import times_of
+from pfdist.common.formatted_times import by_sensor
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.gains import (
     gain,
@@ -78,12 +79,13 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     matplotlib Axes
     """
     draws, measured, clock = _measured(source)
-    share, ax = 100 * measured.mean(axis=0), axes_for(ax)
-    step = step_of(clock.times)
-    ax.bar(
-        clock.times, share, 0.8 * step, color=_styles(draws)["online"]["color"], alpha=0.75, lw=0,
-        label=f"online, {len(measured):,} draws",
-    )  # fmt: skip
+    shares, ax = 100 * measured.mean(axis=0), axes_for(ax)
+    step, shades, text = step_of(clock.times), _shades(draws), f"online, {len(measured):,} draws"
+    for share, (sensor, beside), shade in zip(shares.T, _beside(clock), shades, strict=True):
+        ax.bar(
+            np.add(clock.times, beside), share, 0.8 * step / len(shades), color=shade, lw=0,
+            label=f"{text}, {verbatim(sensor)}" if sensor else text,
+        )  # fmt: skip
     _mark(ax, draws, f"the plan, {verbatim(draws.plan)}")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
@@ -113,19 +115,22 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     draws, measured, clock = _measured(source)
     measured, ax = measured[:MOST_ROWS], axes_for(ax)
     rows, step = len(measured), step_of(clock.times)
-    in_order = measured[np.lexsort(~measured.T[::-1])]  # early measurements come first
+    in_order = measured[
+        np.lexsort(~measured.reshape(rows, -1).T[::-1])
+    ]  # early measurements come first
     first, last = clock.times[0] - step / 2, clock.times[-1] + step / 2
     if clock.is_even:
         shown = in_order
     else:  # each instant in the columns of least width that lie nearest to it
         columns = np.arange(first + step / 2, last, step)
         nearest = np.abs(np.subtract.outer(np.array(clock.times), columns)).argmin(axis=1)
-        shown = np.zeros((rows, len(columns)), np.bool_)
+        shown = np.zeros((rows, len(columns), measured.shape[-1]), np.bool_)
         shown[:, nearest] = in_order
-    colour = _styles(draws)["online"]["color"]
+    kinds = np.arange(1, shown.shape[-1] + 1)  # in each instant a column for each sensor
     ax.imshow(
-        shown, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", colour]),
-        vmin=0, vmax=1, extent=(first, last, rows + 0.5, 0.5),
+        (shown * kinds).reshape(rows, -1), aspect="auto", interpolation="nearest",
+        cmap=ListedColormap(["#ffffff00", *_shades(draws)]), vmin=0, vmax=kinds[-1],
+        extent=(first, last, rows + 0.5, 0.5),
     )  # fmt: skip
     _mark(ax, draws)
     ax.set_xlim(first - step / 4, last + step / 4)
@@ -136,10 +141,24 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
 
 
 def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_], Clock]:
-    """The draws, whether each is measured at each instant, and the clock."""
+    """The draws, whether each is measured at each instant by each sensor, and the clock."""
     draws = _draws_of(source)
     clock, times = draws.clock, draws.rows["measurement_times"]
-    return draws, measured_at([clock.instants(times_of(t)) for t in times], clock.horizon), clock
+    measured = measured_at([clock.measurements(t) for t in times], clock.possible - 1)
+    return draws, measured.reshape(len(times), clock.horizon + 1, -1), clock
+
+
+def _beside(clock: Clock) -> list[tuple[str, float]]:
+    """Each sensor, and how far beside an instant it is drawn; a nameless one without sensors."""
+    sensors, step = clock.sensors or ("",), step_of(clock.times)
+    middles = (np.arange(len(sensors)) + 0.5) / len(sensors) - 0.5
+    return list(zip(sensors, (step * middles).tolist(), strict=True))
+
+
+def _shades(draws: OnlineDraws) -> list[RGBAColorType]:
+    """The colour of online times, lighter for each further sensor."""
+    colour, number = _styles(draws)["online"]["color"], len(draws.clock.sensors or ("",))
+    return [to_rgba(colour, alpha) for alpha in np.linspace(0.9, 0.4, number)]
 
 
 def _draws_of(source: Run | OnlineDraws) -> OnlineDraws:
@@ -154,7 +173,8 @@ def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
 
 def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if there is one."""
-    times = times_of(draws.planned_times)
+    planned = by_sensor(draws.planned_times)
+    times = [t + beside for name, beside in _beside(draws.clock) for t in planned.get(name, [])]
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,
         color=_styles(draws)[draws.plan]["color"], ms=marker(1.2), mew=0, label=label, zorder=5,
