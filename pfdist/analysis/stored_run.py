@@ -68,7 +68,8 @@ class StoredRun:
         Returns
         -------
         DataFrame
-            Its ``attrs["labels"]`` have labels of columns.
+            Its ``attrs["labels"]`` have labels of columns, and ``attrs["sets"]`` the names of the
+            compared sets, the reference first.
 
         Raises
         ------
@@ -91,10 +92,14 @@ class StoredRun:
             has = ", ".join(self.tables) or "none yet"
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
         if name == "gains":
-            return gains_of(self, draws)
-        if name in COMPUTED:
-            return COMPUTED[name](self)
-        return self._store.compared() if name == "compared" else self._store.read(name, draws)
+            table = gains_of(self, draws)
+        elif name in COMPUTED:
+            table = COMPUTED[name](self)
+        else:
+            table = self._store.compared() if name == "compared" else self._store.read(name, draws)
+        if self._store.has("compared"):
+            table.attrs["sets"] = self.names
+        return table
 
     @cached_property
     def sets(self) -> dict[str, Times]:

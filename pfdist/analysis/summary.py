@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, field
+from textwrap import shorten
 from typing import Any, TypeVar
 
 from pfdist.analysis.belief import belief_of
@@ -21,19 +22,22 @@ from pfdist.analysis.stored_run import (
     problem_of,
     statistics_of,
 )
+from pfdist.common.formatted_times import formatted_times
+from pfdist.common.rounding import with_error
 from pfdist.filters.engines import is_exact
 from pfdist.times.clock import Time
 
 Ends = list[float | None]
 Row = dict[str, Any]
 T = TypeVar("T")
+_MOST_LETTERS = 60  # of the times in the `repr` of a set
 
 
 def _unknown() -> Ends:
     return [None, None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SetResult:
     """The results of one set of times.
 
@@ -45,6 +49,8 @@ class SetResult:
     kind, measurement_times, expected_mse, standard_error, low, high, draws, degenerate_draws
         As of the table ``budget``, like worse_than, bound, bound_error and bound_low. Only
         the times are known before the comparison has begun, and the next two fields.
+    cost : float or None
+        What the measurements cost together, where the job has a total cost.
     search_cost, search_standard_error : float or None
         The search that found the set believed this cost of it.
     search_excess, search_estimation, search_cause, search_distrust
@@ -85,6 +91,7 @@ class SetResult:
     measurements: int
     search_cost: float | None
     search_standard_error: float | None
+    cost: float | None = None
     kind: str = ""
     expected_mse: float | None = None
     standard_error: float | None = None
@@ -127,6 +134,11 @@ class SetResult:
     description: str = ""
     broken_constraints: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        mse = with_error(self.expected_mse, self.standard_error)
+        listed = shorten(formatted_times(self.measurement_times), _MOST_LETTERS, placeholder=" ...")
+        return f"<{self.measurements} measurements, expected MSE {mse}: t = {listed}>"
 
     @property
     def is_compared(self) -> bool:
@@ -266,9 +278,15 @@ def _results(run: StoredRun) -> dict[str, SetResult]:
     proofs = last_bounds(run)
     for name, columns in proofs.items():
         results[name]["lower_bound"] = columns
+    problem = problem_of(run)
+    if problem.total_cost is not None:
+        for result in results.values():
+            instants = problem.clock.measurements(result["measurement_times"])
+            cost = problem.feasible.cost_of(instants)
+            result["cost"] = cost if isinstance(cost, int) else float(cost)
     exact = exact_costs(run)
-    for name, cost in exact.items():
-        results[name]["exact_mse"] = cost
+    for name, mse in exact.items():
+        results[name]["exact_mse"] = mse
     for name, reference in run.references.items():
         if exact.get(reference):
             results[name]["exact_gain"] = 1 - exact[name] / exact[reference]

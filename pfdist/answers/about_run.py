@@ -68,7 +68,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
-        text = ", ".join(f"{key} {value}" for key, value in keys.items())
+        text = "; ".join(f"{key} {formatted_spelling(value, '')}" for key, value in keys.items())
         yield f"sensor {name}", text or "no price"
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"

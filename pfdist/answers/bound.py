@@ -28,7 +28,7 @@ _WORST = (
     "largest: "
 )
 _HEAD = (
-    "times", "expected error", "lower bound", "gap", "gap at most", "part: relaxation",
+    "times", "expected error", "lower bound", "gap, estimated", "gap, at most", "part: relaxation",
     "part: particles", "part: model",
 )  # fmt: skip
 

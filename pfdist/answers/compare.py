@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.analysis.pairs import formatted_ranks
-from pfdist.answers.subject import Subject, mse_cell, number_of, percent_cell
+from pfdist.answers.subject import Subject, cost_cell, mse_cell, number_of, percent_cell
 from pfdist.common.percent import range_of
 from pfdist.common.rounding import with_interval
-from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text
+from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text, without_empty_columns
 
-_RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by")
 _PAIRS_HEAD = (
-    "first", "second", "first less second", "clear", "first is lower by, %",
+    "first", "second", "first less second", "clear", "in % of second",
     "draws where first is lower, %",
 )  # fmt: skip
 _MEANING = (
@@ -34,10 +33,11 @@ def compared(subject: Subject) -> Section | None:
     if not ranks:
         return None
     draws = number_of(subject.summary.draws_compared, "draw")
-    sets = Table(f"Ranks on {draws}", _RANKS_HEAD, [_set_row(subject, row) for row in ranks])
+    head = ("rank", "times", "number", subject.cost_head, "expected error", "above the best by")
+    sets = Table(f"Ranks on {draws}", head, [_set_row(subject, row) for row in ranks])
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
-        sets,
+        without_empty_columns(sets),
         Text(_EXACT if subject.summary.is_exact else _MEANING, detail=True),
         Figures(["compared"] if subject.found_results else ["times", "compared"]),
         Table(
@@ -48,23 +48,30 @@ def compared(subject: Subject) -> Section | None:
 
 
 def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
-    number = len(subject.results[row["name"]].measurement_times)
+    result = subject.results[row["name"]]
+    number = result.measurements
     return [
         Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
         Cell(row["name"]),
         Cell(str(number), number),
+        cost_cell(result),
         mse_cell(row["expected_mse"], row["standard_error"]),
         _difference(row) if row["difference"] else Cell(""),
     ]
 
 
 def _pair_row(pair: Mapping[str, Any]) -> list[Cell]:
-    shares = [
-        percent_cell(pair[key], [pair[f"{key}_low"], pair[f"{key}_high"]])
-        for key in ("gain_of_means", "first_wins")
+    keys = ("gain_of_means", "gain_of_means_high", "gain_of_means_low")
+    relative, low, high = (None if pair[key] is None else -pair[key] for key in keys)
+    wins = (pair["first_wins"], [pair["first_wins_low"], pair["first_wins_high"]])
+    return [
+        Cell(pair["first"]),
+        Cell(pair["second"]),
+        _difference(pair),
+        Cell("yes" if pair["clear"] else "no"),
+        percent_cell(relative, [low, high]),
+        percent_cell(*wins),
     ]
-    names = [Cell(pair["first"]), Cell(pair["second"])]
-    return [*names, _difference(pair), Cell("yes" if pair["clear"] else "no"), *shares]
 
 
 def _difference(row: Mapping[str, Any]) -> Cell:

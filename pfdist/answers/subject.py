@@ -14,7 +14,7 @@ from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.percent import cost, percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_error, with_interval
-from pfdist.documents.parts import Cell, Table, Text
+from pfdist.documents.parts import Cell, Table, Text, without_empty_columns
 from pfdist.errors import one_line
 
 MOST_SETS = 4
@@ -109,6 +109,11 @@ class Subject:
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
         return problem_of(self.run).clock.unit
+
+    @property
+    def cost_head(self) -> str:
+        """Head of the column of costs; the column is empty if the job has no total cost."""
+        return f"cost, of {problem_of(self.run).total_cost}"
 
     def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""
@@ -216,11 +221,22 @@ def number_of(count: int, what: str) -> str:
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
+def cost_cell(result: SetResult) -> Cell:
+    """A cell with the cost of a set; empty if the job has no total cost."""
+    return Cell("" if result.cost is None else str(result.cost), result.cost)
+
+
 def sets_table(subject: Subject) -> Table:
     """A table of all sets of times, folded away."""
     rows = [
-        [Cell(name), Cell(str(len(times)), len(times)), Cell(subject.listed(times))]
+        [
+            Cell(name),
+            Cell(str(len(times)), len(times)),
+            cost_cell(result),
+            Cell(subject.listed(times)),
+        ]
         for name, result in subject.results.items()
         for times in (result.measurement_times,)
     ]
-    return Table("All sets of times", ("times", "number", "t"), rows, detail=True)
+    head = ("times", "number", subject.cost_head, "t")
+    return without_empty_columns(Table("All sets of times", head, rows, detail=True))

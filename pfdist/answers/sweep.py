@@ -326,10 +326,10 @@ class _Losses(NamedTuple):
     mean: float
     worst: Row
 
-    @property
-    def largest(self) -> str:
-        """The largest loss in per cent, with its interval."""
-        loss, low, high = (100.0 * self.worst[name] for name in ("loss", "loss_low", "loss_high"))
+    def largest(self, factor: float = 100.0) -> str:
+        """The largest loss with its interval, in per cent; with the factor -100 as a gain."""
+        loss, *ends = (factor * self.worst[name] for name in ("loss", "loss_low", "loss_high"))
+        low, high = ends if factor > 0 else ends[::-1]
         number, least, most = with_interval(loss, low, high)
         return f"{number} ({least} to {most})" if low < high else number
 
@@ -364,9 +364,10 @@ def _safest(subject: SweepSubject, losses: list[_Losses]) -> str:
     found_at, worst_at = (
         _phrase(subject, values[run]) for run in (best.found_at, best.worst["run"])
     )
+    what, factor = ("smallest gain", -100.0) if best.worst["loss"] < 0 else ("largest loss", 100.0)
     return (
-        f"The safest times are those found{search} at {found_at}: their largest loss is "
-        f"{best.largest} %, at {worst_at}."
+        f"The safest times are those found{search} at {found_at}: their {what} is "
+        f"{best.largest(factor)} %, at {worst_at}."
     )
 
 
@@ -378,7 +379,7 @@ def _losses_table(subject: SweepSubject, losses: list[_Losses]) -> Table:
             *map(Cell, _key_values(subject, values[each.found_at])),
             Cell(each.search * several),
             Cell(rounded(100.0 * each.mean, 3), each.mean),
-            Cell(each.largest, each.worst["loss"]),
+            Cell(each.largest(), each.worst["loss"]),
             Cell(", ".join(_key_values(subject, values[each.worst["run"]]))),
         ]
         for each in losses

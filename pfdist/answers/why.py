@@ -57,7 +57,8 @@ def why_page(answer: Mapping[str, Any], found_names: Iterable[str]) -> Page:
         Names of the sets that searches have found.
     """
     blocks, names = list[Block](), set(found_names)
-    for name, each in answer["sets"].items():
+    sets = sorted(answer["sets"].items(), key=lambda item: cost(item[1]["expected_mse"]))
+    for name, each in sets:  # the best first
         mse = with_error(cost(each["expected_mse"]), each["standard_error"])
         blocks.append(Text(f"{name}: expected MSE {mse}", prominent=True))
         parts = each["worth"], each["sampling_windows"], each["jitter"]

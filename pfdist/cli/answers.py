@@ -130,9 +130,17 @@ def print_run(run: "Run", options: Namespace, target: float | None = None) -> No
         "figures": (FIGURES_FOLDER, any(figures_in(run.path))),
         "report": (REPORT, has_report(run.path)),
     }
-    there = {name: run.path / file for name, (file, is_there) in results.items() if is_there}
-    if there:
-        print("\n" + "   ".join(one_line(f"{name}: {at}") for name, at in there.items()))
+    print_places({name: run.path / file for name, (file, is_there) in results.items() if is_there})
+
+
+def print_places(places: Mapping[str, Path]) -> None:
+    """Print where files are, by what they hold, in one line if it fits; no path is cut."""
+    from pfdist.documents.terminal import COLUMNS  # noqa: PLC0415
+
+    texts = [one_line(f"{name}: {at}") for name, at in places.items()]
+    line = "   ".join(texts)
+    if texts:
+        print("\n" + (line if len(line) <= COLUMNS else "\n".join(texts)))
 
 
 def print_checks(checks: Iterable["Check"], options: Namespace) -> list[str]:
@@ -143,11 +151,14 @@ def print_checks(checks: Iterable["Check"], options: Namespace) -> list[str]:
     list of str
         Names of the checks that found something wrong.
     """
+    from pfdist.documents.terminal import wrapped  # noqa: PLC0415
+
     made = []
     for check in checks:
         made.append(check)
         if not options.json:
-            print(one_line(f"{check.state:5} {check.name}: {check.text}"), flush=True)
+            lines = wrapped(f"{check.name}: {check.text}", f"{check.state:5} ")
+            print("\n".join(lines), flush=True)
     if options.json:
         print_json({"checks": [dataclasses.asdict(check) for check in made]}, options)
     return [check.name for check in made if check.state == "wrong"]

@@ -12,7 +12,7 @@ _NAME = 21  # characters of a fact's name
 _LEAST = 24  # characters of a last column that is cut into lines
 _GAP = "  "
 _GLUED = re.compile(r"(?<=\d) (?=%)|(?<=\(95 %:) ")  # spaces at which no line ends
-_PIECE = re.compile(r"[^_. ]+[_. ]?|[_. ]")
+_WORD, _PIECE = re.compile(r"[^ ]+ ?| "), re.compile(r"[^_. ]+[_. ]?|[_. ]")
 
 
 def lines_of(page: Page, *, verbose: bool = False) -> list[str]:
@@ -35,15 +35,16 @@ def lines_of_blocks(blocks: Iterable[Block], *, verbose: bool = False) -> list[s
     return lines
 
 
-def wrapped(text: str, name: str = "") -> list[str]:
-    """A paragraph in lines; below a name, if there is one.
+def wrapped(text: str, start: str = "") -> list[str]:
+    """A paragraph in lines; beside the text that the first line starts with, if there is one.
 
-    No line begins with a percent sign or with an interval. A no-break space becomes a space.
+    No line begins with a percent sign or with an interval. A no-break space becomes a space. No
+    path is cut.
     """
-    start, indent = ("", "") if not name else (f"  {name:<{_NAME}} ", " " * (_NAME + 3))
+    indent = " " * min(len(start), _NAME + 3)
     lines = textwrap.wrap(
         _GLUED.sub("\xa0", one_line(text)), COLUMNS, initial_indent=start, subsequent_indent=indent,
-        break_on_hyphens=False,
+        break_on_hyphens=False, break_long_words="/" not in text,
     )  # fmt: skip
     return [line.replace("\xa0", " ") for line in lines]
 
@@ -57,7 +58,7 @@ def _lines(block: Block) -> Iterator[str]:
         case Facts(facts, title):
             yield from wrapped(title)
             for name, value in facts:
-                yield from wrapped(value, name)
+                yield from wrapped(value, f"  {name:<{_NAME}} ")
         case Table() if block.rows:
             yield from wrapped(block.caption)
             yield from aligned(block)
@@ -66,30 +67,29 @@ def _lines(block: Block) -> Iterator[str]:
 def aligned(table: Table) -> list[str]:
     """The lines of a table; optional columns are left out, and named, until the others fit.
 
-    If these do not fit either, the text of the last column goes on in the next lines.
+    Heads are cut within names only if the table does not fit otherwise. If the columns do not fit
+    either, the text of the last column goes on in the next lines.
 
     Examples
     --------
     >>> from pfdist.documents.parts import Cell
     >>> rows = [[Cell("a"), Cell("1", 1)], [Cell("bcd"), Cell("10", 10)]]
-    >>> for line in aligned(Table("", ["set", "job_seed"], rows)):
+    >>> for line in aligned(Table("", ["set", "expected job_seed"], rows)):
     ...     print(line)
-         job_
-    set  seed
-    a       1
-    bcd    10
+         expected
+    set  job_seed
+    a           1
+    bcd        10
     """
     table = without_empty_columns(table)
-    columns = {
-        name: _Column(one_line(name), [row[place].text for row in table.rows], is_number)
-        for place, name in enumerate(table.head)
-        for is_number in (all(row[place].is_number for row in table.rows),)
-    }
+    columns = _columns(table, _PIECE)
     left_out = list[str]()
     for name in table.optional:
         if name in columns and _width(columns.values()) > COLUMNS:
             del columns[name]
             left_out.append(name)
+    whole = {name: column for name, column in _columns(table, _WORD).items() if name in columns}
+    columns = whole if _width(whole.values()) <= COLUMNS else columns
     *others, last = columns.values()
     room = COLUMNS - _width(columns.values()) + last.width
     if room < last.width and not last.is_number:
@@ -108,6 +108,17 @@ def aligned(table: Table) -> list[str]:
     return lines + wrapped(f"Left out: {names}. See --json.") * bool(names)
 
 
+def _columns(table: Table, piece: re.Pattern[str]) -> dict[str, "_Column"]:
+    return {
+        name: _Column(
+            piece.findall(one_line(name)),
+            [row[place].text for row in table.rows],
+            all(row[place].is_number for row in table.rows),
+        )
+        for place, name in enumerate(table.head)
+    }
+
+
 def _line(cells: Iterable[str], columns: Iterable["_Column"]) -> str:
     parts = zip(cells, columns, strict=True)
     texts = (f"{cell:{'>' if each.is_number else '<'}{each.width}}" for cell, each in parts)
@@ -115,13 +126,14 @@ def _line(cells: Iterable[str], columns: Iterable["_Column"]) -> str:
 
 
 class _Column:
-    """A column of a table: its head is cut after spaces, points and underscores."""
+    """A column of a table: its head is cut between some pieces."""
 
-    def __init__(self, head: str, cells: Sequence[str], is_number: bool) -> None:
+    def __init__(self, pieces: Sequence[str], cells: Sequence[str], is_number: bool) -> None:
         self.cells, self.is_number = [one_line(cell) for cell in cells], is_number
-        pieces = _PIECE.findall(head)
         longest = max(map(len, [*self.cells, *(piece.rstrip() for piece in pieces)]), default=0)
-        most = max(longest, -(-len(head) // 2))  # so that most heads have two lines or fewer
+        most = max(
+            longest, -(-sum(map(len, pieces)) // 2)
+        )  # so that most heads have two lines or fewer
         lines = [""]
         for piece in pieces:
             if len((lines[-1] + piece).rstrip()) > most and lines[-1]:

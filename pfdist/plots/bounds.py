@@ -1,7 +1,6 @@
 """The reach of a number of measurements: the budget curve, and the proof of a lower bound."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,14 +18,14 @@ from pfdist.plots.panel import (
     legend_above,
     marker,
     points,
+    styles_of,
     table_of,
     thin,
     verbatim,
     write_instead,
 )
-from pfdist.plots.style import GREEN, GREY, SERIES, set_style
+from pfdist.plots.style import GREEN, GREY, set_style
 
-_DASHES = ("-", "-.", ":")
 _STYLES = {"regular": set_style(0), "found": set_style(1)}
 
 
@@ -211,13 +210,18 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
         return write_instead(ax, "there is no lower bound of the found times")
     proved = proved[proved["name"] == proved["name"].iloc[0]]  # all have as many measurements
     last = others[others["draws"] == rows["draws"].max()].sort_values("position")
-    for number, (name, mse) in enumerate(zip(last["name"], last["expected_mse"], strict=True)):
-        style: dict[str, Any] = {"color": SERIES[number % len(SERIES)], "ls": _DASHES[number % 3]}
-        ax.axhline(mse, lw=thin(0.9), label=f"expected MSE of {verbatim(name)}", **style)
+    styles = styles_of(rows, rows.sort_values("position")["name"])
+    for name, mse in zip(last["name"], last["expected_mse"], strict=True):
+        look = {key: styles[name][key] for key in ("color", "ls")}
+        ax.axhline(mse, lw=thin(0.9), label=f"expected MSE of {verbatim(name)}", **look)
     ax.set_ylabel("expected MSE")
     steps = proved["steps"] / 1e9
-    if not steps.all():  # an exact bound takes none
-        ax.axhline(proved["bound"].max(), color=GREY, ls=(0, (4, 1.5)), label="lower bound (exact)")
+    if len(steps) == 1 or not steps.all():  # an exact bound takes none
+        best = proved.loc[proved["bound"].idxmax()]
+        value, half = best["bound"], BAND * best["bound_error"]
+        text = f"lower bound ({'band: 95 %' if half else 'exact'})"
+        ax.axhspan(value - half, value + half, color=GREY, alpha=0.2, lw=0)
+        ax.axhline(value, color=GREY, ls=(0, (4, 1.5)), label=text)
         ax.set_xticks([])
         legend_above(ax)
         return ax

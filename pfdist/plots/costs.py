@@ -24,12 +24,13 @@ from pfdist.plots.panel import (
     legend_above,
     marker,
     minus,
+    styles_of,
     table_of,
     thin,
     verbatim,
     write_instead,
 )
-from pfdist.plots.style import BLUE, GREY, SERIES
+from pfdist.plots.style import GREY
 from pfdist.search.methods import METHODS
 
 _PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
@@ -232,22 +233,27 @@ def cost(
     if not 0 < least < math.inf:
         return write_instead(ax, "no search has a finite cost other than 0")
     differences = []
+    styles = styles_of(evaluations, ["", *curves])  # none has that of the reference
+    colours = {name: styles[name]["color"] for name in curves}
+    if len({*colours.values()}) < len(curves):  # only a palette tells so many apart
+        colours = {name: colormaps["viridis"](k / len(curves)) for k, name in enumerate(curves)}
     for position, (name, curve) in enumerate(curves.items()):
-        many = len(curves) > len(SERIES)
-        colour = colormaps["viridis"](position / len(curves)) if many else SERIES[position]
         for kind, costs in curve.items():
             above = 100 * (costs / base - 1)
             differences += above.dropna().tolist()
+            dashes = "-" if kind == "average" else "--"
             ax.plot(
-                above.index, above, color=colour, ls="-" if kind == "average" else "--",
+                above.index, above, color=colours[name], ls=dashes,
                 label=f"{verbatim(name)}, {kind}", marker=_MARKERS[position % len(_MARKERS)],
                 markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), mew=0,
             )  # fmt: skip
+    by_label = {label(name): style["color"] for name, style in styles.items()}
     for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
         if line is not None and math.isfinite(line[1]):
             text = verbatim(f"{line[0]}: {line[1]:.4g}")
             differences.append(100 * (line[1] / base - 1))
-            ax.axhline(differences[-1], color=GREY, lw=thin(0.9), ls=dashes, label=text)
+            colour = by_label.get(line[0], GREY)
+            ax.axhline(differences[-1], color=colour, lw=thin(0.9), ls=dashes, label=text)
     _scale(ax, np.array(differences))
     ax.set_xlabel("number of cost function evaluations")
     of_what = "estimated cost" if best is None else "expected MSE"
@@ -337,10 +343,13 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     at = least + table["difference"].to_numpy()
     bars = np.stack([table["difference"] - table["low"], table["high"] - table["difference"]])
     ax.axvline(least, color=GREY, lw=thin(0.6), ls=(0, (4, 1.5)), zorder=0)
-    ax.errorbar(
-        at, np.arange(len(table)), xerr=np.nan_to_num(bars), color=BLUE, ls="", marker="o",
-        ms=marker(0.9), elinewidth=thin(1.2), capsize=marker(0.5), capthick=thin(),
-    )  # fmt: skip
+    styles = styles_of(table, table["name"])
+    for row, name in enumerate(table["name"]):
+        style = styles[name] | {"ls": "", "ms": marker(0.9)}
+        ax.errorbar(
+            at[row], row, xerr=np.nan_to_num(bars[:, [row]]), elinewidth=thin(1.2),
+            capsize=marker(0.5), capthick=thin(), **style,
+        )  # fmt: skip
     ax.set_ylim(len(table) - 0.5, -0.5)
     beside = ax.twinx()
     beside.set_ylim(ax.get_ylim())

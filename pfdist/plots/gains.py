@@ -25,11 +25,12 @@ from pfdist.plots.panel import (
     minus,
     name_row,
     stack,
+    styles_of,
     thin,
     verbatim,
     write_instead,
 )
-from pfdist.plots.style import BLUE, GREY, RED
+from pfdist.plots.style import GREY
 from pfdist.store.schema import components_in
 
 Array = NDArray[np.float64]
@@ -38,16 +39,17 @@ _FENCE = 3.0  # interquartile ranges from a quartile to the end of the axis: Tuk
 _LONGEST_NAMES = {3: 12, 2: 20}
 """Characters of a name with which the legend of a draw has room for so many columns."""
 _ENTRIES, _LINE_INCHES = 5, 0.15  # of the legend of a draw
-_SHAPES = ((BLUE, "+", (0, (4, 2))), (RED, "*", "-"))
+_SHAPES = ("+", "*")  # of the reference's times and of the other set's
 
 
 @figure("gain", applies=one_number, each_set=True)
 def gain_figure(tables: Tables, name: str) -> Plot:
     """Histogram of the relative gain over all draws (the paper's figure 4)."""
-    relative, reference = tables.statistics.gains[name], label(tables.run.names[0])
+    relative, names = tables.statistics.gains[name], tables.run.names
+    reference = label(names[0])
     return Plot(
         2.4,
-        lambda panels: gain(relative, name, reference=reference, ax=panels[0]),
+        lambda panels: gain(relative, name, reference=reference, sets=names, ax=panels[0]),
         title=title_of_gain(relative, f"the times of {name}", reference),
     )
 
@@ -66,6 +68,7 @@ def gain(
     *,
     reference: str = "",
     beside: str | tuple[str, Gain] = "",
+    sets: Sequence[str] = (),
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the histogram of the relative gain; the legend counts draws beyond the axis.
@@ -82,6 +85,9 @@ def gain(
         first; a run has one.
     beside : str or (str, Gain), optional
         Another set over the same reference, drawn as an outline: its name, or name and gain.
+    sets : sequence of str
+        Names of all sets of the run, the reference first, which give each its colour; a run has
+        its own.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -104,7 +110,7 @@ def gain(
     if isinstance(source, Gain):
         gains = {name: source}
     elif isinstance(source, Run):
-        gains, reference = statistics_of(source).gains, label(source.names[0])
+        gains, reference, sets = statistics_of(source).gains, label(source.names[0]), source.names
     else:
         gains, reference = _gains_of_table(source, reference)
     name = chosen(name or next(iter(gains)), gains, "name")
@@ -115,7 +121,9 @@ def gain(
     ax = axes_for(ax)
     if not gains[name].counts.any():
         return write_instead(ax, "no draw has a finite gain")
-    _draw_gains(ax, {key: gains[key] for key in names if gains[key].counts.any()}, reference)
+    styles = styles_of(sets or [reference], names)
+    shown = {key: gains[key] for key in names if gains[key].counts.any()}
+    _draw_gains(ax, shown, reference, [styles[key]["color"] for key in shown])
     return ax
 
 
@@ -129,7 +137,7 @@ def _gains_of_table(table: pd.DataFrame, reference: str) -> tuple[dict[str, Gain
     return gains, label(reference)
 
 
-def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str) -> None:
+def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str, colours: Sequence[str]) -> None:
     (name, relative), *others = gains.items()
     starts_shown, ends_shown = zip(*map(_shown_bins, gains.values()), strict=True)
     first, last = min(starts_shown), max(ends_shown)
@@ -138,8 +146,10 @@ def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str) -> None:
     merged = max(1, -(-(last - first) // count))  # number of counted bins in a bar
     starts, width = np.arange(first, last, merged), 100 * BIN * merged
     heights = _density(relative, starts, last, width)
-    bars = ax.bar(100 * EDGES[starts], heights, width, align="edge", color=BLUE, alpha=0.75, lw=0)
-    line = ax.axvline(0.0, color=RED, label="no gain")
+    bars = ax.bar(
+        100 * EDGES[starts], heights, width, align="edge", color=colours[0], alpha=0.75, lw=0
+    )
+    line = ax.axvline(0.0, color="black", ls=":", label="no gain")
     draws = [f"{summary.draws:,} draws", *_mark_beyond(ax, relative, first, last)]
     if not others:
         bars.set_label(f"{', '.join(_mean_and_share(summary))}\n{', '.join(draws)}")
@@ -147,10 +157,11 @@ def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str) -> None:
     else:
         [(other, of_other)] = others
         ends = np.append(100 * EDGES[starts], 100 * EDGES[starts[-1]] + width)
-        shape = ax.stairs(_density(of_other, starts, last, width), ends, color="black", lw=thin())
+        density = _density(of_other, starts, last, width)
+        shape = ax.stairs(density, ends, color=colours[1], lw=thin())
         bars.set_label("\n".join([f"{verbatim(name)}:", *_mean_and_share(summary), *draws]))
         shape.set_label("\n".join([f"{verbatim(other)}:", *_mean_and_share(of_other.summary())]))
-        legend_above(ax, [bars, shape], columns=2)
+        legend_above(ax, [bars, shape, line], columns=2)
     ax.set_xlim(100 * EDGES[first], 100 * EDGES[last])
     ax.set_xlabel(f"relative gain $g$ of {verbatim(name)} over {verbatim(reference)} [%]")
     ax.set_ylabel("density [1/%]")
@@ -334,9 +345,9 @@ def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str
     everything = np.concatenate([z, *estimates])
     low, high = np.nanmin(everything), np.nanmax(everything)
     row = 0
-    for (name, times), estimate, (colour, shape, dashes) in zip(
-        sets.items(), estimates, _SHAPES, strict=True
-    ):
+    styles = styles_of(trajectory, sets)
+    for (name, times), estimate, shape in zip(sets.items(), estimates, _SHAPES, strict=True):
+        colour, dashes = styles[name]["color"], styles[name]["ls"]
         text = rf"$\hat{{z}}(t)$, {verbatim(name)}"
         ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=text)
         for k, (sensor, measured) in enumerate(by_sensor(times).items()):

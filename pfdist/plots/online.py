@@ -1,17 +1,19 @@
 """Times that are chosen one after another: when draws are measured, what they gain, one draw."""
 
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_rgba
+from matplotlib.typing import RGBAColorType
 from numpy.typing import NDArray
 
 from pfdist.analysis import Run, relative_gain
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.reference import label
-from pfdist.common.formatted_times import times_of
+from pfdist.common.formatted_times import by_sensor
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.gains import (
     gain,
@@ -30,12 +32,11 @@ from pfdist.plots.panel import (
     minus,
     stack,
     step_of,
+    styles_of,
     verbatim,
 )
-from pfdist.plots.style import BLUE, RED
 from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
-from pfdist.times.measurement_times import Times
 
 MOST_ROWS = 200  # draws in the raster: more could not be told apart
 
@@ -78,13 +79,14 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     matplotlib Axes
     """
     draws, measured, clock = _measured(source)
-    share, ax = 100 * measured.mean(axis=0), axes_for(ax)
-    step = step_of(clock.times)
-    ax.bar(
-        clock.times, share, 0.8 * step, color=BLUE, alpha=0.75, lw=0,
-        label=f"online, {len(measured):,} draws",
-    )  # fmt: skip
-    _mark(ax, draws.planned_times, f"the plan, {verbatim(draws.plan)}")
+    shares, ax = 100 * measured.mean(axis=0), axes_for(ax)
+    step, shades, text = step_of(clock.times), _shades(draws), f"online, {len(measured):,} draws"
+    for share, (sensor, beside), shade in zip(shares.T, _beside(clock), shades, strict=True):
+        ax.bar(
+            np.add(clock.times, beside), share, 0.8 * step / len(shades), color=shade, lw=0,
+            label=f"{text}, {verbatim(sensor)}" if sensor else text,
+        )  # fmt: skip
+    _mark(ax, draws, f"the plan, {verbatim(draws.plan)}")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
     ax.set_xlim(clock.times[0] - 0.75 * step, clock.times[-1] + 0.75 * step)
@@ -113,20 +115,24 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     draws, measured, clock = _measured(source)
     measured, ax = measured[:MOST_ROWS], axes_for(ax)
     rows, step = len(measured), step_of(clock.times)
-    in_order = measured[np.lexsort(~measured.T[::-1])]  # early measurements come first
+    in_order = measured[
+        np.lexsort(~measured.reshape(rows, -1).T[::-1])
+    ]  # early measurements come first
     first, last = clock.times[0] - step / 2, clock.times[-1] + step / 2
     if clock.is_even:
         shown = in_order
     else:  # each instant in the columns of least width that lie nearest to it
         columns = np.arange(first + step / 2, last, step)
         nearest = np.abs(np.subtract.outer(np.array(clock.times), columns)).argmin(axis=1)
-        shown = np.zeros((rows, len(columns)), np.bool_)
+        shown = np.zeros((rows, len(columns), measured.shape[-1]), np.bool_)
         shown[:, nearest] = in_order
+    kinds = np.arange(1, shown.shape[-1] + 1)  # in each instant a column for each sensor
     ax.imshow(
-        shown, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", BLUE]),
-        vmin=0, vmax=1, extent=(first, last, rows + 0.5, 0.5),
+        (shown * kinds).reshape(rows, -1), aspect="auto", interpolation="nearest",
+        cmap=ListedColormap(["#ffffff00", *_shades(draws)]), vmin=0, vmax=kinds[-1],
+        extent=(first, last, rows + 0.5, 0.5),
     )  # fmt: skip
-    _mark(ax, draws.planned_times)
+    _mark(ax, draws)
     ax.set_xlim(first - step / 4, last + step / 4)
     ax.set_ylabel(f"{rows:,} draws, sorted by times")
     ax.set_yticks([])
@@ -135,10 +141,24 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
 
 
 def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_], Clock]:
-    """The draws, whether each is measured at each instant, and the clock."""
+    """The draws, whether each is measured at each instant by each sensor, and the clock."""
     draws = _draws_of(source)
     clock, times = draws.clock, draws.rows["measurement_times"]
-    return draws, measured_at([clock.instants(times_of(t)) for t in times], clock.horizon), clock
+    measured = measured_at([clock.measurements(t) for t in times], clock.possible - 1)
+    return draws, measured.reshape(len(times), clock.horizon + 1, -1), clock
+
+
+def _beside(clock: Clock) -> list[tuple[str, float]]:
+    """Each sensor, and how far beside an instant it is drawn; a nameless one without sensors."""
+    sensors, step = clock.sensors or ("",), step_of(clock.times)
+    middles = (np.arange(len(sensors)) + 0.5) / len(sensors) - 0.5
+    return list(zip(sensors, (step * middles).tolist(), strict=True))
+
+
+def _shades(draws: OnlineDraws) -> list[RGBAColorType]:
+    """The colour of online times, lighter for each further sensor."""
+    colour, number = _styles(draws)["online"]["color"], len(draws.clock.sensors or ("",))
+    return [to_rgba(colour, alpha) for alpha in np.linspace(0.9, 0.4, number)]
 
 
 def _draws_of(source: Run | OnlineDraws) -> OnlineDraws:
@@ -146,12 +166,18 @@ def _draws_of(source: Run | OnlineDraws) -> OnlineDraws:
     return online_draws(source) if isinstance(source, Run) else source
 
 
-def _mark(ax: Axes, planned: Times, label: str | None = None) -> None:
+def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
+    """The styles of the sets of the run, and that of the online times."""
+    return styles_of(draws.rows, [draws.reference, draws.plan, "online"])
+
+
+def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if there is one."""
-    times = times_of(planned)
+    planned = by_sensor(draws.planned_times)
+    times = [t + beside for name, beside in _beside(draws.clock) for t in planned.get(name, [])]
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,
-        color=RED, ms=marker(1.2), mew=0, label=label, zorder=5,
+        color=_styles(draws)[draws.plan]["color"], ms=marker(1.2), mew=0, label=label, zorder=5,
     )  # fmt: skip
 
 
@@ -186,16 +212,22 @@ def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     draws = _draws_of(source)
     online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
     return gain(
-        online, "online", reference=label(draws.reference), beside=(draws.plan, plan), ax=ax
-    )
+        online, "online", reference=label(draws.reference), beside=(draws.plan, plan),
+        sets=[*_styles(draws)], ax=ax,
+    )  # fmt: skip
 
 
 @figure("online_draw", applies=has_online)
 def online_draw_figure(tables: Tables) -> Plot:
-    """Truth, estimates and times of the draw with the median gain of online times over the plan."""
+    """Truth, estimates and times of the draw with the median gain of online times over the plan.
+
+    If online times differ from the plan in any draw with a trajectory, the median is that of the
+    draws in which they do.
+    """
     draws, trajectories = tables.online, tables.trajectories
-    rows = draws.rows[draws.rows["estimate"].notna()].set_index("draw")
-    rows = rows[rows.index.isin(trajectories["draw"])]
+    has_estimate = draws.rows["estimate"].notna() & draws.rows["draw"].isin(trajectories["draw"])
+    differ = has_estimate & draws.differ
+    rows = draws.rows[differ if differ.any() else has_estimate].set_index("draw")
     plan, online = (rows[f"mse_{name}"].to_numpy() for name in (draws.plan, "online"))
     gains = pd.Series(relative_gain(online, plan), index=rows.index).dropna()
     if gains.empty:
@@ -205,7 +237,8 @@ def online_draw_figure(tables: Tables) -> Plot:
     trajectory = with_online(trajectories[trajectories["draw"] == draw], rows["estimate"][draw])
     median = float(gains[draw])
     over = f"relative gain over {verbatim(draws.plan)}"
-    legend = minus(f"draw {draw}, {over} {100 * median:.1f} %, the median")
+    which = " of those with other times" if differ.any() else ""
+    legend = minus(f"draw {draw}, {over} {100 * median:.1f} %, the median{which}")
     title = title_of_draw(median, "online times", f"the times of {draws.plan}")
     return plot_of_draw(trajectory, sets, legend, title)
 

@@ -5,6 +5,7 @@ Sizes are those of the style in use.
 
 import math
 from collections.abc import Collection, Iterable, Sequence
+from itertools import compress
 from textwrap import wrap
 from typing import Any, NamedTuple, TypeVar
 
@@ -193,6 +194,19 @@ def step_of(times: Iterable[float]) -> float:
     return float(np.diff(different).min())
 
 
+def styles_of(
+    source: pd.DataFrame | Sequence[str], names: Iterable[str]
+) -> dict[str, dict[str, Any]]:
+    """The style of each set by name, which is the same in all figures of a run.
+
+    It follows from the place of the set among the sets of the run. The source is a table of the
+    run, or the names of its sets. Names that are no sets of the run follow these.
+    """
+    sets = source.attrs.get("sets", ()) if isinstance(source, pd.DataFrame) else source
+    places = dict.fromkeys([*sets, *names])
+    return {name: set_style(place) for place, name in enumerate(places)}
+
+
 def rows_of_sets(
     table: pd.DataFrame, names: Sequence[str]
 ) -> list[tuple[str, pd.DataFrame, dict[str, Any]]]:
@@ -209,10 +223,8 @@ def rows_of_sets(
         return [("", table.sort_values("t"), set_style(1))]
     every = list(dict.fromkeys(map(str, table["name"])))
     drawn = [chosen(name, every, "names") for name in names] or every
-    return [
-        (name, table[table["name"] == name].sort_values("t"), set_style(position))
-        for position, name in enumerate(drawn)
-    ]
+    styles = styles_of(table, drawn)
+    return [(name, table[table["name"] == name].sort_values("t"), styles[name]) for name in drawn]
 
 
 def name_row(ax: Axes, level: float, name: str, *, share: bool = False, color: str = GREY) -> None:
@@ -232,15 +244,18 @@ def write_instead(ax: Axes, text: str) -> Axes:
 
 
 def stack(panels: Sequence[Axes], components: int = 0) -> None:
-    """Let panels with one horizontal axis share its labels, and a legend that is the same for all.
+    """Let panels with one horizontal axis share its labels, and what a legend above says already.
 
     If there are more components of z than panels, the last label says how many are left out.
     """
-    labels = panels[0].get_legend_handles_labels()[1]
-    for ax in panels[1:]:
-        legend = ax.get_legend()
-        if legend is not None and ax.get_legend_handles_labels()[1] == labels:
+    said = set[str]()
+    for ax in panels:
+        legend, (handles, labels) = ax.get_legend(), ax.get_legend_handles_labels()
+        if legend is not None and said.intersection(labels):
             legend.remove()
+            new = (label not in said for label in labels)
+            legend_above(ax, list(compress(handles, new)))
+        said.update(labels)
     for ax in panels[:-1]:
         ax.set_xlabel("")
         ax.tick_params(labelbottom=False)
@@ -340,5 +355,5 @@ def _mark_beyond(
     ax.plot(
         curve.x[beyond], np.full(len(farthest), edge), shape, color=curve.colour, ms=marker(),
         mfc=curve.colour, transform=ax.get_xaxis_transform(), clip_on=False, zorder=5,
-        label=f"{verbatim(curve.name)}: {text}" if curve.name else text,
+        label=f"{verbatim(curve.name)}, off the axis: {text}" if curve.name else text,
     )  # fmt: skip

@@ -49,8 +49,11 @@ _SETS: tuple[dict[str, Any], ...] = (
 
 
 def set_style(position: int) -> dict[str, Any]:
-    """Colour, dashes and marker of a set of times; position 0 is the reference, hollow and blue."""
-    return dict(_SETS[position % len(_SETS)])
+    """Colour, dashes and marker of a set of times; position 0 is the reference, hollow and blue.
+
+    No other set is blue: after the last style follows that of position 1.
+    """
+    return dict(_SETS[position and 1 + (position - 1) % (len(_SETS) - 1)])
 
 
 def styled(

@@ -28,6 +28,7 @@ from pfdist.plots.panel import (
     marker,
     points,
     stack,
+    styles_of,
     thin,
     verbatim,
     write_instead,
@@ -150,8 +151,9 @@ def uncertainty(
     ax, curves = axes_for(ax), []
     if errors.empty:
         return write_instead(ax, "no draw with a trajectory has an estimate")
-    for position, name in enumerate(names):
-        style, at_each = set_style(position), errors.groupby("t")[name]
+    styles = styles_of(table, names)
+    for name in names:
+        style, at_each = styles[name], errors.groupby("t")[name]
         mean, half = at_each.mean(), BAND * at_each.sem().fillna(0.0)
         error, low, high = (np.sqrt(np.maximum(0.0, mean + side * half)) for side in (0, -1, 1))
         ax.fill_between(mean.index, low, high, color=style["color"], alpha=0.12, lw=0)
@@ -164,7 +166,8 @@ def uncertainty(
     label_quantity(ax, quantities, component, "root mean square error of {}")
     label_times(ax, table)
     longest = max(map(len, names))
-    legend_above(ax, columns=3 if longest <= 12 else 2 if longest <= _LONGEST_OF_TWO else 1)
+    columns = 3 if longest <= 12 else 2 if longest <= _LONGEST_OF_TWO else 1
+    legend_above(ax, columns=columns, title="bands: 95 %")
     return ax
 
 
@@ -218,7 +221,7 @@ def times(
     ax = axes_for(ax, times_inches(len(rows)))
     others = [name for name in sets if name not in references]
     size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(rows)))
-    each_differs = len(others) < _MOST_LINES and len(references) < 2
+    each_differs = len(references) < 2
     for row, (name, _, at) in enumerate(rows):
         position = 1 + others.index(name) * each_differs if name in others else 0
         style = set_style(position) | {"ls": ""}
@@ -252,12 +255,10 @@ def times_inches(sets: int) -> float:
 
 def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, str, list[float]]]:
     """Name, label and times of each row of a set: one row, or one for each of its sensors."""
-    rows = []
-    for sensor, at in by_sensor(measurements).items():
-        # The name of a sensor alone has the name of the sensor.
-        is_named = name == f"alone_{sensor}".lower().replace("-", "_")
-        rows.append((name, name if is_named or not sensor else f"{name}, {sensor}", at))
-    return rows
+    return [
+        (name, f"{name}, {sensor}" if sensor else name, at)
+        for sensor, at in by_sensor(measurements).items()
+    ]
 
 
 def _forbidden_times(run: Run) -> list[float]:

@@ -53,8 +53,7 @@ def why_figure(tables: Tables, name: str) -> Plot:
         error_profile(profile, names, ax=panels[0])
         worth(of_both, ax=panels[1])
         shifts(of_both, ax=panels[2])
-        for ax in panels[:2]:
-            ax.set_xlabel("")
+        stack(panels)
 
     return Plot(5.2, draw, panels=3, share_x=True, title=_title(measurements, names))
 
@@ -154,7 +153,7 @@ def error_profile(
     if draws is None:
         draws = int(table["draws"].max()) if "draws" in table else 0
     drawn = f"on {draws:,} draws of their own; " if draws else ""
-    legend_above(ax, title=f"{drawn}markers: measured there")
+    legend_above(ax, title=f"{drawn}band: 95 %; markers: measured there")
     return ax
 
 
@@ -201,9 +200,9 @@ def effective_sample_size(
     sizes = table["effective_sample_size"]
     is_logarithmic = sizes.max() > _LINEAR * sizes.min()
     ax.set_yscale("log" if is_logarithmic else "linear")
-    ax.set_ylim(bottom=float(is_logarithmic))
     if particles is not None:
         ax.axhline(particles, color="black", ls=":", lw=thin(), label=f"{particles:,} particles")
+    ax.set_ylim(bottom=float(is_logarithmic))  # last: the upper end no longer follows the lines
     ax.set_ylabel("effective sample size")
     label_times(ax, table)
     legend_above(ax, columns=3)

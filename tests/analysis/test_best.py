@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import pfdist
+from pfdist.common.rounding import with_error
 from pfdist.errors import StoreError
 
 SETS = "search=[]", "comparison.sets={early=[0, 1, 2, 3], late=[9, 10, 11, 12]}"
@@ -19,6 +20,8 @@ def test_the_best_set_has_the_least_mean_error_of_the_compared_draws(
     name = mse.idxmin().removeprefix("mse_")
     assert run.best.measurement_times == list(run.sets[name])
     assert run.best.expected_mse == pytest.approx(mse.min())
+    assert len(repr(run.best)) < 120
+    assert with_error(run.best.expected_mse, run.best.standard_error) in repr(run.best)
 
 
 def test_a_run_without_a_comparison_has_no_best_set(small_run: pfdist.Run) -> None:

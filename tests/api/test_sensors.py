@@ -11,7 +11,8 @@ import pfdist
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
 from pfdist.analysis.stored_run import found_sets
-from pfdist.answers.run import answer_in_a_line
+from pfdist.answers.run import answer_in_a_line, answer_of
+from pfdist.documents.terminal import lines_of
 from pfdist.errors import ModelError
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.simulation import simulate
@@ -141,6 +142,10 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     bound = run.summary().results[name].lower_bound
     assert bound["bound"] == pytest.approx(min(apart.values()), rel=1e-9)
     assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in answer_in_a_line(run)
+    summary = run.summary()
+    assert all(result.cost == result.measurements for result in summary.results.values())
+    rows = [row for row in lines_of(answer_of(run)) if row.split()[1:2] == [name]]
+    assert rows[0].split()[2:4] == ["3", "3"]  # measurements and cost
 
 
 def test_the_plan_is_compared_with_each_sensor_and_with_rotation(

@@ -191,6 +191,9 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0
     assert hashes(run.path) == again
     text = capsys.readouterr().out
+    said = re.findall(r"^(\w+): expected MSE", text, re.MULTILINE)
+    errors = pfdist.why(run, 30, figures=False).sets.set_index("name")["expected_mse"]
+    assert said == errors.sort_values().index.tolist()  # the best first
     cost = with_error(regular["expected_mse"], regular["standard_error"])
     assert f"regular: expected MSE {cost}\n" in text
     worth = regular["worth"][1]

@@ -48,7 +48,7 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
     lines = printed("table", runs / "a", runs / "b").splitlines()
     assert max(map(len, lines)) <= COLUMNS
     words = lines[0].split() + lines[1].split()
-    assert {"run", "seed", "measurement_", "budget", "set", "gain", "seconds"} <= set(words)
+    assert {"run", "seed", "measurement_budget", "set", "gain", "seconds"} <= set(words)
     summary = pfdist.open_run(runs / "b").summary().results["random"]
     row = next(line for line in lines if line.startswith("b ") and "random" in line)
     assert with_error(summary.expected_mse, summary.standard_error) in row
@@ -128,6 +128,7 @@ class Budget:
     """A run of 16 measurements, as a chapter sees it."""
 
     is_compared = True
+    cost_head = "cost"
 
     def __init__(self, scale: float = 1.0, reached: Any = None, **changes: Any) -> None:
         self.results = {

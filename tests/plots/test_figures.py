@@ -336,6 +336,19 @@ def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) 
     assert dark.sum() == 4
 
 
+def test_online_times_of_two_sensors_stand_beside_each_other_in_two_shades() -> None:
+    clock = Clock((0, 1, 2), sensors=("probe", "core"))
+    rows = pd.DataFrame({"measurement_times": [("0 core", "2 probe"), ("0 core", "0 probe")]})
+    draws = OnlineDraws("regular", "plan", ("0 core",), rows, clock)  # type: ignore[arg-type]
+    axes = online_shares(draws, ax=_axes())
+    assert [bar.get_height() for bar in axes.patches] == [50, 0, 50, 100, 0, 0]
+    probe, core = axes.patches[0], axes.patches[3]
+    assert probe.get_x() + probe.get_width() < core.get_x()
+    assert probe.get_facecolor() != core.get_facecolor()
+    (image,) = online_raster(draws, ax=_axes()).get_images()
+    assert np.asarray(image.get_array()).tolist() == [[1, 2, 0, 0, 0, 0], [0, 2, 0, 0, 1, 0]]
+
+
 def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:
     trajectory = pd.DataFrame({"t": [0, 1, 2], "z_0": [1.0, 2.0, 3.0], "z_1": [4.0, 5.0, 6.0]})
     both = with_online(trajectory, np.array([0.0, 10.0, 1.0, 11.0, 2.0, 12.0]))

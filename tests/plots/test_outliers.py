@@ -69,10 +69,10 @@ def test_measurements_worth_a_hundred_times_the_others_are_arrows_with_one_numbe
     assert axes.get_ylim()[1] < 3
     assert axes.get_ylim()[0] < 0  # the stems begin at 0
     assert _arrows(axes) == {"^": [4.0]}
-    assert _legend(axes) == ["mine", "mine: 152"]
+    assert _legend(axes) == ["mine", "mine, off the axis: 152"]
     several = pd.concat([WORTH] * 4, ignore_index=True).assign(t=range(48))
     several.loc[[3, 9, 30], "removed"] = [300.0, 200.0, 500.0]
-    assert _legend(worth(several, ax=_axes()))[-1] == "mine: 3 up to 500"
+    assert _legend(worth(several, ax=_axes()))[-1] == "mine, off the axis: 3 up to 500"
     assert worth(WORTH, ax=_axes()).get_ylim()[1] > WORTH["removed"].max()
     assert _arrows(worth(WORTH, ax=_axes())) == {}
 
@@ -82,7 +82,7 @@ def test_a_shift_far_below_is_an_arrow_at_the_lower_edge_with_a_true_minus_sign(
     table.loc[7, "earlier"] = -90.0
     axes = shifts(table, ax=_axes())
     assert _arrows(axes) == {"v": [6.7]}
-    assert _legend(axes)[-1] == "mine: \N{MINUS SIGN}90"
+    assert _legend(axes)[-1] == "mine, off the axis: \N{MINUS SIGN}90"
 
 
 def _profile(low: float, high: float, last: float) -> pd.DataFrame:
@@ -94,7 +94,7 @@ def _profile(low: float, high: float, last: float) -> pd.DataFrame:
 def test_a_spike_of_the_error_leaves_the_profile_its_room() -> None:
     axes = error_profile(_profile(1, 3, 4e6), ax=_axes())
     assert (axes.get_ylim()[0], axes.get_ylim()[1] < 4) == (0.0, True)
-    assert _legend(axes)[-1] == r"mine: $4\times 10^{6}$"
+    assert _legend(axes)[-1] == r"mine, off the axis: $4\times 10^{6}$"
 
 
 def test_an_axis_that_begins_at_0_has_no_arrow_for_a_small_value_that_it_shows() -> None:
@@ -128,4 +128,4 @@ def test_small_budgets_with_huge_errors_leave_the_curve_its_room() -> None:
     table["low"], table["high"] = 0.9 * table["expected_mse"], 1.1 * table["expected_mse"]
     axes = budget(table, ax=_axes())
     assert axes.get_ylim()[1] < 40
-    assert _legend(axes) == ["regular times", "found times", r"found: 30,000"]
+    assert _legend(axes) == ["regular times", "found times", r"found, off the axis: 30,000"]

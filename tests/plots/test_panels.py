@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from matplotlib import pyplot
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import pfdist
@@ -23,7 +24,8 @@ from pfdist.analysis.runs_table import RESULTS
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
 from pfdist.plots.figure import FIGURES, Tables, drawn
-from pfdist.plots.style import PRINT, SCREEN, styled
+from pfdist.plots.panel import styles_of
+from pfdist.plots.style import BLUE, PRINT, SCREEN, styled
 from pfdist.store import filtered_schema
 from pfdist.times.clock import Clock
 
@@ -339,6 +341,42 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
     assert [line.get_markerfacecolor() == "white" for line in rows] == [True, True, False, False]
 
 
+def test_a_set_has_one_colour_in_all_figures_of_a_run_and_the_reference_alone_is_blue(
+    proved: Run,
+) -> None:
+    tables, colours = Tables(proved), dict[str, set[Any]]()
+    for figure in ("times", "bound", "filters", "why", "draw", "cost"):
+        for _, plot in FIGURES[figure].plots(tables):
+            for line in (line for axes in drawn(plot).axes for line in axes.get_lines()):
+                words = str(line.get_label()).replace(",", " ").split()
+                for name in {*words} & {*proved.names}:
+                    colours.setdefault(name, set()).add(line.get_color())
+    for name in proved.names[1:]:
+        bars = plots.gain(proved, name, ax=_axes()).patches
+        colours[name].add(to_hex(bars[0].get_facecolor()))
+    assert [len(colours[name]) for name in proved.names] == [1, 1, 1]
+    assert colours["regular"] == {BLUE}
+    assert len(set.union(*colours.values())) == 3
+    many = styles_of([f"set {k}" for k in range(12)], [])
+    assert [style["color"] for style in many.values()].count(BLUE) == 1
+
+
+def test_a_bound_of_one_step_is_a_line_and_not_a_point(proved: Run) -> None:
+    rows = proved.table("bound").assign(steps=1e9, bound_error=0.1)
+    axes = plots.bound(rows, ax=_axes())
+    (line,) = [line for line in axes.get_lines() if "lower bound" in str(line.get_label())]
+    assert (line.get_ls(), list(line.get_xdata())) == ("--", [0, 1])
+    assert (list(axes.get_xticks()), axes.get_xlabel()) == ([], "")
+
+
+def test_panels_that_share_an_axis_say_nothing_twice(proved: Run) -> None:
+    [(_, plot), *_] = FIGURES["why"].plots(Tables(proved))
+    legends = [axes.get_legend() for axes in drawn(plot).axes]
+    labels = [text.get_text() for legend in legends if legend for text in legend.get_texts()]
+    assert len({*labels}) == len(labels)
+    assert labels[-2:] == ["one instant earlier", "one instant later"]
+
+
 def test_degenerate_draws_are_a_share_that_steps_up() -> None:
     axes = plots.degenerate_draws(PROFILE, ax=_axes())
     lines = {str(line.get_label()): line for line in axes.get_lines()}
@@ -347,6 +385,8 @@ def test_degenerate_draws_are_a_share_that_steps_up() -> None:
 
 
 def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
+    axes = plots.effective_sample_size(PROFILE, particles=5000, ax=_axes())
+    assert axes.get_ylim()[1] > 5000  # the line of all particles is seen
     axes = plots.effective_sample_size(PROFILE, particles=50, ax=_axes())
     assert list(axes.get_lines()[0].get_xdata()) == [0, 3, 6, 9]
     assert (axes.get_yscale(), axes.get_ylim()[0]) == ("linear", 0.0)

@@ -246,8 +246,8 @@ def test_a_users_own_file_stays_and_no_command_calls_it_a_result(
     report = run.path / "report.html"
     _again(run)
     assert main(["status", str(run.path)]) == 0
-    told = f"tables: {run.path}/tables   report: {report}"
-    assert capsys.readouterr().out.splitlines()[-1] == told
+    told = ["tables:", f"{run.path}/tables", "report:", f"{report}"]
+    assert capsys.readouterr().out.split()[-4:] == told
     report.write_text("mine")
     (run.path / "figures").mkdir()
     (run.path / "figures" / "notes.txt").write_text("mine")

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from typing import TYPE_CHECKING
 
-from pfdist.cli.answers import computed, print_page, print_records, print_run
+from pfdist.cli.answers import computed, print_page, print_places, print_records, print_run
 from pfdist.cli.arguments import (
     RESULTS,
     add_answer,
@@ -18,7 +18,7 @@ from pfdist.cli.arguments import (
 from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, number_list, sets_by_name
 from pfdist.common.parsing import SPELLING
-from pfdist.errors import one_line, shown
+from pfdist.errors import shown
 
 if TYPE_CHECKING:
     from pfdist.api.sweep import Sweep
@@ -363,7 +363,5 @@ def _print_sweep(finished: "Sweep", options: Namespace) -> None:
         print_page(table_page(table), options)
     if finished.busy:
         print(f"\nother processes compute {', '.join(finished.busy)}")
-    there = [f"runs: {finished.path}"]
-    if has_report(finished.path):
-        there.append(f"report: {finished.path / REPORT}")
-    print(f"\n{one_line('   '.join(there))}")
+    report = {"report": finished.path / REPORT} if has_report(finished.path) else {}
+    print_places({"runs": finished.path, **report})
