@@ -61,7 +61,12 @@ def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:
     for name, each in proofs.items():
         number = len(each["measurement_times"])
         if not each["reason"]:
-            sentence = gap_sentence(each | common, number, is_constrained=constrained)
+            sentence = gap_sentence(
+                each | common,
+                number,
+                is_constrained=constrained,
+                has_scenarios=answer["has_scenarios"],
+            )
             blocks.append(Text(f"{name}: {sentence}", prominent=True))
         if each.get("particle_loss_limit") is not None:
             loss = particle_loss_text(each["particle_loss"], each["particle_loss_limit"])

@@ -216,7 +216,12 @@ def _proof(subject: Subject, result: SetResult) -> str:
     if proof["reason"]:
         return f"There is no lower bound: {proof['reason']}."
     constrained = subject.summary.is_constrained
-    sentence = gap_sentence(proof, len(result.measurement_times), is_constrained=constrained)
+    sentence = gap_sentence(
+        proof,
+        len(result.measurement_times),
+        is_constrained=constrained,
+        has_scenarios=bool(subject.summary.scenarios),
+    )
     return f"{sentence} {NO_LIMITS}" if problem_of(subject.run).feasible.limits else sentence
 
 

@@ -106,6 +106,7 @@ def foreseen_page(points: pd.DataFrame) -> Page:
     left = points[["steps", "seconds"]].where(points["state"] != FINISHED, 0)
     text = f"{len(points)} points; about {left['steps'].sum() / billion:.3f} billion particle-steps"
     text += f" are left to do, in {formatted_seconds(left['seconds'].sum())} s of a core"
+    text += " (without compiling, figures and reports)"
     if "judging_steps" in points:
         judging = points["judging_steps"].sum() / billion
         text += f", and at most {judging:.3f} billion to judge"

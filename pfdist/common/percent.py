@@ -75,7 +75,13 @@ NO_LIMITS = (
 """What a bound says if sensors have such limits."""
 
 
-def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: bool = False) -> str:
+def gap_sentence(
+    gap: Mapping[str, Any],
+    measurements: int,
+    *,
+    is_constrained: bool = False,
+    has_scenarios: bool = False,
+) -> str:
     """The sentence about how much lower the error of other times can be, if there is a bound.
 
     `gap` has the fields of `pfdist.bounds.proof.Gap` as JSON, and ``confidence``. `measurements` is
@@ -89,6 +95,8 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: b
     'No other times that cost no more have a lower expected error.'
     >>> gap_sentence({**gap, "budget": 1}, 1, is_constrained=True)
     'No other time that the constraints allow has a lower expected error.'
+    >>> gap_sentence({**gap, "gap": 0.5}, 4, has_scenarios=True).partition(", ")[2]
+    'even with a filter that is told the scenario.'
     """
     times = "time" if measurements == 1 else f"{measurements} times"
     conditions = ["that the constraints allow"] if is_constrained else []
@@ -103,7 +111,8 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: b
         at_most = _percent(rounded_up(gap["gap_at_most"]))
         limit = f" ({100 * gap['confidence']:.3g}\xa0%:\xa0{at_most})"
     lower = f"can lower the error by more than another {_percent(gap['gap'])}"
-    return f"No other {times} {lower}{limit}."
+    told = ", even with a filter that is told the scenario" if has_scenarios else ""
+    return f"No other {times} {lower}{limit}{told}."
 
 
 def rounded_up(fraction: float) -> float:

@@ -207,13 +207,13 @@ def _shown_bins(relative: Gain) -> tuple[int, int]:
 
 @figure("draw", applies=one_number, each_set=True)
 def draw_figure(tables: Tables, name: str) -> Plot:
-    """Truth, estimates and times of the draw with the median gain (the paper's figure 3)."""
+    """Truth, estimates and times of a typical draw: the median gain of the first 100 draws."""
     trajectories, sets, draw, gain = _of_run(tables, name)
     if np.isnan(gain):
         return no_draw()
     reference = label(tables.run.names[0])
     return plot_of_draw(
-        trajectories[trajectories["draw"] == draw], sets, f"{_legend(draw, gain)}, the median",
+        trajectories[trajectories["draw"] == draw], sets, f"{_legend(draw, gain)}, a typical one",
         title_of_draw(gain, f"the times of {name}", reference),
     )  # fmt: skip
 
@@ -229,8 +229,8 @@ def title_of_draw(gain: float, which: str, reference: str) -> str:
     """Say how much the errors of two sets differ in the draw of median gain."""
     less = "less" if gain >= 0 else "more"
     return (
-        f"In the draw with the median gain, {which} err {100 * abs(gain):.1f} % {less} "
-        f"than {reference}."
+        f"In a typical draw (of the median gain among those kept), {which} err "
+        f"{100 * abs(gain):.1f} % {less} than {reference}."
     )
 
 

@@ -57,6 +57,7 @@ _BESIDE = 2.5  # points between two lines at one value
 _LONGEST_LABEL, _LONGEST_TEXT = 42, 16  # letters
 _MOST_TICKS, _CLOSEST = 8, 0.08  # ticks at the values, and their least distance over the axis
 _SHADES = colormaps["cividis"].resampled(64)  # even in lightness, so also in grey print
+_BEST = "best times"
 _DARK, _LIGHT = "#111111", "#fafafa"  # of texts on cells; a page changes black and white
 _PER_CENT = ("gain_of_means", "mean_relative_gain", "positive_fraction", "loss", "bound_gap",
              "bound_gap_at_most")  # fmt: skip
@@ -129,7 +130,7 @@ def against(
         style = {
             "color": colour, "mfc": "white" if dash else colour, "ls": _DASHES[dash % len(_DASHES)],
             "marker": _MARKERS[(shade + shade // len(SERIES)) % len(_MARKERS)],
-            "label": clipped(formatted_point(names, at, keys_of(frame)), _LONGEST_LABEL),
+            "label": clipped(formatted_point(names, at, keys_of(frame)) or _BEST, _LONGEST_LABEL),
         }  # fmt: skip
         aside = _BESIDE * (number - (len(lines) - 1) / 2)
         curves.append(_draw_line(ax, line, places, factor, style, aside))

@@ -227,7 +227,9 @@ def times(
         style = set_style(position) | {"ls": ""}
         if len(rows) <= _MOST_NAMED:
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
-        ax.plot(at, [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, **style)
+        ax.plot(
+            at, [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, clip_on=False, **style
+        )
     _shade(ax, barred, clock)
     first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
     beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
