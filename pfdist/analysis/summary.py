@@ -50,7 +50,7 @@ class SetResult:
         As of the table ``budget``, like worse_than, bound, bound_error and bound_low. Only
         the times are known before the comparison has begun, and the next two fields.
     cost : float or None
-        What the measurements cost together, where the job has a total cost.
+        Total cost of the measurements, where the job has a total cost.
     search_cost, search_standard_error : float or None
         The search that found the set believed this cost of it.
     search_excess, search_estimation, search_cause, search_distrust
