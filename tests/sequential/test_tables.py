@@ -82,7 +82,7 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' must hold numbers, got 'high' in line 3"),
         ("t,y0,y1\n3,1_000,3", "column 'y0' must hold numbers, got '1_000' in line 2"),
         ("t,y0,y1\n3,1,2,3", "as many values as the first: got 4 values in line 2, 3 in the first"),
-        (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text"),
+        (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
         ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' must hold numbers, got 'xxx"),
         (",".join(map(str, range(1001))) + "\n", "at most 1,000 columns, got 1,001"),
     ],
