@@ -108,8 +108,8 @@ def test_a_run_whose_report_cannot_be_written_is_finished(
     layer = FileLayer(monkeypatch, tmp_path)
     write = write_report
 
-    def failing(run: pfdist.Run) -> None:
-        layer.run(partial(write, run), fault, 0)
+    def failing(run: pfdist.Run, target: float | None = None) -> None:
+        layer.run(partial(write, run, target=target), fault, 0)
 
     monkeypatch.setattr("pfdist.api.report.write_report", failing)
     run = pfdist.run(job, tmp_path / "run", figures=False, report=True, say=told.append)
