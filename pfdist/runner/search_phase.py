@@ -102,7 +102,9 @@ def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, 
             ends = [*polished[:_POLISHED], *ends[:1]]
         leaders = [*leaders, *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
-    return _Attempt(finalists, leaders, polishes)
+    # Whichever set wins, the search believes its error in the worst scenario, if that decides.
+    judged_alike = [replace(each, is_worst=session.built.is_worst) for each in finalists]
+    return _Attempt(judged_alike, leaders, polishes)
 
 
 def _distrusted(

@@ -32,6 +32,7 @@ from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
 from pfdist.job.scenarios_section import Scenarios
+from pfdist.runner import search_phase
 from pfdist.runner.build import build
 
 SETS = list(combinations(range(HORIZON + 1), 4))
@@ -171,6 +172,26 @@ def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
     believed = run.table("compared").set_index("name")["search_cost"][method]
     assert believed == pytest.approx(exact.min(), rel=1e-9)
+
+
+def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of the sets that the search for the best mean found."""
+    winners, costs_of = search_phase._winners, list[tuple[float, float]]()
+
+    def seen(session: Any, name: str, attempt: Any, raced: Any) -> Any:
+        for each in attempt.finalists:
+            means = [own.expected_mse for own in each.of_scenarios.values()]
+            costs_of.append((each.cost, max(means)))
+        return winners(session, name, attempt, raced)
+
+    monkeypatch.setattr(search_phase, "_winners", seen)
+    changes = ["comparison.draws=48", "execution.pool=serial"]
+    asked = problem("worst", filter="nominal", particles=100)
+    pfdist.plan(asked, tmp_path / "run", changes=changes, bound_draws=0, report=False)
+    assert len(costs_of) > 1
+    assert all(cost == largest for cost, largest in costs_of)
 
 
 def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Path) -> None:
