@@ -21,7 +21,7 @@ from pfdist.runner.searches import planning_of
 from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.measurements import instant_on
-from pfdist.sequential.one_filter import made
+from pfdist.sequential.one_filter import TruthsFilter, made
 from pfdist.sequential.planning import Now, Replanner
 from pfdist.sequential.user_prior import as_prior
 from pfdist.times.clock import Clock, Time
@@ -91,6 +91,7 @@ class Planner:
         feasible = _feasible(built, planned)
         self._replanner = Replanner(built.evaluator, feasible, planning, stream)
         self._filter = filter_of(built, start, draw)
+        self._truths = TruthsFilter.beside(self._filter.unmeasured)
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(start), ()
         if planned is None:
@@ -148,11 +149,11 @@ class Planner:
             A formula failed in a simulated system. Make a new planner to go on.
         """
         instant = self._time(t)
-        estimate = self._filter.update(instant, y)
+        estimate, measurement = self._filter.update(instant, y), None
         if estimate.measured:
             measurement = np.atleast_1d(np.array(y, np.float64))
             self._taken = (*self._taken, *made(self._filter.model, instant, measurement))
-        self._plan_anew(estimate.t)
+        self._plan_anew(estimate.t, measurement)
         return self._on_clock(estimate)
 
     def missed(self, t: Time | None = None) -> None:
@@ -246,9 +247,10 @@ class Planner:
             )
         return self._plan[0] // self.feasible.sensors
 
-    def _plan_anew(self, time: int) -> None:
-        """Plan what is left after a time, from what the filter knows."""
-        self._now = Now(self._filter.cloud, measured=True)
+    def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
+        """Plan what is left after a time, which was measured if y is given."""
+        self._truths, prior = self._truths.at(time, y, self._filter.cloud)
+        self._now = Now(prior, measured=True)
         left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
         taken = (*self._before, *self._taken)
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)

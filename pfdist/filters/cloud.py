@@ -13,7 +13,6 @@ from pfdist.kernels.noise import FILTER_INITIAL, TRUTH_INITIAL, variates
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 _CACHE_SIZE = 2  # results in the cache: an estimator has two filters at most
-_ROUNDING = 1e-12  # relative, of a sum of weights
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,9 @@ class Cloud:
         States, one column a particle.
     weight : array of float64, (M,), optional
         Weights, in any unit; by default all are equal.
+    truths : Cloud, optional
+        An independent cloud of the same distribution, from which draws start. By default draws
+        start from this cloud, which then is the distribution itself.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class Cloud:
     t: int
     x: Array
     weight: Array | None = None
+    truths: "Cloud | None" = None
 
     def __post_init__(self) -> None:
         if isinstance(self.t, bool) or not isinstance(self.t, int | np.integer):
@@ -116,63 +119,37 @@ class Cloud:
         deviation = self.x - mean[:, None]
         return Gaussian(self.t, mean, (deviation * self.share) @ deviation.T)
 
-    def chosen_for(self, draws: range, stream: int) -> Indices:
-        """Choose the particle that each of D draws starts as, (D,), with probability by weight.
+    def starts(self, draws: range, stream: int) -> Array:
+        """The state from which each of D draws starts, (n, D): a particle of `truths`, by weight.
 
         `draws` are the draws' indices in their stream, and `stream` is the key of their noise.
         """
+        source = self.truths or self
         uniform = variates("uniform", 1, stream, np.array(draws), self.t, TRUTH_INITIAL, 0)
-        return _at(self._ends, uniform[:, 0] * self._ends[-1])
+        return source.x[:, _at(source._ends, uniform[:, 0] * source._ends[-1])]
 
-    def chosen_for_filters(
-        self, particles: int, draws: range, stream: int, truths: Indices | None = None
-    ) -> Indices:
+    def chosen_for_filters(self, particles: int, draws: range, stream: int) -> Indices:
         """Choose the particles from which each draw's filter starts, (D, P): systematic resampling.
 
-        A cloud of P particles of the same weight is taken as it is. `truths` (D,) are the particles
-        of this cloud that the draws start as. No filter starts with the state of its own draw's
-        truth: a filter that contained the truth would look too good. If nearly all the weight lies
-        on one state, the filters look worse than they are. `draws` are indices in the stream, and
-        `stream` is the key of the filters' noise.
+        A cloud of P particles of the same weight is taken as it is. `draws` are indices in the
+        stream, and `stream` is the key of the filters' noise.
         """
-        arguments = particles, draws, stream, None if truths is None else truths.tobytes()
+        arguments = particles, draws, stream
         chosen = self._chosen.get(arguments)  # a search asks for the same particles again and again
         if chosen is None:
             if len(self._chosen) == _CACHE_SIZE:
                 self._chosen.clear()  # another thread may clear it, too
-            chosen = self._chosen[arguments] = self._choose_for_filters(
-                particles, draws, stream, truths
-            )
+            offset = variates("uniform", 1, stream, np.array(draws), self.t, FILTER_INITIAL, 0)
+            points = (np.arange(particles) + offset) / particles  # in (0, 1)
+            chosen = self._chosen[arguments] = _at(self._ends, points * self._ends[-1])
         return chosen
 
-    def weight_of_filters(self, particles: int, truths: Indices | None = None) -> Array | None:
+    def weight_of_filters(self, particles: int) -> Array | None:
         """The weights, (P,), with which filters that carry weights take the cloud as it is.
 
-        None if they choose particles from it: it has no weights or another number of particles, or
-        the draws start from it.
+        None if they choose particles from it: it has no weights, or another number of particles.
         """
-        return self.weight if truths is None and self.particles == particles else None
-
-    def _choose_for_filters(
-        self, particles: int, draws: range, stream: int, truths: Indices | None
-    ) -> Indices:
-        offset = variates("uniform", 1, stream, np.array(draws), self.t, FILTER_INITIAL, 0)
-        points = (np.arange(particles) + offset) / particles  # in (0, 1)
-        if truths is None:
-            return _at(self._ends, points * self._ends[-1])
-        # Particles lie on a line, sorted by state, with their weights as lengths. The truth's state
-        # is cut out of this line, and the points are spread over the rest.
-        order, ends, first, after = self._by_state
-        first, after = first[truths][:, None], after[truths][:, None]
-        below, above = np.r_[0.0, ends][first], np.r_[0.0, ends][after]
-        is_only_state = above - below > 1 - _ROUNDING  # there is no other state
-        first, after = np.where(is_only_state, len(ends), first), np.where(is_only_state, 0, after)
-        left_out = np.where(is_only_state, 0.0, above - below)
-        points = points * (ends[-1] - left_out)
-        place = _at(ends, np.where(points < below, points, points + left_out))
-        return order[
-            np.where(points < below, np.minimum(place, first - 1), np.maximum(place, after))
-        ]
+        return self.weight if self.particles == particles else None
 
     @cached_property
     def _chosen(self) -> dict[Any, Indices]:
@@ -185,19 +162,6 @@ class Cloud:
         if self.weight is None:
             return np.arange(1.0, self.particles + 1)
         return np.cumsum(self.weight)
-
-    @cached_property
-    def _by_state(self) -> tuple[Indices, Array, Indices, Indices]:
-        """Particles in the order of their states, and where each ends on the line of weights.
-
-        Then, for each particle, the first place in this order of a particle with the same state,
-        and the place after the last.
-        """
-        _, state, count = np.unique(self.x, axis=1, return_inverse=True, return_counts=True)
-        order = np.argsort(state, kind="stable")
-        after = np.cumsum(count)
-        ends = np.cumsum(self.share[order])
-        return order, ends, (after - count)[state], after[state]
 
 
 Prior = Cloud | Gaussian

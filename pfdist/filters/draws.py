@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
-from pfdist.filters.cloud import Cloud, Gaussian, Indices, Prior
+from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of, place_of_function
@@ -24,8 +24,6 @@ class Draws:
     y: NDArray[np.float64]
     z: NDArray[np.float64]  # (D, K, q): quantities of interest
     start: int = 0
-    # (D,): the particle of the prior from which each draw started; None without a prior
-    origin: Indices | None = None
     # (K,): weight of each instant's error in the MSE, with mean 1 over start..T; None: all are 1
     weights: NDArray[np.float64] | None = None
 
@@ -42,8 +40,7 @@ class Draws:
     def __getitem__(self, which: slice) -> "Draws":
         """Some of the draws."""
         x, y, z = self.x[which], self.y[which], self.z[which]
-        origin = None if self.origin is None else self.origin[which]
-        return replace(self, index=self.index[which], x=x, y=y, z=z, origin=origin)
+        return replace(self, index=self.index[which], x=x, y=y, z=z)
 
     def upto(self, end: int) -> "Draws":
         """The same draws up to an instant, which is included."""
@@ -89,11 +86,9 @@ def begun(
     start = 0 if prior is None else prior.t
     shape = (len(index), horizon + 1 - start)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
-    if prior is None:
-        return Draws(model, index, x, y, z)
-    origin = prior.chosen_for(index, stream)
-    x[:, 0] = prior.x[:, origin].T
-    return Draws(model, index, x, y, z, start, origin)
+    if prior is not None:
+        x[:, 0] = prior.starts(index, stream).T
+    return Draws(model, index, x, y, z, start)
 
 
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:

@@ -88,9 +88,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
 
         `model` is the filter's model, which need not be the draws'. `trajectories` asks for
         estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`. The
-        Kalman filter ignores the particles, and only it starts from a normal distribution. If the
-        draws started from the cloud `prior`, no filter starts with the state of its own draw's
-        truth.
+        Kalman filter ignores the particles, and only it starts from a normal distribution.
 
         Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError,
         PriorError or ArgumentError.

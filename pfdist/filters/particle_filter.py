@@ -182,12 +182,12 @@ def _prior(draws: Draws, stream: int, settings: Estimation) -> Prior:
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
     prior, particles = settings.prior, settings.particles
-    weight = prior.weight_of_filters(particles, draws.origin) if settings.carries else None
+    weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
         as_it_is = np.broadcast_to(np.arange(particles), (2, len(draws.index), particles))
         return Prior(np.ascontiguousarray(prior.x), np.ascontiguousarray(as_it_is), weight)
     chosen = [
-        prior.chosen_for_filters(particles, draws.index, key, draws.origin)
+        prior.chosen_for_filters(particles, draws.index, key)
         for key in filter_streams(stream, settings.estimator)
     ]
     return Prior(np.ascontiguousarray(prior.x), np.stack(chosen), np.empty(0))

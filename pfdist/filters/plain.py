@@ -159,10 +159,10 @@ def _first(
     if not isinstance(prior, Cloud):
         noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
         return _states(model.initial(_flat(noise), model.p), cloud), np.ones(cloud)
-    weight = prior.weight_of_filters(particles, draws.origin) if settings.carries else None
+    weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
         return _states(tuple(np.tile(prior.x, cloud[0])), cloud), np.tile(weight, (cloud[0], 1))
-    chosen = prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
+    chosen = prior.chosen_for_filters(particles, draws.index, stream)
     return _states(_flat(tuple(prior.x[:, chosen])), cloud), np.ones(cloud)
 
 

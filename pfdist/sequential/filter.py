@@ -145,7 +145,9 @@ class Filter:
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
-        self._many = OneFilter(self.model, many, self.stream, draw, self._filter.engine)
+        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, self._filter.engine)
+        """The filter before its first instant, from which other filters of the system start."""
+        self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
         self._now = self._estimate(mean[-1], variance[-1])

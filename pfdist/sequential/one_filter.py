@@ -4,13 +4,15 @@ It gives the same bits as a filter with the same keys that receives all measurem
 """
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.formatted_times import formatted_time
+from pfdist.common.streams import stream_key
 from pfdist.errors import MeasurementsError
-from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.filters.work import Estimation
@@ -98,6 +100,43 @@ class OneFilter:
         measured = y is not None or (self.measured and t == self.t)
         after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
         return after, filtered.estimate[0], filtered.variance[0]
+
+
+@dataclass(frozen=True)
+class TruthsFilter:
+    """A second filter of the same system, whose particles are the truths of simulated systems.
+
+    Simulated filters start from the particles of the first filter. Their truths must not depend on
+    these particles: a filter that contains its truth looks too good, and one that excludes it too
+    bad, in a finite state space even wrong for certain. Given the measurements, the particles of a
+    filter with noise of its own are independent of those of the first.
+    """
+
+    second: OneFilter
+
+    @classmethod
+    def beside(cls, first: OneFilter) -> "TruthsFilter":
+        """The second filter, which starts where the first does."""
+        return cls(replace(first, stream=stream_key(first.stream, "truths")))
+
+    def at(
+        self, t: int, y: Array | None, first: Prior | None
+    ) -> tuple["TruthsFilter", Prior | None]:
+        """The second filter at t, and the prior of the first there with its truths.
+
+        `y` is as for `OneFilter.at`. A normal distribution needs no second filter. If no particle
+        of the second filter explains y, it starts again from those of the first.
+        """
+        if not isinstance(first, Cloud):
+            return self, first
+        try:
+            second, *_ = self.second.at(t, y)
+        except MeasurementsError:
+            settings = replace(self.second.settings, prior=first)
+            second = replace(self.second, settings=settings, measured=y is not None)
+        return replace(self, second=second), replace(
+            first, truths=cast(Cloud, second.settings.prior)
+        )
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:

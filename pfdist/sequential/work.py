@@ -11,7 +11,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
 from pfdist.models import StateSpaceModel
-from pfdist.sequential.one_filter import OneFilter
+from pfdist.sequential.one_filter import OneFilter, TruthsFilter
 from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -66,18 +66,20 @@ class OnlineWork(Work):
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]
         filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
+        truths = TruthsFilter.beside(filtering)
         taken, (plan,) = Times(), self.measurement_times
         while plan:
             t = plan[0] // self.sensors
             here = tuple(time for time in plan if time // self.sensors == t)
             taken, plan = (*taken, *here), plan[len(here) :]
             if plan or not self.feasible.counted:  # else nothing is left to plan
+                measured = seen(evaluator.model, y[t], here)
                 try:
-                    filtering, *_ = filtering.at(t, seen(evaluator.model, y[t], here))
+                    filtering, *_ = filtering.at(t, measured)
                 except MeasurementsError:  # the draw is degenerate, whatever follows
                     return (*taken, *plan)
-                now = Now(filtering.settings.prior, measured=True)
-                plan = replanner.plan(now, taken, plan, draw)
+                truths, prior = truths.at(t, measured, filtering.settings.prior)
+                plan = replanner.plan(Now(prior, measured=True), taken, plan, draw)
         return taken
 
 

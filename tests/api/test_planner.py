@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import oracles.modes
 import pfdist
 from oracles.kalman import SCALAR, riccati_cost
 from pfdist import Job, Planner, Problem
@@ -56,6 +57,17 @@ def measured(planner: Planner, system: int = 0, most: int = 99) -> list[tuple[in
     return plans
 
 
+def test_a_coin_never_has_a_larger_error_than_a_quarter() -> None:
+    """A state that takes two values: z is 0 or 1, so q (1 - q) is at most .25, for any times."""
+    coin = Problem(oracles.modes.model(switch=0.0, sd=1.0), horizon=10, measurement_budget=4)
+    planner = Planner(coin, (0, 3, 6, 9))
+    q = planner.update(0.5).mean[0]  # a measurement that says nothing: q is about 1/2
+    left, none = planner.expected((1, 2, 3), ())
+    assert none.expected_mse == pytest.approx(q * (1 - q), abs=4 * none.standard_error)
+    exact = oracles.modes.Modes(switch=0.0, sd=1.0, horizon=10, start=q).fixed((1, 2, 3))
+    assert left.expected_mse == pytest.approx(exact, abs=0.01)  # 500 particles, 2,000 draws
+
+
 def test_it_measures_the_whole_budget_and_keeps_the_constraints(job: Job) -> None:
     changed = job.with_changes(["problem.minimum_spacing=2", "problem.forbidden=[6, 7]"])
     planner = Planner(changed, times=(0, 3, 8, 10, 14))
@@ -65,8 +77,8 @@ def test_it_measures_the_whole_budget_and_keeps_the_constraints(job: Job) -> Non
 
 
 def test_it_replans_from_what_was_measured(job: Job) -> None:
-    chosen = {measured(Planner(job, PLAN, draw=system), system)[-2] for system in range(3)}
-    plans = {Planner(job, PLAN, draw=system).plan() for system in range(3)}
+    chosen = {tuple(measured(Planner(job, PLAN, draw=n), n)) for n in range(3)}
+    plans = {Planner(job, PLAN, draw=n).plan() for n in range(3)}
     assert plans == {PLAN}
     assert len(chosen) > 1
 

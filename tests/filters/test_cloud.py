@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 import oracles.kalman
+import oracles.modes
 from pfdist import StateSpaceModel
 from pfdist.errors import MeasurementTimesError, PriorError
 from pfdist.filters import kalman, particle_filter, plain, simulation
@@ -20,7 +21,6 @@ from pfdist.kernels.schemes import SCHEMES
 
 HORIZON, TIMES = 20, (0, 3, 6, 9, 12, 15, 18)
 ENGINES = {"compiled": particle_filter, "numpy": plain}
-STATES = np.array([[0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 3.0]])
 
 
 def from_instant(draws: Draws, start: int) -> Draws:
@@ -66,7 +66,7 @@ def test_compiled_and_plain_start_alike(ungm: StateSpaceModel, weighted: bool) -
     for simulated_by, engine in ((simulation, particle_filter), (plain, plain)):
         draws = simulated_by.simulate(ungm, HORIZON, range(40), 3, prior)
         filtered = engine.filter_draws(ungm, draws, (8, 11, 17), 64, 4, prior=prior)
-        found.append((draws.x, draws.y, draws.z, draws.origin, filtered.mse))
+        found.append((draws.x, draws.y, draws.z, filtered.mse))
     for by_compiled, by_plain in zip(*found, strict=True):
         np.testing.assert_allclose(by_compiled, by_plain, rtol=1e-9)
 
@@ -96,29 +96,26 @@ def test_the_two_filters_of_an_estimator_start_from_particles_of_their_own(
 
 def test_a_draw_starts_as_a_particle_with_the_probability_of_its_weight() -> None:
     weight, count = np.array([1.0, 0.0, 2.0, 5.0]), 8000
-    chosen = Cloud(3, np.arange(4.0)[None], weight).chosen_for(range(count), 1)
-    found = np.bincount(chosen, minlength=4)
-    assert found[1] == 0
-    p = stats.chisquare(found[[0, 2, 3]], count * np.array([1, 2, 5]) / 8).pvalue
-    assert p > 1e-4
+    cloud = Cloud(3, np.arange(4.0)[None], weight)
+    for prior in (cloud, Cloud(3, np.full((1, 7), 9.0), truths=cloud)):
+        found = np.bincount(prior.starts(range(count), 1)[0].astype(int), minlength=4)
+        assert found[1] == 0
+        p = stats.chisquare(found[[0, 2, 3]], count * np.array([1, 2, 5]) / 8).pvalue
+        assert p > 1e-4
 
 
-def test_no_filter_starts_with_the_state_of_its_own_truth() -> None:
-    cloud = Cloud(3, STATES)
-    truths = cloud.chosen_for(range(2000), 1)
-    chosen = cloud.chosen_for_filters(40, range(2000), 2, truths)
-    states, of_truth = STATES[0][chosen], STATES[0][truths]
-    assert not (states == of_truth[:, None]).any()
-    # The others keep their shares: without state 2, the states 0, 1 and 3 have 1, 2 and 1 of 4.
-    shares = [(states[of_truth == 2.0] == state).mean() for state in (0.0, 1.0, 3.0)]
-    assert shares == pytest.approx([0.25, 0.5, 0.25], abs=0.01)
-
-
-def test_one_state_alone_starts_every_filter() -> None:
-    cloud = Cloud(3, np.ones((2, 5)))
-    chosen = cloud.chosen_for_filters(4, range(3), 2, cloud.chosen_for(range(3), 1))
-    assert chosen.shape == (3, 4)
-    assert ((chosen >= 0) & (chosen < 5)).all()
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("weight", [None, np.array([3.0, 1.0])])
+def test_particles_that_are_given_are_the_distribution_itself(
+    engine: str, weight: np.ndarray | None
+) -> None:
+    """A coin that is never measured: the error of the best estimate is q (1 - q)."""
+    coin = oracles.modes.model(switch=0.0, sd=1.0)
+    evaluator = Evaluator(coin, 1, engine=engine, prior=Cloud(0, np.array([[0.0, 1.0]]), weight))
+    draws, settings = evaluator.draws(range(4000), 3), Estimation(400, "systematic")
+    mse = evaluator.mse_of_sets(draws, [()], [1], 5, settings)[:, 0]
+    q = 0.5 if weight is None else 0.25
+    assert abs(mse.mean() - q * (1 - q)) < 4 * max(mse.std() / np.sqrt(mse.size), 1e-12)
 
 
 def test_the_kalman_filter_goes_on_from_its_normal_distribution() -> None:

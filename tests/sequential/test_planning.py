@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import oracles.kalman
+import oracles.modes
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
+from pfdist.filters import particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
@@ -16,8 +18,9 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.job.online_section import PLANNING
 from pfdist.search.methods import METHODS
-from pfdist.sequential.one_filter import OneFilter
+from pfdist.sequential.one_filter import OneFilter, TruthsFilter
 from pfdist.sequential.planning import Now, Planning, Replanner, _Outlook
+from pfdist.sequential.work import OnlineWork
 from pfdist.times.feasible import Feasible
 
 QUICK = Planning(PLANNING, 32, 64, Estimation(32, "systematic", "filter_variance"))
@@ -94,39 +97,70 @@ def test_a_plan_is_replaced_only_where_the_new_plan_is_better_on_fresh_draws(
     assert np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains))
 
 
-@pytest.mark.slow
-def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
-    """A planned filter must not contain the truth: it would then find it, as no real filter does.
+@pytest.mark.parametrize(
+    ("particles", "systems"),
+    [(5, 300), *(pytest.param(more, 1500, marks=pytest.mark.slow) for more in (20, 100))],
+)
+def test_the_expected_error_is_the_realised_error_for_a_static_state(
+    particles: int, systems: int
+) -> None:
+    """However few particles are left, the error that is planned is that of real filters.
 
-    The state never moves, so after three measurements a few particles are left. The truth of a
-    planned system is one of them. The error that is planned with the truth left out of the filter
-    is that of real filters; with the truth among the particles it is far too small.
+    The state never moves: of 5, 20 and 100 particles, 2, 6 and 30 are left after three
+    measurements. A planned filter that contained its truth would find it, and one that excluded the
+    particles of its truth would look better than it is, because these lie far from the others.
     """
-    model, times, systems = SYSTEMS["static"], (3, 4, 5, 6, 7, 8), 300
-    settings = Estimation(20, "systematic")
-    draws, evaluator = simulate(model, 8, range(systems), 7), Evaluator(model, 8)
+    model, times = SYSTEMS["static"], (3, 4, 5, 6, 7, 8)
+    settings, evaluator = Estimation(particles, "systematic"), Evaluator(model, 8)
+    draws = evaluator.draws(range(systems), 7)
     replanner = Replanner(evaluator, Feasible(8, 9), QUICK, 5)
-    planned, with_truth, realised = np.empty((3, systems))
-    estimation = Estimation(20, "systematic")
+    planned = np.empty(systems)
     for d in range(systems):
         filtering = OneFilter(model, settings, 3, d)
+        truths, prior = TruthsFilter.beside(filtering), None
         for t in range(3):
             filtering, *_ = filtering.at(t, draws.y[d, t])
-        now = Now(filtering.settings.prior, measured=True)
-        (expected,) = replanner.expected(now, [times], 200, estimation, d)
+            truths, prior = truths.at(t, draws.y[d, t], filtering.settings.prior)
+        (expected,) = replanner.expected(Now(prior, measured=True), [times], 100, settings, d)
         planned[d] = expected.expected_mse
-        ended, squared = filtering, []
-        for t in times:
-            ended, estimate, _ = ended.at(t, draws.y[d, t])
-            squared.append((estimate[-1, 0] - draws.z[d, t, 0]) ** 2)
-        after = filtering.at(2)[1][-1, 0]
-        realised[d] = np.mean([(after - draws.z[d, 2, 0]) ** 2, *squared])
-        naive = replace(evaluator, prior=filtering.settings.prior)
-        simulated = replace(naive.draws(range(200), 9), origin=None)
-        with_truth[d] = naive.mse_of_sets(simulated, [times], [8], 11, estimation).mean()
-    error = np.hypot(planned.std(), realised.std()) / np.sqrt(systems)
+    many = evaluator.draws(range(20_000), 8)
+    every = particle_filter.filter_draws(model, many, range(9), particles, 4, "systematic", True)
+    realised = np.mean((every.estimate - many.z)[:, 2:, 0] ** 2, axis=1)
+    error = np.hypot(planned.std() / np.sqrt(systems), realised.std() / np.sqrt(20_000))
     assert abs(planned.mean() - realised.mean()) < 3 * error
-    assert with_truth.mean() < realised.mean() - 3 * error
+
+
+@pytest.mark.slow
+def test_replanning_two_modes_gains_what_exact_dynamic_programming_says() -> None:
+    """A state of two values: a filter that excludes its truth excludes it for certain."""
+    horizon, measurements, count = 7, 3, 400
+    exact = oracles.modes.Modes(switch=0.02, sd=0.4, horizon=horizon)
+    plan, cost = exact.best_fixed(measurements)
+    evaluator = Evaluator(oracles.modes.model(switch=0.02, sd=0.4), horizon)
+    cheap = Estimation(200, "systematic", "filter_variance")
+    work = OnlineWork(
+        *((plan,), (horizon,), (3,), 5, (0, count), Estimation(200, "systematic")),
+        feasible=Feasible(horizon, measurements),
+        planning=Planning(PLANNING, 500, 1000, cheap),
+        planning_stream=9,
+    )
+    chosen, y = work.result(evaluator).measurement_times, evaluator.draws(range(count), 5).y
+    online, fixed = (exact.error_of_draws(y[..., 0], each) for each in (chosen, [plan] * count))
+    gain, error = np.mean(fixed - online), np.std(fixed - online) / np.sqrt(count)
+    assert abs(gain - (cost - exact.replanned(measurements))) < 3 * error
+    assert gain > 3 * error
+
+
+def test_a_second_filter_that_no_particle_explains_starts_again_from_the_first() -> None:
+    model = SYSTEMS["static"]
+    first = OneFilter(model, Estimation(50, prior=Cloud(0, np.zeros((1, 50)))), 3)
+    hopeless = replace(first.settings, prior=Cloud(0, np.full((1, 50), 1e200)))
+    truths = TruthsFilter(replace(first, settings=hopeless))
+    known, *_ = first.at(1, np.zeros(1))
+    truths, prior = truths.at(1, np.zeros(1), known.settings.prior)
+    assert prior.truths is known.settings.prior
+    assert truths.second.measured
+    truths.at(2, np.zeros(1), known.at(2)[0].settings.prior)
 
 
 @pytest.mark.parametrize("name", EXACT)
