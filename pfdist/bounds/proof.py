@@ -181,17 +181,13 @@ def gap_of(
 
 
 def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
-    """The gaps of all known sets, without those that a wrong likelihood must have caused.
+    """The gaps of all known sets, without those that are contradicted: sets that cost less.
 
-    With the likelihood of the noise, the variance is at most the squared error, and no set costs
-    less than the bound.
+    `pfdist.bounds.likelihood` tests the likelihood.
     """
-    everywhere = ""
-    if any(gap.estimate.is_negative() for gap in gaps.values()):
-        everywhere = "the variance of the particles exceeds their squared error"
     checked = {}
     for name, gap in gaps.items():
-        reason = gap.reason or everywhere or _contradicted(gap, gaps)
+        reason = gap.reason or _contradicted(gap, gaps)
         checked[name] = (
             Gap(name, gap.measurement_times, gap.expected_mse, reason) if reason else gap
         )

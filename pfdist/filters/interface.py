@@ -64,6 +64,10 @@ class Filtered:
     last: Sequence[NDArray[np.float64] | Gaussian] | None = None
     # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
     weight: NDArray[np.float64] | None = None
+    # (2, D, T+1, q), if trajectories were wanted: where z of the truth lies among the particles at
+    # measured instants, see `pfdist.kernels.fused_filter.Results`; NaN elsewhere, and if the truth
+    # is not among them
+    ranks: NDArray[np.float64] | None = None
 
 
 def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:

@@ -38,6 +38,7 @@ class _Wanted(NamedTuple):
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
+    ranks: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     cloud: NDArray[np.float64] = np.empty((0, 0, 0))
     weight: NDArray[np.float64] = np.empty((0, 0))
 
@@ -64,6 +65,7 @@ def filter_checked_draws(
     count, particles = len(draws.index), settings.particles
     wanted = _Wanted(
         moments=np.full((2, *draws.z.shape), np.nan),
+        ranks=np.full((2, *draws.z.shape), np.nan),
         cloud=np.full((count, model.components[0], particles), np.nan),
         weight=np.ones((count, particles)),
     )
@@ -72,7 +74,7 @@ def filter_checked_draws(
     for array in (estimate, variance, wanted.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
     weights = wanted.weight if settings.carries else None
-    return Filtered(mse, estimate, variance, tuple(wanted.cloud), weights)
+    return Filtered(mse, estimate, variance, tuple(wanted.cloud), weights, wanted.ranks)
 
 
 filter_draws = checking(filter_checked_draws)
@@ -147,9 +149,7 @@ def _filter(
         flat_parameters(truth.parameters, draws.instants.stop),
     )
     estimate, variance = wanted.moments
-    results = Results(
-        mse, estimate, variance, wanted.errors, wanted.cloud, wanted.weight, np.zeros(2, np.int64)
-    )
+    results = Results(mse, estimate, variance, *wanted[1:], np.zeros(2, np.int64))
 
     def again() -> str:
         """Filter the failed draw in NumPy."""

@@ -89,13 +89,13 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
-    mse, estimate, variance, last, weight = (
+    mse, estimate, variance, last, weight, ranks = (
         np.concatenate(parts) for parts in zip(*blocks, strict=True)
     )
     if not trajectories:
         return Filtered(mse)
     carried = weight if settings.carries else None
-    return Filtered(mse, estimate, variance, tuple(last), carried)
+    return Filtered(mse, estimate, variance, tuple(last), carried, np.moveaxis(ranks, 1, 0))
 
 
 def _filter(
@@ -104,16 +104,17 @@ def _filter(
     times: Times,
     stream: int,
     settings: Estimation,
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P).
 
-    The last array has the weights of the last particles, (D, P).
+    The last arrays have the weights of the last particles, (D, P), and the ranks (D, 2, T+1, q).
     """
     particles, sensors = settings.particles, len(model.parts)
     scheme = ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
+    ranks = np.full((count, 2, *draws.z.shape[1:]), np.nan)
     true_error = draws.model.formulas["error"]
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     x, carried = _first(model, draws, stream, settings)
@@ -133,8 +134,13 @@ def _filter(
         degenerate &= alive
         total[degenerate], alive[degenerate] = np.nan, False
         share = weight / weight.sum(axis=1, keepdims=True)
+        measured = any(time // sensors == t for time in times)
         for c, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
-            counted = np.where(weight > 0, _of_cloud(values, cloud), 0.0)
+            z = _of_cloud(values, cloud)
+            if scheme.holds_truth and measured:
+                lower = np.stack([z < z[:, :1], z == z[:, :1]], axis=1)
+                ranks[:, :, k, c] = np.sum(share[:, None] * lower, axis=2)
+            counted = np.where(weight > 0, z, 0.0)
             mean[:, k, c], variance[:, k, c] = _moments(counted, share, draws.model.is_angle[c])
         error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan
@@ -142,12 +148,12 @@ def _filter(
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
         carried = weight
-        if any(time // sensors == t for time in times):
+        if measured:
             key = (t + 1) * sensors - 1
             x, carried = _resampled(x, weight, settings, stream, draws.index, key)
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
-    return total / instants, mean, variance, last, carried
+    return total / instants, mean, variance, last, carried, ranks
 
 
 def _first(

@@ -236,6 +236,10 @@ class Results(NamedTuple):
     # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
     # those of its shared prefix. The caller fills them with 0.
     errors: NDArray[np.float64]
+    # (2, D, T+1, q): of a single set whose particles contain the truth, at measured instants: the
+    # share of the weight of particles whose z lies below that of the truth, and of those whose z
+    # equals it
+    ranks: NDArray[np.float64]
     cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
     weight: NDArray[np.float64]  # (D, P): their weights
     # (2,): the row of the draw and the number of the set that are filtered now; Python reads them
@@ -340,7 +344,7 @@ def _filter_draw(
     )
     read_z, error_of = reader(components[2], "d, t, c"), formula(formulas.error, "error")
     record, error_by_variance = recorders(is_angle)
-    put_truth = _truth_put(components[0]) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
+    put_truth, rank_truth = _truth_steps(formulas.quantity_of_interest, components, resampling)
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
@@ -369,6 +373,7 @@ def _filter_draw(
                     row = WEIGHTED
                 if total == 0.0:
                     return _end(saved.errors, slots[k - 1 : behind], np.nan)  # degenerate
+                rank_truth(scratch, here, request, p, total, results.ranks, d, t, measured[s, t])
                 fill_terms(cloud, here, instant, p, weight, row, terms)
                 mean = mean_of(terms, total)
                 if not only_by_error:
@@ -382,8 +387,10 @@ def _filter_draw(
                     error += weighed_variance
                     _add(results.errors, s, t, weighed_variance)
                 z = read_z(request.z, d, t)
-                squared = error_of(z, mean, instant, truth) if weights.squared_error != 0.0 else 0.0
-                squared = _weighed(squared, request.instant_weights[t] * weights.squared_error)
+                squared = _weighed(
+                    error_of(z, mean, instant, truth) if weights.squared_error != 0.0 else 0.0,
+                    request.instant_weights[t] * weights.squared_error,
+                )
                 error += squared
                 _add(results.errors, s, t, squared)
                 if not error < np.inf:
@@ -398,20 +405,53 @@ def _filter_draw(
     return filter_draw
 
 
-def _truth_put(states: int) -> Callable[..., None]:
-    """Compile ``put_truth``, which gives particle 0 the true state of a draw at t."""
+def _truth_steps(
+    quantity_of_interest: Callable[..., Any],
+    components: tuple[int, tuple[int, ...], int],
+    resampling: str,
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Compile what a scheme with the truth among the particles does; others do nothing.
+
+    - ``put_truth`` gives particle 0 the true state of a draw at t;
+    - ``rank_truth`` fills `Results.ranks` of a measured instant, if they are wanted.
+    """
+    if not ALL_SCHEMES[resampling].holds_truth:
+        return _put_nothing, _rank_nothing
+    states, _, quantities = components
+    quantity = formula(quantity_of_interest, "quantity_of_interest")
     read_truth, write_x = reader(states, "d, t, c"), writer(states, "half, c, i")
+    read_x, write_z = reader(states, "half, c, i"), writer(quantities, "c, i")
 
     @melted
     def put_truth(cloud, here, x, d, t):
         write_x(cloud, here, 0, read_truth(x, d, t))
 
-    return put_truth
+    @melted
+    def rank_truth(scratch, here, request, p, total, ranks, d, t, measured):
+        if measured and ranks.size > 0:
+            weight, z, instant = scratch.weight, scratch.terms, request.start + t
+            for i in range(request.particles):
+                write_z(z, i, quantity(read_x(scratch.cloud, here, i), instant, p))
+            for c in range(ranks.shape[3]):
+                below = equal = 0.0
+                for i in range(request.particles):
+                    if z[c, i] < z[c, 0]:
+                        below += weight[WEIGHTED, i]
+                    elif z[c, i] == z[c, 0]:
+                        equal += weight[WEIGHTED, i]
+                ranks[0, d, t, c], ranks[1, d, t, c] = below / total, equal / total
+
+    return put_truth, rank_truth
 
 
 @melted
 def _put_nothing(cloud, here, x, d, t):
     """Leave all particles as they are: stands for `put_truth` in schemes without the truth."""
+
+
+@melted
+def _rank_nothing(scratch, here, request, p, total, ranks, d, t, measured):
+    """Do nothing: stands for `rank_truth` in schemes without the truth."""
 
 
 @melted

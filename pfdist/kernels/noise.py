@@ -79,7 +79,7 @@ def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):
 # in the role of the truth's. They are NumPy integers, because Numba compiles anew for each Python
 # constant.
 TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = np.arange(3)
-FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = np.arange(3, 6)
+FILTER_INITIAL, FILTER_PROCESS, RESAMPLING, TRUTH_RANK = np.arange(3, 7)
 
 # Particles come in tiles: the four words of each of LANES blocks are LANES entries apart. So the
 # compiled loop over the blocks writes whole vectors.

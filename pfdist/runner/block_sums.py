@@ -70,7 +70,8 @@ class BlockSums:
     """The sums of the errors of sets over blocks of draws, at the instants that count.
 
     The streams are the keys of the filters' noise and of the draws. Without a phase, the rows
-    belong to a phase of the bound for these sums only. `id` identifies the sums in the store.
+    belong to a phase of the bound for these sums only. `id` identifies the sums in the store. A
+    `kind` of work other than `Work` computes other sums over the draws of a block.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class BlockSums:
         *,
         knows_truth: bool = True,
         phase: str = "",
+        kind: type[Work] = Work,
     ) -> None:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
@@ -89,13 +91,15 @@ class BlockSums:
         evaluator = built.evaluator.truth if knows_truth else built.evaluator
         instants = tuple(zip(since, ends, strict=True))
         # A hash of everything on which the sums depend but their draws.
-        self.id = evaluator.id_of(estimation, sets, instants, noise, "sums")
+        name = "sums" if kind is Work else kind.__name__
+        self.id = evaluator.id_of(estimation, sets, instants, noise, name)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._counted = counted
         given = sets, noise, draws, (0, 0), estimation
-        self._work = evaluator.work(
+        work = evaluator.work(
             *given, ends=ends, since=since, ids=(self.id,), knows_truth=knows_truth
         )
+        self._work = kind(**vars(work))
 
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks of draws."""
@@ -119,6 +123,13 @@ class BlockSums:
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK)) for block in blocks
         ]
         yield Batch(session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows)
+
+    def total(self, blocks: int, session: Session) -> Generator[Batch, None, Array]:
+        """The sums over the first blocks, (E,)."""
+        sums = list[Array]()
+        yield from self.added(session, range(blocks), lambda _block, each: sums.append(each))
+        total: Array = np.sum(sums, axis=0)
+        return total
 
     def means(self, blocks: int, session: Session) -> Generator[Batch, None, list[Array]]:
         """Mean errors of each set at the instants that count, over the first blocks.

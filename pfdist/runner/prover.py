@@ -10,8 +10,11 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis import Run
+from pfdist.bounds.likelihood import RankWork, wrong_likelihood
 from pfdist.bounds.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.bounds.relaxation import Relaxation, relaxation_for
+from pfdist.checks.contract import looked
+from pfdist.checks.formulas import likelihood
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
@@ -35,6 +38,7 @@ from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
+_CHECKED = 200  # draws whose states check the likelihood
 _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
 _FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
@@ -133,6 +137,22 @@ class Prover:
         if feasible and self._built.is_worst:
             yield from self._weigh_scenarios(session, feasible.values())
         parts = yield from self._parts(session, run, sets)
+        if wrong := self._fails_check():
+            every = {name: Gap(name, sets[name], parts[name].expected_mse) for name in sets}
+            return [Look(self._blocks[-1] * BLOCK, 0.0, _refused(every.values(), wrong))]
+        looks = yield from self._looks_of(session, sets, feasible, parts)
+        if wrong := (yield from self._misplaces_truth(session, feasible.values(), looks[-1])):
+            looks = [replace(look, gaps=_refused(look.gaps, wrong)) for look in looks]
+        return looks
+
+    def _looks_of(
+        self,
+        session: Session,
+        sets: Mapping[str, Times],
+        feasible: Mapping[str, Times],
+        parts: Mapping[str, GapParts],
+    ) -> Generator[Batch, None, list[Look]]:
+        """The gaps of sets, some of which are feasible, by a likelihood that is right."""
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self._most_steps > 0:
@@ -165,6 +185,33 @@ class Prover:
             if within is not None and looks[-1].is_within(within, self._built.unjudged):
                 break
         return looks
+
+    def _fails_check(self) -> str:
+        """Why `check-model` finds that a likelihood is wrong; empty if it does not."""
+        if not self.particles:
+            return ""
+        evaluator = self._built.evaluator.truth
+        for each in evaluator.of_scenarios or (evaluator,):
+            draws = each.draws(range(_CHECKED), 0)
+            for part in each.model.parts:
+                own = replace(draws, model=part.model, y=draws.y[..., part.y])
+                state, text = looked(likelihood, part.model, own)
+                if state == "wrong":
+                    return f"check-model finds that the likelihood is wrong: {text}"
+        return ""
+
+    def _misplaces_truth(
+        self, session: Session, sets: Iterable[Times], look: Look
+    ) -> Generator[Batch, None, str]:
+        """Why the likelihood must be wrong, by the truth among the particles of the sets alone."""
+        measured, proves = tuple(filter(None, sets)), any(not gap.reason for gap in look.gaps)
+        if not (self.particles and measured and proves):
+            return ""
+        first = np.zeros(len(measured), np.int64)
+        whole = Counted(measured, first, first + self.relaxation.horizon)
+        ranks = BlockSums(self._built, whole, self._streams, self._estimation, kind=RankWork)
+        sums = yield from ranks.total(look.draws // BLOCK, session)
+        return wrong_likelihood(sums, look.draws)
 
     def _parts(
         self, session: Session, run: Run, sets: Mapping[str, Times]
@@ -303,10 +350,13 @@ class Prover:
 
     def _block_sums(self, sets: tuple[Times, ...]) -> BlockSums:
         """Sums of the errors of all windows, and of sets at all instants."""
-        noise, draws = (
-            stream_of("bound", self._built.job.seed, role) for role in ("filter", "draws")
-        )
-        return BlockSums(self._built, self._counted(sets), (noise, draws), self._estimation)
+        return BlockSums(self._built, self._counted(sets), self._streams, self._estimation)
+
+    @property
+    def _streams(self) -> tuple[int, int]:
+        """Keys of the noise of the filters and of the draws."""
+        seed = self._built.job.seed
+        return stream_of("bound", seed, "filter"), stream_of("bound", seed, "draws")
 
     def _columns(self, compared_draws: int) -> dict[str, Any]:
         """The columns that all rows of one proof share."""
@@ -334,6 +384,13 @@ class Prover:
             for position, gap in enumerate(look.gaps)
         ]
         return pa.Table.from_pylist(rows, schema=schema("bound", *shares))
+
+
+def _refused(gaps: Iterable[Gap], reason: str) -> list[Gap]:
+    """Gaps without bounds, for the reasons that they have already or for this one."""
+    return [
+        Gap(gap.name, gap.measurement_times, gap.expected_mse, gap.reason or reason) for gap in gaps
+    ]
 
 
 def _doubled(blocks: int) -> list[int]:

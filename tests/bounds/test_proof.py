@@ -110,12 +110,6 @@ def test_a_gap_that_nothing_contradicts_stands() -> None:
     assert _consistent(GAP) == {"found": GAP}
 
 
-def test_a_variance_above_the_squared_error_withdraws_all_bounds() -> None:
-    other = replace(GAP, name="other", estimate=Estimate(-0.5, 0.1))
-    reasons = {gap.reason for gap in _consistent(GAP, other).values()}
-    assert reasons == {"the variance of the particles exceeds their squared error"}
-
-
 def test_a_known_set_that_costs_less_than_the_bound_withdraws_it() -> None:
     cheap = replace(GAP, name="cheap", expected_mse=Estimate(9.0, 0.1))
     assert _consistent(GAP, cheap)["found"].reason == "the set cheap costs less than the bound"

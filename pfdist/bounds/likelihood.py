@@ -1,0 +1,83 @@
+"""The test of the likelihood by the place of the truth among the particles.
+
+Given the cloud and y, the truth is each particle with the probability of its weight, if the
+likelihood is that of the measurement's noise (`pfdist.kernels.schemes.CONDITIONAL`). So at each
+measured instant, before the particles are resampled, u = (weight of the particles whose z lies
+below that of the truth) + U (weight of those with the same z) is uniform on 0..1, for any number of
+particles, where U is uniform. A wrong likelihood shifts the truth, or pushes it to the ends.
+
+Each draw gives the means of u - 1/2 and of (u - 1/2)^2 - 1/12 over its instants, components and
+sets. Both are bounded, so rare draws cannot reject a right model.
+
+Source: Talts, Betancourt, Simpson, Vehtari, Gelman, "Validating Bayesian inference algorithms with
+simulation-based calibration", arXiv 1804.06788, 2018.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.estimate import CLEAR_ERRORS
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.scenarios import stretches
+from pfdist.filters.work import Result, Work, joined
+from pfdist.kernels.noise import TRUTH_RANK, variates
+
+Array = NDArray[np.float64]
+
+_FINDINGS = (
+    ("below most particles", "above most particles"),
+    (
+        "in the middle of the particles, so the likelihood is too wide",
+        "at the ends of the cloud of particles, so the likelihood is too narrow",
+    ),
+)
+"""Where the truth lies if one of both statistics is too small, and if it is too large."""
+
+
+@dataclass(frozen=True)
+class RankWork(Work):
+    """The places of the truth among the particles of each set, summed over draws."""
+
+    def result(self, evaluator: Evaluator) -> Result:
+        """Sums over the draws, (4,): of both statistics, and of their squares."""
+        numbers = evaluator.scenarios_of(self.draws_stream, range(*self.draws))
+        if numbers is not None:
+            parts = stretches(numbers, self.draws[0])
+            each = [self.part(draws).result(evaluator.of_scenarios[n]) for n, draws in parts]
+            return joined(each)
+        statistics = self._statistics(evaluator)
+        sums = np.concatenate([statistics.sum(axis=1), (statistics**2).sum(axis=1)])
+        return Result(np.empty(0), sums=sums)
+
+    def _statistics(self, evaluator: Evaluator) -> Array:
+        """Both statistics of each draw, (2, D)."""
+        draws = evaluator.draws(range(*self.draws), self.draws_stream)
+        settings, centred = evaluator.settings(self.estimation), list[Array]()
+        for times, stream in zip(self.measurement_times, self.filter_streams, strict=True):
+            below, equal = evaluator.computed_by.filters.filter_checked_draws(
+                evaluator.believed, draws, times, stream, settings, trajectories=True
+            ).ranks
+            for t in sorted({time // self.sensors for time in times}):
+                for c in range(below.shape[2]):
+                    key = stream, np.array(draws.index), t, TRUTH_RANK, c
+                    uniform = variates("uniform", 1, *key)[:, 0]
+                    centred.append(below[:, t, c] + uniform * equal[:, t, c] - 0.5)
+        u = np.stack(centred)
+        return np.stack([u.mean(axis=0), (u**2 - 1 / 12).mean(axis=0)])
+
+
+def wrong_likelihood(sums: Array, draws: int) -> str:
+    """Why the likelihood must be wrong, by sums of `RankWork`; empty if it may be right."""
+    means, squares = sums.reshape(2, 2) / draws
+    errors = np.sqrt(np.maximum(squares - means**2, 0.0) / (draws - 1))
+    for mean, error, places in zip(means, errors, _FINDINGS, strict=True):
+        if not abs(mean) <= CLEAR_ERRORS * error:
+            distance = abs(mean) / error if error else math.inf
+            return (
+                "the log-likelihood does not fit the measurements: the true z lies too often "
+                f"{places[int(mean > 0)]} ({distance:.1f} standard errors on {draws:,} draws)"
+            )
+    return ""
