@@ -434,12 +434,12 @@ def test_what_is_committed_is_not_computed_again(
     monkeypatch.setattr("pfdist.api.at_work.make_pool", lambda *_, **__: Counting())
     bound(walk, LEAST_DRAWS)
     first = len(blocks)
-    rounds, rest = divmod(first - 20, 20)  # of growing windows; the bound
+    rounds, rest = divmod(first - 40, 20)  # growing windows; the bound, and the truth's places
     assert rounds >= 1
     assert rest == 0
     for _ in range(2):
         bound(walk, 2 * LEAST_DRAWS)  # the windows are chosen as before
-        assert len(blocks) == first + 20
+        assert len(blocks) == first + 40
 
 
 def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
