@@ -408,6 +408,12 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
+def worst_of(run: StoredRun) -> dict[str, dict[str, Any]]:
+    """The row of the table ``scenarios`` with the largest expected MSE of each set, by name."""
+    rows = scenarios_of(run).sort_values("expected_mse").groupby("name").tail(1)
+    return {str(row["name"]): row for row in rows.to_dict("records")}
+
+
 def particle_losses_of(
     run: StoredRun, statistics: ComparisonStatistics | None = None
 ) -> dict[str, ParticleLoss]:
