@@ -196,6 +196,23 @@ def test_the_histogram_is_numpys_and_what_lies_outside_is_counted_apart() -> Non
     assert accumulated.quantile(0.99) == np.inf
 
 
+@pytest.mark.parametrize("below", [0, 30])
+@pytest.mark.parametrize("above", [0, 70])
+def test_draws_without_any_gain_have_the_quantile_0_exactly(below: int, above: int) -> None:
+    """As `numpy.quantile` gives it, also if other gains share the histogram's bin of 0."""
+    rng = np.random.default_rng(1)
+    gain = np.r_[np.zeros(900), -rng.uniform(0, BIN, below), rng.uniform(0, 2 * BIN, above)]
+    accumulated = Gain()
+    for block in np.array_split(rng.permutation(gain), 7):
+        accumulated.add(1.0 - block, np.ones(block.size))
+    quantiles = {share: accumulated.quantile(share) for share in (0.05, 0.25, 0.5, 0.75, 0.9)}
+    assert quantiles == dict.fromkeys(quantiles, 0.0)
+    for share in (0.01, 0.96, 0.999):
+        expected = np.quantile(gain, share)
+        assert accumulated.quantile(share) == pytest.approx(expected, abs=BIN)
+        assert (accumulated.quantile(share) == 0.0) == (expected == 0.0)
+
+
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_an_infinite_error_in_any_block_makes_the_mean_infinite_and_the_fraction_counts_it(
     place: int,
