@@ -14,10 +14,11 @@ _PAIRS_HEAD = (
     "draws where first is lower, %",
 )  # fmt: skip
 _MEANING = (
-    "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
-    "in brackets hold with 95 % for one pair alone. A difference is clear if its sign holds with "
-    "95 % for all pairs together. The best rank of a set counts the sets that are clearly better, "
-    "the worst rank all that are not clearly worse."
+    "All sets filter the same draws, so differences are far more exact than the errors. A negative "
+    "difference says that the first set of a pair has the lower error. Intervals in brackets hold "
+    "with 95 % for one pair alone. A difference is clear if its sign holds with 95 % for all pairs "
+    "together. The best rank of a set counts the sets that are clearly better, the worst rank all "
+    "that are not clearly worse."
 )
 _EXACT = (
     "The filter is exact, so the expected errors, their differences and the ranks are exact. Only "

@@ -62,11 +62,11 @@ _GAINS = (
     "gains of single draws, the paper's figure. Intervals in brackets hold with 95 %."
 )
 _SEARCHES_HEAD = (
-    "search", "method", "sets evaluated", "error it believed", "above fresh draws by", "why",
+    "search", "method", "sets evaluated", "error it believed", "against fresh draws", "why",
 )  # fmt: skip
 _SEARCHES = (
     "A search chooses the set with the least of many estimated errors, so what it believes of this "
-    "set is usually too good. The errors above are of fresh draws."
+    "set is usually too good: below its error on fresh draws, which the table of gains has."
 )
 _EXACT_SEARCHES = (
     "The filter is exact, so each search knew the expected error of its set. The errors above are "
@@ -349,4 +349,6 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     reasons = [result.search_distrust, result.search_cause, settings]
     why = "; ".join(filter(None, reasons)) if excess is not None else ""
     why = why.replace(str(subject.run.path), subject.run.path.name)  # the report may be sent
-    return [*cells, Cell("" if excess is None else percent(excess, 1), excess), Cell(why)]
+    side = "below" if (excess or 0.0) < 0 else "above"
+    against = "" if excess is None else f"{percent(abs(excess), 1)} {side}"
+    return [*cells, Cell(against, excess), Cell(why)]

@@ -131,7 +131,7 @@ def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> N
     """
     names = ["regular_2", "relaxation_2", "exchange_2"]
     names = names if numbers == 1 else [f"relaxation_{number}" for number in range(2, 6)]
-    table = _table({name: 7.0 + NOISE for name in names})
+    table = _table(dict.fromkeys(names, 7.0 + NOISE))
     groups = np.random.default_rng(1).normal(5.0, 1.0, (4000, numbers, GROUPS))
     errors = groups.std(axis=2, ddof=1) / math.sqrt(GROUPS)
     covered = 0

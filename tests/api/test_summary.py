@@ -63,7 +63,9 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     text = _all_that_is_said(raced)
     (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
     assert row[3].text == with_error(result.search_cost, result.search_standard_error)
-    assert row[4].text == f"{100 * result.search_excess:.1f} %"
+    excess = 100 * result.search_excess
+    assert row[4].text == f"{abs(excess):.1f} % {'below' if excess < 0 else 'above'}"
+    assert row[4].value == result.search_excess
     how = "particles = 20, resampling = systematic, estimator = filter_variance"
     assert row[5].text == f"{result.search_cause}; {how}"
     for cost in race["expected_mse"]:
