@@ -77,15 +77,16 @@ class GainSummary:
     def disagree(self) -> bool:
         """Whether the mean relative gain and the gain of means disagree.
 
-        They disagree if their intervals do not overlap, and if they differ in sign or by more than
-        5 percentage points.
+        They disagree if their intervals lie on different sides of 0, if one alone contains 0, or if
+        the intervals do not overlap and the gains differ by more than 5 percentage points.
         """
         relative, means = self.mean_relative_gain_interval, self.gain_of_means_interval
         if not all(map(math.isfinite, (*relative, *means))):
             return False
+        signs = {(low > 0) - (high < 0) for low, high in (relative, means)}
         apart = relative[1] < means[0] or means[1] < relative[0]
         different = abs(self.mean_relative_gain - self.gain_of_means) > _MUCH
-        return apart and (different or self.mean_relative_gain * self.gain_of_means < 0)
+        return len(signs) > 1 or (apart and different)
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:

@@ -1,5 +1,6 @@
 """Gains and their intervals (paper, section 3)."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -15,7 +16,7 @@ from pfdist.analysis import (
     relative_gain,
     summarise_gain,
 )
-from pfdist.analysis.gains import QUANTILES, gain_over_itself
+from pfdist.analysis.gains import QUANTILES, GainSummary, gain_over_itself
 
 Array = np.ndarray
 
@@ -251,6 +252,33 @@ def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() 
     few = summarise_gain(mse[:3], reference[:3])
     assert not few.disagree
     assert not summarise_gain(np.ones(1), np.ones(1)).disagree
+
+
+@pytest.mark.parametrize(
+    ("relative", "means", "disagree"),
+    [
+        ((-0.20, -0.17), (0.23, 0.27), True),  # opposite signs
+        ((0.17, 0.20), (-0.27, -0.23), True),
+        ((-0.01, 0.02), (0.001, 0.03), True),  # one contains 0, and both overlap
+        ((0.001, 0.03), (-0.01, 0.02), True),
+        ((-0.03, -0.001), (-0.02, 0.01), True),
+        ((-0.04, 0.02), (-0.01, 0.05), False),  # -.01 and .02 by chance: neither has a sign
+        ((0.15, 0.17), (0.18, 0.20), False),  # apart by 3 points
+        ((0.09, 0.11), (0.18, 0.20), True),
+        ((0.05, 0.20), (0.10, 0.30), False),  # 7.5 points apart by chance
+        ((math.nan, math.nan), (0.1, 0.2), False),
+        ((0.1, 0.2), (-math.inf, math.inf), False),
+    ],
+)
+def test_two_gains_disagree_where_one_has_another_sign_or_only_one_has_a_sign(
+    relative: tuple[float, float], means: tuple[float, float], disagree: bool
+) -> None:
+    def middle(interval: tuple[float, float]) -> float:
+        return sum(interval) / 2
+
+    share, nothing = (0.5, (0.4, 0.6)), (0.0, (0.0, 0.0))
+    summary = GainSummary(9, middle(relative), relative, *share, middle(means), means, *nothing, {})
+    assert summary.disagree is disagree
 
 
 @pytest.mark.parametrize("alpha", [1.3, 3.0])
