@@ -66,7 +66,16 @@ _WHY_GAINS_DISAGREE = (
     'column "lower by" weighs each draw by its error.'
 )
 # Model, problem, reference, particles, draws, population and generations of the paper's experiment.
-_OF_THE_PAPER = ("ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular", 500, 1000, 50, 25)
+_OF_THE_PAPER = (
+    "ungm",
+    {},
+    {"horizon": 60, "measurement_budget": 21},
+    "regular",
+    500,
+    1000,
+    50,
+    25,
+)
 _SEARCHES_HEAD = (
     "search", "method", "sets evaluated", "error it believed", "against fresh draws", "why",
 )  # fmt: skip
