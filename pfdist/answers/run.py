@@ -13,6 +13,7 @@ from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
 from pfdist.answers.robust import THE_WORST, scenarios, worst_effect
 from pfdist.answers.subject import (
+    ERROR_HEAD,
     Subject,
     effect,
     exact_effect,
@@ -54,7 +55,7 @@ _MEASURED = (
     "times compared with. `pfdist bound` computes it."
 )
 _GAINS_HEAD = (
-    "times", "expected error", "lower by, %", "draws with a lower error, %", "mean gain, %",
+    "times", ERROR_HEAD, "lower by, %", "draws with a lower error, %", "mean gain, %",
 )  # fmt: skip
 _GAINS = (
     "The expected error is the mean over all draws, with its standard error. The next column says "
@@ -66,18 +67,10 @@ _WHY_GAINS_DISAGREE = (
     'column "lower by" weighs each draw by its error.'
 )
 # Model, problem, reference, particles, draws, population and generations of the paper's experiment.
-_OF_THE_PAPER = (
-    "ungm",
-    {},
-    {"horizon": 60, "measurement_budget": 21},
-    "regular",
-    500,
-    1000,
-    50,
-    25,
-)
+_PAPERS = ("ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular", 500, 1000, 50, 25)
 _SEARCHES_HEAD = (
-    "search", "method", "sets evaluated", "error it believed", "against fresh draws", "why",
+    "search", "method", "sets evaluated", "error it believed ± standard error",
+    "against fresh draws", "why",
 )  # fmt: skip
 _SEARCHES = (
     "A search chooses the set with the least of many estimated errors, so what it believes of this "
@@ -278,7 +271,7 @@ def _relative_gains(subject: Subject) -> Iterator[Text]:
         gain = percent_with_interval(result.mean_relative_gain, result.mean_relative_gain_interval)
         share = percent(result.positive_fraction, 1)
         text = f"The mean relative gain of {name} is {gain}, and {share} of the draws gain."
-        if name in papers and _experiment(job, papers[name]) == _OF_THE_PAPER:
+        if name in papers and _experiment(job, papers[name]) == _PAPERS:
             text += " The paper prints 27.7 % and 87.5 %."
         if result.gains_disagree:
             text += _WHY_GAINS_DISAGREE

@@ -14,6 +14,7 @@ from pfdist.analysis.stored_run import check_one_number
 from pfdist.answers.run import answer_of, page_of, searches
 from pfdist.answers.subject import Subject
 from pfdist.common.rounding import with_error, with_interval
+from pfdist.documents.parts import Table
 from pfdist.documents.terminal import lines_of
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.search.section import CommonNoiseSettings
@@ -205,6 +206,23 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
     assert evaluation.top_percent_share > 0.5
     assert "of the error: 95 % intervals are too narrow" in evaluation._repr_html_()
+
+
+def test_a_table_with_standard_errors_says_so_in_its_heads_or_in_its_caption(
+    finished: Callable[..., Path],
+) -> None:
+    """For the reader, "±" is one standard error everywhere."""
+    run = pfdist.open_run(finished())
+    pages = page_of(run), answer_of(run, details=True), run._page()
+    blocks = [block for page in pages for section in page.sections for block in section.blocks]
+    columns = [
+        (block.caption + block.head[place], any("±" in row[place].text for row in block.rows))
+        for block in blocks
+        if isinstance(block, Table)
+        for place in range(len(block.head))
+    ]
+    assert sum(has_error for _, has_error in columns) >= 5
+    assert all("± standard error" in told for told, has_error in columns if has_error)
 
 
 def test_the_papers_model_has_no_heavy_tail(

@@ -53,12 +53,12 @@ def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> 
         "Expected error on 250 draws that took no part in the search",
         f"tables: {run}/tables",
         f"figures: {run}/figures",
+        "The mean relative gain of genetic is ",
     ):
         assert words in answer
     details = " ".join(call(f"status {run} --verbose").out.split())
     for words in (
         "what it is regular times (N = 4)",
-        "mean relative gain",
         "quartiles",
         "mean log10 of ratio",
         "gain over itself",
