@@ -410,9 +410,10 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
 
 
 def worst_of(run: StoredRun) -> dict[str, dict[str, Any]]:
-    """The row of the table ``scenarios`` with the largest expected MSE of each set, by name."""
+    """The expected_mse, standard_error and draws of each set in its worst scenario, by name."""
     rows = scenarios_of(run).sort_values("expected_mse").groupby("name").tail(1)
-    return {str(row["name"]): row for row in rows.to_dict("records")}
+    columns = rows.set_index("name")[["expected_mse", "standard_error", "draws"]]
+    return {str(name): dict(row) for name, row in columns.iterrows()}
 
 
 def particle_losses_of(

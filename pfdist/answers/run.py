@@ -67,7 +67,9 @@ _WHY_GAINS_DISAGREE = (
     'column "lower by" weighs each draw by its error.'
 )
 # Model, problem, reference, particles, draws, population and generations of the paper's experiment.
-_PAPERS = ("ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular", 500, 1000, 50, 25)
+_PAPERS: tuple[Any, ...] = (
+    "ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular", 500, 1000, 50, 25,
+)  # fmt: skip
 _SEARCHES_HEAD = (
     "search", "method", "sets evaluated", "error it believed ± standard error",
     "against fresh draws", "why",
