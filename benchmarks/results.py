@@ -125,7 +125,8 @@ def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
             f"{known['date']}.\n",
             f"![{benchmark.TITLE}]({name}.png)\n",
         ]
-    title = "# Benchmarks\n\nWritten by `python -m benchmarks`; the CSV files hold every figure.\n"
+    title = "# Benchmarks\n\nWritten by `python -m benchmarks`; the CSV files hold every figure. "
+    title += "± is one standard error.\n"
     text = "\n".join([title, *parts])
     (folder / "README.md").write_text(text, encoding="utf-8")
     return text

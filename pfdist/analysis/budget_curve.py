@@ -88,7 +88,9 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
     DataFrame
         See the table ``budget``. The columns are NaN for sets that have no bound.
     """
-    numbers = max(len(proofs), int((table["kind"] == FOUND).sum()))
+    # Sets with the same sum share a bound; a bound that failed still counts as one of a curve's.
+    different = {proof["budget"] for proof in proofs.values() if not proof["reason"]}
+    numbers = max(len(different), table["measurements"][table["kind"] == FOUND].nunique())
     columns = [
         (proof["bound"], proof["bound_error"], _limit(proof, numbers))
         if proof and not proof["reason"]
@@ -100,7 +102,7 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
 
 
 def _limit(proof: Mapping[str, Any], numbers: int) -> float:
-    """The one-sided lower limit of a bound; those of all numbers hold together (Bonferroni)."""
+    """The one-sided lower limit of a bound; all different bounds hold together (Bonferroni)."""
     if not proof["particles"]:  # the engine is exact
         return float(proof["bound"])
     quantile = student_quantile((1 - proof["confidence"]) / numbers, BOUND_DEGREES)

@@ -53,7 +53,7 @@ class GainSummary:
     mean_log10_ratio_interval : (float, float)
         95 %, Student's t.
     quantiles : dict of float to float
-        Quantiles of the relative gain, to 0.001; -inf below -10, inf above 1.
+        Quantiles of the relative gain, to 0.001 and exact at 0; -inf below -10, inf above 1.
     """
 
     draws: int
@@ -77,15 +77,16 @@ class GainSummary:
     def disagree(self) -> bool:
         """Whether the mean relative gain and the gain of means disagree.
 
-        They disagree if their intervals do not overlap, and if they differ in sign or by more than
-        5 percentage points.
+        They disagree if their intervals lie on different sides of 0, if one alone contains 0, or if
+        the intervals do not overlap and the gains differ by more than 5 percentage points.
         """
         relative, means = self.mean_relative_gain_interval, self.gain_of_means_interval
         if not all(map(math.isfinite, (*relative, *means))):
             return False
+        signs = {(low > 0) - (high < 0) for low, high in (relative, means)}
         apart = relative[1] < means[0] or means[1] < relative[0]
         different = abs(self.mean_relative_gain - self.gain_of_means) > _MUCH
-        return apart and (different or self.mean_relative_gain * self.gain_of_means < 0)
+        return len(signs) > 1 or (apart and different)
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:
@@ -123,8 +124,8 @@ class Gain:
         Moments of log10(mse / mse_reference).
     errors : Pairs
         Moments of the pairs of mse and mse_reference.
-    positive : int
-        Number of draws with a positive relative gain.
+    positive, zeros : int
+        Number of draws with a positive relative gain, and with one of exactly 0.
     below, above : int
         Number of draws with a relative gain below and above the histogram.
     counts : array of int64
@@ -135,6 +136,7 @@ class Gain:
     log10_ratio: Moments = field(default_factory=Moments)
     errors: Pairs = field(default_factory=Pairs)
     positive: int = 0
+    zeros: int = 0
     below: int = 0
     above: int = 0
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(EDGES.size - 1, np.int64))
@@ -155,6 +157,7 @@ class Gain:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             self.log10_ratio.add(np.log10(mse[usable] / reference[usable]))
         self.positive += int(np.sum(gain > 0))
+        self.zeros += int(np.sum(gain == 0))
         self.below += int(np.sum(gain < EDGES[0]))
         self.above += int(np.sum(gain > EDGES[-1]))
         self.counts += np.histogram(gain, EDGES)[0]
@@ -185,14 +188,18 @@ class Gain:
         return low + (high - low) * (rank - math.floor(rank))
 
     def _sorted(self, place: int) -> float:
-        """The gain at a place in ascending order, if gains lie evenly within each bin."""
+        """The gain at a place in ascending order, if gains but 0 lie evenly within each bin."""
         if place < self.below:
             return -math.inf
         if place >= self.relative.count - self.above:
             return math.inf
         upto = self.below + np.cumsum(self.counts)
         number = int(np.searchsorted(upto, place, side="right"))
-        inside = 1.0 - (upto[number] - place - 0.5) / self.counts[number]
+        zeros = self.zeros if EDGES[number] == 0.0 else 0  # they come first in this bin
+        to_the_end, others = upto[number] - place, self.counts[number] - zeros
+        if to_the_end > others:
+            return 0.0
+        inside = 1.0 - (to_the_end - 0.5) / others
         return float(EDGES[number] + BIN * inside)
 
     def summary(self) -> GainSummary:

@@ -99,7 +99,7 @@ class Run(StoredRun, Shown):
             results = self.summary().results
         except StoreError:
             return Page("", _title(self), [])
-        head = ("times", "measurements", "expected MSE", "below the reference")
+        head = ("times", "measurements", "expected MSE ± standard error", "below the reference")
         rows = [[Cell(text) for text in _row(name, each)] for name, each in results.items()]
         return Page("", _title(self), [Section("", [Table("", head, rows)])])
 

@@ -345,9 +345,10 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
     The columns are first and second (names); draws; difference (expected MSE of the first less
     that of the second) with low and high (95 %, Student's t, of the paired differences);
     simultaneous_low and simultaneous_high (with 95 % the intervals of all pairs hold together, by
-    Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (1 less the
-    first expected MSE over the second) with gain_of_means_low and gain_of_means_high (95 %,
-    Fieller's); first_wins (share of the draws in which the first has the lower MSE) with
+    Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (by which
+    share of the second expected MSE the first is lower; negative if it is higher, so its sign is
+    opposite to that of difference) with gain_of_means_low and gain_of_means_high (95 %, Fieller's);
+    first_wins (share of the draws in which the first has the lower MSE) with
     first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
     without draws, difference and gain_of_means are exact, and all their limits are equal.
     """
@@ -406,6 +407,13 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
     return pd.DataFrame(table)
+
+
+def worst_of(run: StoredRun) -> dict[str, dict[str, Any]]:
+    """The expected_mse, standard_error and draws of each set in its worst scenario, by name."""
+    rows = scenarios_of(run).sort_values("expected_mse").groupby("name").tail(1)
+    columns = rows.set_index("name")[["expected_mse", "standard_error", "draws"]]
+    return {str(name): dict(row) for name, row in columns.iterrows()}
 
 
 def particle_losses_of(

@@ -21,6 +21,7 @@ from pfdist.analysis.stored_run import (
     particle_losses_of,
     problem_of,
     statistics_of,
+    worst_of,
 )
 from pfdist.common.formatted_times import formatted_times
 from pfdist.common.rounding import with_error
@@ -54,9 +55,9 @@ class SetResult:
     search_cost, search_standard_error : float or None
         The search that found the set believed this cost of it.
     search_excess, search_estimation, search_cause, search_distrust
-        search_cost over expected_mse, less 1; how the search estimated otherwise than the
-        comparison; why search_cost is not expected_mse; and why the search was run again by the
-        squared error, or None.
+        search_cost over expected_mse (over that of the worst scenario, where it decides), less 1;
+        how the search estimated otherwise than the comparison; why the two are not equal; and why
+        the search was run again by the squared error, or None.
     top_percent_share : float or None
         The share of expected_mse that 1 % of the draws carry; None with fewer than 100 draws. Above
         0.25 the standard error and the intervals are too small.
@@ -298,12 +299,14 @@ def _compared(run: StoredRun) -> dict[str, Row]:
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
     results, statistics = dict[str, Row](), statistics_of(run)
+    is_worst = run.job.get("scenarios", {}).get("criterion") == "worst"
+    worst = worst_of(run) if is_worst else {}
     for row in budget_of(run, statistics).to_dict("records"):
         result: Row = {str(key): value for key, value in row.items()}
         name, worse_than = result.pop("name"), result["worse_than"]
         result["worse_than"] = None if pd.isna(worse_than) else worse_than
         if result["kind"] == FOUND:
-            result |= belief_of(run, without_number(name, run.job), result)
+            result |= belief_of(run, without_number(name, run.job), result | worst.get(name, {}))
         elif "budget" not in run.job:
             result |= described(run.job, name, tuple(result["measurement_times"]))
         if name in statistics.gains:

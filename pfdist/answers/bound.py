@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pfdist.answers.subject import Subject
+from pfdist.answers.subject import ERROR_HEAD, Subject
 from pfdist.common.percent import NO_LIMITS, gap_sentence, particle_loss_text, percent, rounded_up
 from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
@@ -34,8 +34,8 @@ _WORST = (
     "largest: "
 )
 _HEAD = (
-    "times", "expected error", "lower bound", "gap, estimated", "gap, at most", "part: relaxation",
-    "part: particles", "part: model",
+    "times", ERROR_HEAD, "lower bound ± standard error", "gap, estimated", "gap, at most",
+    "part: relaxation", "part: particles", "part: model",
 )  # fmt: skip
 
 

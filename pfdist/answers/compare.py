@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.analysis.pairs import formatted_ranks
-from pfdist.answers.subject import Subject, cost_cell, mse_cell, number_of, percent_cell
+from pfdist.answers.subject import ERROR_HEAD, Subject, cost_cell, mse_cell, number_of, percent_cell
 from pfdist.common.percent import range_of
 from pfdist.common.rounding import with_interval
 from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text, without_empty_columns
@@ -14,10 +14,11 @@ _PAIRS_HEAD = (
     "draws where first is lower, %",
 )  # fmt: skip
 _MEANING = (
-    "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
-    "in brackets hold with 95 % for one pair alone. A difference is clear if its sign holds with "
-    "95 % for all pairs together. The best rank of a set counts the sets that are clearly better, "
-    "the worst rank all that are not clearly worse."
+    "All sets filter the same draws, so differences are far more exact than the errors. A negative "
+    "difference says that the first set of a pair has the lower error. Intervals in brackets hold "
+    "with 95 % for one pair alone. A difference is clear if its sign holds with 95 % for all pairs "
+    "together. The best rank of a set counts the sets that are clearly better, the worst rank all "
+    "that are not clearly worse."
 )
 _EXACT = (
     "The filter is exact, so the expected errors, their differences and the ranks are exact. Only "
@@ -33,7 +34,7 @@ def compared(subject: Subject) -> Section | None:
     if not ranks:
         return None
     draws = number_of(subject.summary.draws_compared, "draw")
-    head = ("rank", "times", "number", subject.cost_head, "expected error", "above the best by")
+    head = ("rank", "times", "number", subject.cost_head, ERROR_HEAD, "above the best by")
     sets = Table(f"Ranks on {draws}", head, [_set_row(subject, row) for row in ranks])
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [

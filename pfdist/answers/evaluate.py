@@ -10,7 +10,7 @@ from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.filters.estimate import Evaluation
 
-_HEAD = ("times", "number", "expected MSE", "draws", "degenerate")
+_HEAD = ("times", "number", "expected MSE ± standard error", "draws", "degenerate")
 
 
 def evaluate_page(
@@ -54,7 +54,7 @@ def _of_scenarios(
         ]
         for number in sorted(next(iter(columns.values())))
     ]
-    return [Table("Expected MSE in each scenario", ("scenario", *columns), rows)]
+    return [Table("Expected MSE ± standard error in each scenario", ("scenario", *columns), rows)]
 
 
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pfdist.answers.subject import Subject, effect, mse_cell, number_of, percent_cell
+from pfdist.answers.subject import ERROR_HEAD, Subject, effect, mse_cell, number_of, percent_cell
 from pfdist.common.percent import percent
 from pfdist.documents.parts import Cell, Figures, Section, Table, Text
 
@@ -20,7 +20,7 @@ def online(subject: Subject) -> Section | None:
     ]
     table = Table(
         f"Expected error on {number_of(result['draws'], 'draw')}",
-        ("times", "expected error", "online is lower by, %", "draws where online is lower, %"),
+        ("times", ERROR_HEAD, "online is lower by, %", "draws where online is lower, %"),
         rows,
     )
     meaning = (

@@ -33,7 +33,9 @@ def scenarios(subject: Subject) -> Section | None:
         _cells([row for row in rows if row["scenario"] == number], shown) for number in numbers
     ]
     texts = [Text(sentence, prominent=True) for sentence in _sentences(subject, shown[-1])]
-    table = Table("Expected error in each scenario", head, cells, optional=shown[1:-1])
+    table = Table(
+        "Expected error ± standard error in each scenario", head, cells, optional=shown[1:-1]
+    )
     return Section("In each scenario", [*texts, table, Text(_MEANING, detail=True)])
 
 

@@ -13,6 +13,7 @@ from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
 from pfdist.answers.robust import THE_WORST, scenarios, worst_effect
 from pfdist.answers.subject import (
+    ERROR_HEAD,
     Subject,
     effect,
     exact_effect,
@@ -54,19 +55,28 @@ _MEASURED = (
     "times compared with. `pfdist bound` computes it."
 )
 _GAINS_HEAD = (
-    "times", "expected error", "lower by, %", "draws with a lower error, %", "mean gain, %",
+    "times", ERROR_HEAD, "lower by, %", "draws with a lower error, %", "mean gain, %",
 )  # fmt: skip
 _GAINS = (
     "The expected error is the mean over all draws, with its standard error. The next column says "
     "how much lower it is than that of the first row. The mean gain is the mean of the relative "
     "gains of single draws, the paper's figure. Intervals in brackets hold with 95 %."
 )
+_WHY_GAINS_DISAGREE = (
+    " A mean relative gain weighs all draws alike and has no lower limit, while the gain in the "
+    'column "lower by" weighs each draw by its error.'
+)
+# Model, problem, reference, particles, draws, population and generations of the paper's experiment.
+_PAPERS: tuple[Any, ...] = (
+    "ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular", 500, 1000, 50, 25,
+)  # fmt: skip
 _SEARCHES_HEAD = (
-    "search", "method", "sets evaluated", "error it believed", "above fresh draws by", "why",
+    "search", "method", "sets evaluated", "error it believed ± standard error",
+    "against fresh draws", "why",
 )  # fmt: skip
 _SEARCHES = (
     "A search chooses the set with the least of many estimated errors, so what it believes of this "
-    "set is usually too good. The errors above are of fresh draws."
+    "set is usually too good: below its error on fresh draws, which the table of gains has."
 )
 _EXACT_SEARCHES = (
     "The filter is exact, so each search knew the expected error of its set. The errors above are "
@@ -241,6 +251,7 @@ def gains(subject: Subject) -> Section | None:
     )  # fmt: skip
     blocks: list[Block] = [
         table,
+        *_relative_gains(subject),
         Text(_GAINS, detail=True),
         *_degenerate(subject),
         *_broken(subject),
@@ -250,6 +261,32 @@ def gains(subject: Subject) -> Section | None:
         *(_details(subject, name) for name in subject.results),
     ]
     return Section("What the times gain", blocks)
+
+
+def _relative_gains(subject: Subject) -> Iterator[Text]:
+    """The paper's figures of its search, and why they contradict the gain of means of any set."""
+    job, noise = subject.run.job, next(iter(subject.results.values())).gain_over_itself
+    papers = {each["name"]: each for each in job.get("search", ()) if each["method"] == "genetic"}
+    for name, result in subject.results.items():
+        if name not in papers and not result.gains_disagree:
+            continue
+        gain = percent_with_interval(result.mean_relative_gain, result.mean_relative_gain_interval)
+        share = percent(result.positive_fraction, 1)
+        text = f"The mean relative gain of {name} is {gain}, and {share} of the draws gain."
+        if name in papers and _experiment(job, papers[name]) == _PAPERS:
+            text += " The paper prints 27.7 % and 87.5 %."
+        if result.gains_disagree:
+            text += _WHY_GAINS_DISAGREE
+            if noise:
+                text += f" The noise of the filters alone gives a mean of {percent(noise)}."
+        yield Text(text)
+
+
+def _experiment(job: Mapping[str, Any], search: Mapping[str, Any]) -> tuple[Any, ...]:
+    model, reference = job["model"], job["comparison"]["reference"]
+    sizes = job["filter"]["particles"], job["evaluation"]["draws"]
+    search_sizes = search["population"], search["generations"]
+    return model["name"], model["parameters"], job["problem"], reference, *sizes, *search_sizes
 
 
 def _gains_row(name: str, result: SetResult) -> list[Cell]:
@@ -293,23 +330,11 @@ def _details(subject: Subject, name: str) -> Facts:
         facts.append(("quartiles of gains", ", ".join(percent(share, 1) for share in shares)))
         log10, *ends = with_interval(result.mean_log10_ratio, *result.mean_log10_ratio_interval)
         facts.append(("mean log10 of ratio", f"{log10}  (95 %: {range_of(*ends)})"))
-        if result.gains_disagree:
-            facts.append(("the two gains differ", _why_gains_disagree(subject)))
     if result.gain_over_itself_draws is not None:
         interval = result.gain_over_itself_interval
         itself = percent_with_interval(result.gain_over_itself, interval)
         facts.append(("gain over itself", f"{itself}, from filter noise alone"))
     return Facts(facts, f"More about {name}", detail=True)
-
-
-def _why_gains_disagree(subject: Subject) -> str:
-    noise = next(iter(subject.results.values())).gain_over_itself
-    reason = "a relative gain weighs a draw with a small error as much as a draw with a large error"
-    if noise is None:
-        return f"{reason}, and the noise of the filters biases its mean low"
-    if noise:
-        reason += f", and the noise of the filters alone gives it a mean of {percent(noise)}"
-    return reason
 
 
 # --- the searches ---------------------------------------------------------------------------------
@@ -349,4 +374,6 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     reasons = [result.search_distrust, result.search_cause, settings]
     why = "; ".join(filter(None, reasons)) if excess is not None else ""
     why = why.replace(str(subject.run.path), subject.run.path.name)  # the report may be sent
-    return [*cells, Cell("" if excess is None else percent(excess, 1), excess), Cell(why)]
+    side = "below" if (excess or 0.0) < 0 else "above"
+    against = "" if excess is None else f"{percent(abs(excess), 1)} {side}"
+    return [*cells, Cell(against, excess), Cell(why)]

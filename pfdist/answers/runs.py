@@ -30,7 +30,7 @@ def table_page(frame: pd.DataFrame) -> Page:
     table = Table("", head, rows, optional=[*lacking, *names, "seconds", *others])
     references = sorted(set(frame["reference"].dropna().astype(str)))
     other = references[0] if len(references) == 1 else "the reference"
-    gain = Text(f"gain %: how far the expected MSE is below that of {other} (95 %)")
+    gain = Text(f"±: one standard error; gain %: how far the MSE is below that of {other} (95 %)")
     return Page("", "", [Section("", [table, *([gain] if references else [])])])
 
 

@@ -17,6 +17,7 @@ from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.documents.parts import Cell, Table, Text, without_empty_columns
 from pfdist.errors import one_line
 
+ERROR_HEAD = "expected error ± standard error"
 MOST_SETS = 4
 """Sets that have figures in a report; each has about 60 kB of them."""
 

@@ -128,7 +128,7 @@ def points(subject: SweepSubject) -> Section:
     rows = [_row(subject, keys, row) for row in subject.rows]
     if rows:
         head = [subject.short[key] for key in keys] or ["point"]
-        head += [SET, "state", "expected MSE", "gain % (95 %)", "seconds", "times"]
+        head += [SET, "state", "expected MSE ± standard error", "gain % (95 %)", "seconds", "times"]
         is_linked = any(row[0].link for row in rows)
         links = "Each row begins with a link to the report of the point." * is_linked
         seconds = "The seconds are those of all workers, for all sets of a run together."

@@ -166,8 +166,7 @@ def _position(state: State) -> list[str]:
 
 
 def _gain(gain: SetGain) -> str:
-    """How much better a set is so far; ± is half of the 95 % interval."""
-    (low, high), (least, most) = gain.gain_of_means_interval, gain.interval
-    lower = with_error(100 * gain.gain_of_means, 50 * (high - low))
-    relative = with_error(100 * gain.mean_relative_gain, 50 * (most - least))
-    return f"{gain.name}: MSE {lower} % lower, relative gain {relative} %"
+    """How far the error of a set is below that of the reference so far; ± is one standard error."""
+    of_means = gain.gain_of_means
+    change = with_error(100 * abs(of_means.value), 100 * of_means.standard_error)
+    return f"{gain.name}: error {change} % {'higher' if of_means.value < 0 else 'lower'}"

@@ -150,7 +150,8 @@ def tex(frame: pd.DataFrame) -> str:
     names = ([] if differ_by_keys(frame, keys) else ["run"]) + keys + ["set"]
     unit = frame.attrs.get("time_unit", "")
     short = short_names(names)
-    heads = [*(short[name] for name in names), "expected MSE", "gain of means [%] (95 %)"]
+    heads = [*(short[name] for name in names), "expected MSE ± standard error"]
+    heads.append("gain of means [%] (95 %)")
     heads.append(f"measurement times [{unit}]" if unit else "measurement times")
     lines = [
         [

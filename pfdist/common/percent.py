@@ -43,7 +43,7 @@ def particle_loss_text(loss: float, limit: float) -> str:
 def percent_with_interval(fraction: float | None, interval: list[float | None]) -> str:
     """A fraction in per cent with its 95 % interval, lower and upper end, as text."""
     value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
-    return f"{value} %  (95 %: {range_of(low, high)})"
+    return f"{value} % (95 %: {range_of(low, high)})"
 
 
 def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:

@@ -4,7 +4,8 @@ Sampling importance resampling: particles are propagated by the model, and weigh
 only at the measurement times. `pfdist.kernels.fused_filter` compiles it. `pfdist.filters.plain`
 holds the same filter in plain NumPy, for reading.
 
-Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4.
+Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4
+(which resamples systematically; a job chooses the scheme).
 """
 
 from collections.abc import Sequence

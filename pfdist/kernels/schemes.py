@@ -18,7 +18,7 @@ class Scheme:
     holds_truth: bool = False  # whether particle 0 follows the true states of the draw
 
 
-MULTINOMIAL = Scheme("multinomial", "Independent ancestors, as in the paper.")
+MULTINOMIAL = Scheme("multinomial", "Independent ancestors, in proportion to the weights.")
 STRATIFIED = Scheme("stratified", "One point in each of as many strata as there are particles.")
 SYSTEMATIC = Scheme("systematic", "Equidistant points with one common random shift.")
 RESIDUAL = Scheme("residual", "The whole part of each expected number; the rest is multinomial.")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import BLOCK, ComparisonStatistics
 from pfdist.analysis.reference import references_of
 from pfdist.common.component_names import Component
+from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.work import Estimation, Result, Work, cut, with_truth
@@ -69,7 +70,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
-            found=interim.so_far if len(study.references) == 1 else (),
+            found=() if len(study.references) > 1 or built.is_worst else interim.so_far,
         )
         return interim.enough > 0
 
@@ -148,14 +149,7 @@ class InterimGains:
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
             self.so_far = tuple(  # after each block, because outcomes come more often
-                SetGain(
-                    name,
-                    gain.relative.mean,
-                    gain.interval,
-                    gain.positive / gain.relative.count,
-                    gain.of_means,
-                    gain.of_means_interval,
-                )
+                SetGain(name, Estimate(gain.of_means, gain.errors.ratio_error))
                 for name, gain in self._statistics.gains.items()
                 if gain.relative.count
             )

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pfdist.common.estimate import Estimate
+
 
 @dataclass(frozen=True)
 class SetGain:
@@ -12,22 +14,12 @@ class SetGain:
     Parameters
     ----------
     name : str
-    mean_relative_gain : float
-    interval : (float, float)
-        95 % interval of the mean relative gain.
-    positive_fraction : float
-    gain_of_means : float
+    gain_of_means : Estimate
         1 - E[mse] / E[mse of the reference].
-    gain_of_means_interval : (float, float)
-        95 %.
     """
 
     name: str
-    mean_relative_gain: float
-    interval: tuple[float, float]
-    positive_fraction: float
-    gain_of_means: float
-    gain_of_means_interval: tuple[float, float]
+    gain_of_means: Estimate
 
 
 @dataclass(frozen=True)
@@ -50,7 +42,7 @@ class Progress:
     mean : float or None
         Mean cost of the last finished generation.
     found : tuple of SetGain
-        The comparison's gains: for each set but the reference.
+        The comparison's gains: for each set but the reference. Empty where the answer gives others.
     doing : str
         In a sweep: how many points are finished, and what the others do.
     """

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis import Run
+from pfdist.analysis.stored_run import worst_of
 from pfdist.bounds.likelihood import RankWork, wrong_likelihood
 from pfdist.bounds.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.bounds.relaxation import Relaxation, relaxation_for
@@ -255,16 +256,10 @@ class Prover:
         if self._built.evaluator.exact:
             costs = self._built.exact_costs([*sets.values()]).tolist()
             return dict(zip(sets, map(Estimate, costs), strict=True))
-        rows = run.table("scenarios")
-        rows = rows.loc[rows.groupby("name")["expected_mse"].idxmax()].set_index("name")
-        return {
-            name: Estimate(
-                float(rows["expected_mse"][name]),
-                float(rows["standard_error"][name]),
-                int(rows["draws"][name]) - 1,
-            )
-            for name in sets
-        }
+        rows = worst_of(run)
+        keys = "expected_mse", "standard_error", "draws"
+        costs = {name: [rows[name][key] for key in keys] for name in sets}
+        return {name: Estimate(mse, error, int(n) - 1) for name, (mse, error, n) in costs.items()}
 
     def _grown(
         self, session: Session, sets: tuple[Times, ...]

@@ -123,8 +123,31 @@ def test_the_limit_of_a_bound_holds_for_all_numbers(
     assert others[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
 
 
+@pytest.mark.parametrize(("sets", "numbers"), [(3, 1), (4, 4)])
+def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> None:
+    """A plan's sets, the reference among them, share one bound; a budget curve has one a number.
+
+    The errors of a bound are those of 20 groups of draws, here of normal values.
+    """
+    names = ["regular_2", "relaxation_2", "exchange_2"]
+    names = names if numbers == 1 else [f"relaxation_{number}" for number in range(2, 6)]
+    table = _table(dict.fromkeys(names, 7.0 + NOISE))
+    groups = np.random.default_rng(1).normal(5.0, 1.0, (4000, numbers, GROUPS))
+    errors = groups.std(axis=2, ddof=1) / math.sqrt(GROUPS)
+    covered = 0
+    for bounds in np.stack([groups.mean(axis=2), errors], axis=2):
+        proofs = {
+            name: _columns(_proof(6.0, 7.0, (0.1, 0.1, 0.1)))
+            | {"bound": bound, "bound_error": error, "budget": 2 + number}
+            for number, (bound, error) in enumerate(bounds)
+            for name in (names if numbers == 1 else names[number : number + 1])
+        }
+        covered += bool((with_bounds(table, proofs)["bound_low"] < 5.0).all())
+    assert abs(covered / 4000 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 4000)
+
+
 def test_an_exact_bound_is_a_limit_and_a_withdrawn_bound_is_none(table: pd.DataFrame) -> None:
-    exact = {"bound": 5.9, "bound_error": 0.0, "particles": 0, "reason": ""}
+    exact = {"bound": 5.9, "bound_error": 0.0, "particles": 0, "reason": "", "budget": 3}
     withdrawn = exact | {"reason": "the set costs less than the bound"}
     rows = with_bounds(table, {"relaxation_3": exact, "relaxation_4": withdrawn}).set_index("name")
     assert rows.loc["relaxation_3", ["bound", "bound_error", "bound_low"]].tolist() == [5.9, 0, 5.9]
@@ -146,7 +169,7 @@ def test_the_largest_number_that_cannot_reach_a_target_is_proved(
 ) -> None:
     bounds = {"relaxation_2": 6.9, "relaxation_3": 5.9, "relaxation_4": 5.02, "relaxation_5": 3.9}
     proofs = {
-        name: {"bound": bound, "bound_error": 0.0, "particles": 0, "reason": ""}
+        name: {"bound": bound, "bound_error": 0.0, "particles": 0, "reason": "", "budget": 2}
         for name, bound in bounds.items()
     }
     reached = reaching(with_bounds(table, proofs), target)

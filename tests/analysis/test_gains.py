@@ -1,5 +1,6 @@
 """Gains and their intervals (paper, section 3)."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -15,7 +16,7 @@ from pfdist.analysis import (
     relative_gain,
     summarise_gain,
 )
-from pfdist.analysis.gains import QUANTILES, gain_over_itself
+from pfdist.analysis.gains import QUANTILES, GainSummary, gain_over_itself
 
 Array = np.ndarray
 
@@ -182,6 +183,26 @@ def test_the_same_blocks_in_the_same_order_give_the_same_bits() -> None:
     assert first.half_width() == second.half_width()
 
 
+def test_each_set_of_a_comparison_gains_over_its_own_reference() -> None:
+    values = np.random.default_rng(1).lognormal(0, 1, (1000, 4))
+    values[7, 1] = np.nan
+    by_default = ComparisonStatistics(["a", "b", "c", "d"])
+    chosen = ComparisonStatistics(["a", "b", "c", "d"], references={"b": "a", "d": "c"})
+    for block in _blocks(values, 1000):
+        by_default.add(block)
+        chosen.add(block)
+    columns = dict(zip("abcd", values.T, strict=True))
+    for statistics, references in (
+        (by_default, {"b": "a", "c": "a", "d": "a"}),
+        (chosen, {"b": "a", "d": "c"}),
+    ):
+        expected = {
+            name: summarise_gain(columns[name], columns[of]) for name, of in references.items()
+        }
+        assert {name: each.summary() for name, each in statistics.gains.items()} == expected
+    assert expected["b"].draws == 999
+
+
 def test_the_histogram_is_numpys_and_what_lies_outside_is_counted_apart() -> None:
     gain = np.concatenate([np.random.default_rng(1).uniform(-12, 1.5, 9999), [-np.inf]])
     accumulated = Gain()
@@ -194,6 +215,23 @@ def test_the_histogram_is_numpys_and_what_lies_outside_is_counted_apart() -> Non
     assert accumulated.counts.sum() + accumulated.below + accumulated.above == 10_000
     assert accumulated.quantile(0.1) == -np.inf
     assert accumulated.quantile(0.99) == np.inf
+
+
+@pytest.mark.parametrize("below", [0, 30])
+@pytest.mark.parametrize("above", [0, 70])
+def test_draws_without_any_gain_have_the_quantile_0_exactly(below: int, above: int) -> None:
+    """As `numpy.quantile` gives it, also if other gains share the histogram's bin of 0."""
+    rng = np.random.default_rng(1)
+    gain = np.r_[np.zeros(900), -rng.uniform(0, BIN, below), rng.uniform(0, 2 * BIN, above)]
+    accumulated = Gain()
+    for block in np.array_split(rng.permutation(gain), 7):
+        accumulated.add(1.0 - block, np.ones(block.size))
+    quantiles = {share: accumulated.quantile(share) for share in (0.05, 0.25, 0.5, 0.75, 0.9)}
+    assert quantiles == dict.fromkeys(quantiles, 0.0)
+    for share in (0.01, 0.96, 0.999):
+        expected = np.quantile(gain, share)
+        assert accumulated.quantile(share) == pytest.approx(expected, abs=BIN)
+        assert (accumulated.quantile(share) == 0.0) == (expected == 0.0)
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
@@ -234,6 +272,33 @@ def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() 
     few = summarise_gain(mse[:3], reference[:3])
     assert not few.disagree
     assert not summarise_gain(np.ones(1), np.ones(1)).disagree
+
+
+@pytest.mark.parametrize(
+    ("relative", "means", "disagree"),
+    [
+        ((-0.02, -0.01), (0.01, 0.02), True),  # opposite signs
+        ((0.01, 0.02), (-0.02, -0.01), True),
+        ((-0.01, 0.02), (0.001, 0.03), True),  # one contains 0, and both overlap
+        ((0.001, 0.03), (-0.01, 0.02), True),
+        ((-0.03, -0.001), (-0.02, 0.01), True),
+        ((-0.04, 0.02), (-0.01, 0.05), False),  # -.01 and .02 by chance: neither has a sign
+        ((0.15, 0.17), (0.18, 0.20), False),  # apart by 3 points
+        ((0.09, 0.11), (0.18, 0.20), True),
+        ((0.05, 0.20), (0.10, 0.30), False),  # 7.5 points apart by chance
+        ((math.nan, math.nan), (0.1, 0.2), False),
+        ((0.1, 0.2), (-math.inf, math.inf), False),
+    ],
+)
+def test_two_gains_disagree_where_one_has_another_sign_or_only_one_has_a_sign(
+    relative: tuple[float, float], means: tuple[float, float], disagree: bool
+) -> None:
+    def middle(interval: tuple[float, float]) -> float:
+        return sum(interval) / 2
+
+    share, nothing = (0.5, (0.4, 0.6)), (0.0, (0.0, 0.0))
+    summary = GainSummary(9, middle(relative), relative, *share, middle(means), means, *nothing, {})
+    assert summary.disagree is disagree
 
 
 @pytest.mark.parametrize("alpha", [1.3, 3.0])

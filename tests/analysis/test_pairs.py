@@ -31,6 +31,8 @@ def test_a_pair_has_the_difference_with_students_interval_and_the_wins() -> None
     assert (pair["simultaneous_low"], pair["simultaneous_high"]) == pytest.approx((low, high))
     assert pair["gain_of_means"] == pytest.approx(1 - 10 / 13)
     assert pair["first_wins"] == 0.5  # a tie is no win
+    back = pairs_table(["b", "a"], [ERRORS[:, [1, 0]]], {}).iloc[0]
+    assert (back["difference"], back["gain_of_means"]) == pytest.approx((0.75, 1 - 13 / 10))
 
 
 def test_blocks_and_degenerate_draws_change_nothing_for_the_other_draws() -> None:

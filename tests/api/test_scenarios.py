@@ -194,6 +194,29 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
     assert all(cost == largest for cost, largest in costs_of)
 
 
+@pytest.mark.parametrize(
+    ("engine", "scales"), [("kalman", [1.0] * 3), ("kalman", SCALES), ("", [1.0] * 3)]
+)
+def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
+    engine: str, scales: list[float], tmp_path: Path
+) -> None:
+    """With the Kalman filter the search knows the error of the worst exactly, so chance is left."""
+    asked = problem(
+        "worst", scales=scales, **({"engine": engine} if engine else {"particles": 100})
+    )
+    search = {"method": "exhaustive", "evaluation": {"draws": 240}}
+    job = asked.job(search=[search], comparison={"draws": 12_000})
+    run = pfdist.run(job, tmp_path / "run", figures=False, report=False)
+    rows = run.table("scenarios").query("name == 'exhaustive'")
+    fresh = rows.loc[rows["expected_mse"].idxmax()]
+    assert fresh["expected_mse"] > 1.05 * run.best.expected_mse  # the mean is another error
+    believed = run.best.search_cost / fresh["expected_mse"]
+    assert run.best.search_cause == "its draws chose the set"
+    assert run.best.search_excess == pytest.approx(believed - 1, rel=1e-9, abs=1e-12)
+    if engine:
+        assert abs(run.best.search_excess) < 4 * fresh["standard_error"] / fresh["expected_mse"]
+
+
 def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Path) -> None:
     numbers = range(2, 6)
     run = pfdist.budget(

@@ -14,6 +14,7 @@ from pfdist.analysis.stored_run import check_one_number
 from pfdist.answers.run import answer_of, page_of, searches
 from pfdist.answers.subject import Subject
 from pfdist.common.rounding import with_error, with_interval
+from pfdist.documents.parts import Table
 from pfdist.documents.terminal import lines_of
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.search.section import CommonNoiseSettings
@@ -63,7 +64,9 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     text = _all_that_is_said(raced)
     (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
     assert row[3].text == with_error(result.search_cost, result.search_standard_error)
-    assert row[4].text == f"{100 * result.search_excess:.1f} %"
+    excess = 100 * result.search_excess
+    assert row[4].text == f"{abs(excess):.1f} % {'below' if excess < 0 else 'above'}"
+    assert row[4].value == result.search_excess
     how = "particles = 20, resampling = systematic, estimator = filter_variance"
     assert row[5].text == f"{result.search_cause}; {how}"
     for cost in race["expected_mse"]:
@@ -137,8 +140,36 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     headline = "lowers the expected error by {} % (95 %: {} to {} %)".format(*shown)
     assert 0 < text.index(headline) < text.index("mean relative gain")
     noise = run.summary().results["reference"].gain_over_itself
-    assert f"of the filters alone gives it a mean of {100 * noise:.2f} %" in text
-    assert "the two gains differ a relative gain weighs a draw with a small error as much" in text
+    assert f"of the filters alone gives a mean of {100 * noise:.2f} %" in text
+    visible = " ".join(" ".join(lines_of(answer_of(run))).split())
+    value, *ends = with_interval(
+        *(100 * part for part in (genetic.mean_relative_gain, *genetic.mean_relative_gain_interval))
+    )
+    told = f"The mean relative gain of genetic is {value} % (95 %: {ends[0]} to {ends[1]}), and"
+    assert told in visible
+    assert "A mean relative gain weighs all draws alike and has no lower limit, while" in visible
+
+
+@pytest.mark.parametrize("is_papers", [True, False])
+def test_the_papers_search_shows_its_figures_and_its_own_experiment_those_of_the_paper(
+    is_papers: bool, finished: Callable[..., Path]
+) -> None:
+    """The paper, section 3: a mean relative gain of 27.7 %, and 87.5 % of the draws gain."""
+    run = pfdist.open_run(finished())
+    papers = pfdist.load_job(Path(__file__).parents[2] / "jobs" / "paper.toml").identity()
+    assert {each["name"] for each in papers["search"]} == {*run.names} - {"regular"}
+    run.job["filter"]["particles"] = 500
+    if is_papers:
+        run.job.update({key: papers[key] for key in ("model", "filter", "evaluation", "search")})
+        run.job["problem"] = papers["problem"]
+    text = " ".join(" ".join(lines_of(answer_of(run))).split())
+    genetic = run.summary().results["genetic"]
+    share = 100 * genetic.positive_fraction
+    told = re.search(r"The mean relative gain of genetic is (-?[\d.]+) % \(.*?\), and (.*)", text)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(100 * genetic.mean_relative_gain, abs=0.5)
+    assert told[2].startswith(f"{share:.1f} % of the draws gain.")
+    assert ("The paper prints 27.7 % and 87.5 %." in text) == is_papers
 
 
 @pytest.mark.slow
@@ -175,6 +206,23 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
     assert evaluation.top_percent_share > 0.5
     assert "of the error: 95 % intervals are too narrow" in evaluation._repr_html_()
+
+
+def test_a_table_with_standard_errors_says_so_in_its_heads_or_in_its_caption(
+    finished: Callable[..., Path],
+) -> None:
+    """For the reader, "±" is one standard error everywhere."""
+    run = pfdist.open_run(finished())
+    pages = page_of(run), answer_of(run, details=True), run._page()
+    blocks = [block for page in pages for section in page.sections for block in section.blocks]
+    columns = [
+        (block.caption + block.head[place], any("±" in row[place].text for row in block.rows))
+        for block in blocks
+        if isinstance(block, Table)
+        for place in range(len(block.head))
+    ]
+    assert sum(has_error for _, has_error in columns) >= 5
+    assert all("± standard error" in told for told, has_error in columns if has_error)
 
 
 def test_the_papers_model_has_no_heavy_tail(

@@ -41,6 +41,7 @@ def test_the_programme_finds_the_least_error_of_every_sum_and_a_set_that_has_it(
             assert programme.path(spent) == ()
             continue
         assert programme.mse[spent] == pytest.approx(min(costs.values()), rel=ROUNDING)
+        assert Programme(relaxation, errors, spent).mse[spent] == programme.mse[spent]
         assert costs[programme.path(spent)] == pytest.approx(programme.mse[spent], rel=ROUNDING)
         for times, cost in list(costs.items())[:50]:
             assert programme.of_set(times) == pytest.approx(cost, rel=ROUNDING)

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from pfdist.api.display import Display
 from pfdist.cli.main import main
+from pfdist.common.estimate import Estimate
 from pfdist.runner.progress import Progress, SetGain
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
@@ -31,7 +32,7 @@ except OSError as error:
     code = 3 + ("standard output cannot be written" in str(error))
 sys.exit(code if first > 2 else 9)
 """
-_FOUND = SetGain("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
+_FOUND = SetGain("genetic", Estimate(0.26, 0.002))
 
 
 @pytest.mark.parametrize(
@@ -81,6 +82,16 @@ def test_a_name_that_is_not_utf8_is_written_as_it_is(
     assert main(["status", "a\udcffb"]) == 1
     sys.stderr.flush()
     assert b"a\xffb holds no run" in error.getvalue()
+
+
+@pytest.mark.parametrize(("gain", "says"), [(0.26, "lower"), (-0.26, "higher")])
+def test_progress_shows_the_gain_of_means_alone_with_its_standard_error(
+    gain: float, says: str
+) -> None:
+    out = io.StringIO()
+    found = (SetGain("genetic", Estimate(gain, 0.002)),)
+    Display(Console(file=out, width=99)).show(Progress("comparison", 1.0, 2.0, 9, found=found))
+    assert f"9 draws  genetic: error 26.00 ± 0.20 % {says}  " in out.getvalue()
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 140])

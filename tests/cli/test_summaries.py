@@ -53,7 +53,9 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
     row = next(line for line in lines if line.startswith("b ") and "random" in line)
     assert with_error(summary.expected_mse, summary.standard_error) in row
     assert row.split()[:3] == ["b", "2", "5"]
-    assert lines[-1] == "gain %: how far the expected MSE is below that of regular (95 %)"
+    assert lines[-1] == (
+        "±: one standard error; gain %: how far the MSE is below that of regular (95 %)"
+    )
 
 
 def test_a_table_that_does_not_fit_names_what_it_leaves_out(runs: Path, printed: Printed) -> None:

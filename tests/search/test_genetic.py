@@ -103,6 +103,40 @@ def test_crossover_of_parents_of_different_sizes_keeps_the_size_of_each() -> Non
     assert count_preserving_crossover(a, a, _rng()) == (a, a)
 
 
+@pytest.mark.parametrize(
+    "given", [{}, {"crossover_probability": 0.3}, {"crossover_probability": 0}]
+)
+def test_a_pair_is_crossed_with_its_probability_and_by_default_always(
+    given: dict[str, Any],
+) -> None:
+    """The paper, section 2.4: "Crossover probability is 1".
+
+    Of 1,000 pairs, half have different parents. They share no time, so one to five elements are
+    swapped, and only a swap of all five looks like none.
+    """
+    genetic = GeneticAlgorithm(Feasible(20, 5), population=2000, mutation_probability=0.0, **given)
+    parents = (0, 1, 2, 3, 4), (10, 11, 12, 13, 14)
+    told = [_evaluation(parents[number % 2], 1.0) for number in range(2000)]
+    asked = genetic.ask(genetic.tell(genetic.init(), told), _rng())
+    new = sum(candidate.measurement_times not in parents for candidate in asked)
+    pairs, share = 1000, given.get("crossover_probability", 1.0) * 0.5 * 0.8
+    assert new % 2 == 0
+    assert abs(new / 2 - pairs * share) <= 4 * np.sqrt(pairs * share * (1 - share))
+
+
+def test_where_smaller_sets_are_feasible_a_gene_is_replaced_removed_or_added() -> None:
+    """Each with a probability of a third, for the one gene of each individual."""
+    feasible = Feasible(20, cost=(1,) * 21, total_cost=20, smaller=True)
+    genetic = _genetic(feasible=feasible, population=6000, mutation_probability=0.6)
+    state = genetic.tell(genetic.init(), [_evaluation((8,), 1.0)] * 6000)
+    population = [each.measurement_times for each in genetic.ask(state, _rng())]
+    removed, added = population.count(()), sum(len(times) == 2 for times in population)
+    replaced = sum(len(times) == 1 and times != (8,) for times in population)
+    assert removed + added + replaced + population.count((8,)) == 6000
+    sd = np.sqrt(6000 * 0.2 * 0.8)
+    assert (np.abs(np.array([removed, added, replaced]) - 1200) < 4 * sd).all()
+
+
 def test_mutation_replaces_each_gene_with_its_probability_by_an_absent_time() -> None:
     genetic = _genetic(mutation_probability=0.1, crossover_probability=0.0, population=2000)
     times = (2, 5, 8, 11, 20)

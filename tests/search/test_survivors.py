@@ -106,6 +106,20 @@ def test_of_all_that_end_at_one_time_and_cost_the_same_two_are_extended(problem:
     assert max(extended.values()) == 2
 
 
+@pytest.mark.parametrize("smaller", [True, False])
+def test_no_measurement_is_too_late_only_where_money_may_be_left_over(smaller: bool) -> None:
+    """Twenty measurements fit into 41 instants, so the second should lie near t = 3."""
+    search = Survivors(Feasible(40, cost=(1,) * 41, total_cost=20, smaller=smaller))
+    steps = _steps(search, lambda times, end: float(len(times)))
+    (_, state), (asked, _) = next(steps), next(steps)
+    assert {times[-1] for times in state.front} == set(range(search.init().largest_gap))
+    seconds = {times for times, *_ in asked}
+    gaps = range(1, state.largest_gap + 1)
+    within = {(*times, times[-1] + gap) for times in state.front for gap in gaps}
+    latest = 40 if smaller else math.ceil(1.5 * 41 / 20 - 0.5 + state.corridor)
+    assert seconds == {times for times in within if times[-1] <= latest}
+
+
 def test_limits_that_are_in_the_way_are_widened() -> None:
     """Measurements are wanted late, far from their proportional places and far apart."""
 

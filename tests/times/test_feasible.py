@@ -218,6 +218,7 @@ def test_regular_times_are_the_nearest_set_to_the_papers(case: Any) -> None:
 
         least = min(map(distance, every))
         nearest = [chosen for chosen in every if distance(chosen) == least]
+        assert all(feasible.is_regular(chosen) == (chosen == papers) for chosen in every)
         assert times == min(nearest, key=lambda chosen: chosen[::-1])
 
 
