@@ -19,7 +19,8 @@
         ├── SilenceError            workers do not answer any more
         └── TaskError               a task failed in its worker; carries the traceback
 
-    EngineWarning                   NumPy computes a model, or compiled code is not kept
+    PfdistWarning                   something that a caller must hear about the results
+    └── EngineWarning               NumPy computes a model, or compiled code is not kept
 """
 
 import reprlib
@@ -189,5 +190,9 @@ class TaskError(PoolError):
         self.traceback = traceback
 
 
-class EngineWarning(UserWarning):
+class PfdistWarning(UserWarning):
+    """A warning about results: they lack something, or the model may be wrong."""
+
+
+class EngineWarning(PfdistWarning):
     """A warning of slow work: NumPy computes a model, or compiled code is not kept."""

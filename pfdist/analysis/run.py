@@ -96,15 +96,13 @@ class Run(StoredRun, Shown):
 
     def _page(self) -> Page:
         try:
-            results = self.summary().results
+            summary = self.summary()
         except StoreError:
             return Page("", _title(self), [])
+        warnings = list(filter(None, [summary.unproved]))
         head = ("times", "measurements", "expected MSE ± standard error", "below the reference")
-        rows = [[Cell(text) for text in _row(name, each)] for name, each in results.items()]
-        return Page("", _title(self), [Section("", [Table("", head, rows)])])
-
-    def __repr__(self) -> str:
-        return f"<{_title(self)}>"
+        rows = [[Cell(text) for text in _row(name, each)] for name, each in summary.results.items()]
+        return Page("", _title(self), [Section("", [Table("", head, rows)])], warnings)
 
 
 def open_run(path: str | Path) -> Run:

@@ -1,6 +1,8 @@
 """The results of a run as one record, which `pfdist status --json` prints."""
 
 import math
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from textwrap import shorten
 from typing import Any, TypeVar
@@ -20,6 +22,7 @@ from pfdist.analysis.stored_run import (
     named_sets,
     particle_losses_of,
     problem_of,
+    read_recorded,
     statistics_of,
     worst_of,
 )
@@ -190,6 +193,9 @@ class Summary:
         Rows of the table ``scenarios``, if the job has scenarios.
     is_worst : bool
         Whether the job asks for the least expected MSE in the worst scenario.
+    unproved : str
+        Why found sets have no lower bound, although one was asked for, and which command proves
+        one; empty if nothing is to be said.
     """
 
     state: str
@@ -207,6 +213,7 @@ class Summary:
     ranks: list[Row] | None
     scenarios: list[Row] | None = None
     is_worst: bool = False
+    unproved: str = ""
 
     @property
     def by_error(self) -> list[str]:
@@ -249,6 +256,7 @@ def summary_of(run: StoredRun) -> Summary:
     compared = "comparison" in tables
     named = compared and bool(named_sets(run))
     scenarios = run.job.get("scenarios", {})
+    results = _results(run) if "compared" in tables else {}
     return Summary(
         state=run.state,
         run=str(run.path),
@@ -259,13 +267,27 @@ def summary_of(run: StoredRun) -> Summary:
         is_constrained=problem.is_constrained,
         time_unit=problem.clock.unit if problem.has_clock else None,
         instant_weights=[*problem.weights] if problem.weights else None,
-        results=_results(run) if "compared" in tables else {},
+        results=results,
         online=finite(online_draws(run).summary()) if compared and "online" in tables else None,
         pairs=_rows(run, "pairs") if named else None,
         ranks=_rows(run, "ranks") if named else None,
         scenarios=_rows(run, "scenarios") if compared and scenarios else None,
         is_worst=bool(scenarios) and scenarios["criterion"] == "worst",
+        unproved=_unproved(run, results),
     )
+
+
+def _unproved(run: StoredRun, results: Mapping[str, SetResult]) -> str:
+    """Why found sets have no lower bound; see `Summary.unproved`."""
+    proofs = {name: each.lower_bound for name, each in results.items() if each.is_found}
+    noted = read_recorded(run.path)[0]["provenance"].get("unproved")
+    if noted and not any(proofs.values()):
+        return f"Not proved: {noted}."
+    names = defaultdict[str, list[str]](list)
+    for name, proof in proofs.items():
+        names[proof["reason"] if proof else ""].append(name)
+    reasons = [f"Not proved for {', '.join(each)}: {why}." for why, each in names.items() if why]
+    return " ".join(reasons)
 
 
 def _rows(run: StoredRun, table: str) -> list[Any]:

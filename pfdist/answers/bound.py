@@ -46,7 +46,8 @@ def proof(subject: Subject) -> Section | None:
         return None
     shares = next(iter(proofs.values())).get("shares") or ()
     texts = _scenarios(shares) if subject.summary.scenarios else []
-    blocks = [*_meaning(proofs), *_table(proofs), *texts, *_reasons(proofs)]
+    reasons = map(Text, _reasons(proofs))
+    blocks = [*_meaning(proofs), *_table(proofs), *texts, *reasons]
     title = "How much better can other times be?"
     return Section(title, [*blocks, Figures(["bound"])])
 
@@ -81,7 +82,7 @@ def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:
             warnings.append(f"{name}: {each['warning']}")
     blocks += [Text(NO_LIMITS)] if answer["leaves_out_limits"] else []
     texts = _scenarios(answer["shares"]) if answer["has_scenarios"] else []
-    blocks += [*_table(proofs), *texts, *_reasons(proofs), *_meaning(proofs)]
+    blocks += [*_table(proofs), *texts, *_meaning(proofs)]
     if answer["within_reached"] is False:
         blocks.append(
             Text(
@@ -91,7 +92,7 @@ def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:
         )
     drawn = f"on {answer['draws']:,} draws" if answer["particles"] else "exact"
     line = f"lower bound of {answer['run']}, {drawn}"
-    return Page("", line, [Section("", blocks)], warnings)
+    return Page("", line, [Section("", blocks)], [*warnings, *_reasons(proofs)])
 
 
 def _meaning(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
@@ -112,12 +113,9 @@ def _scenarios(shares: Sequence[float]) -> list[Block]:
     return [Text(_TOLD), *([Text(f"{_WORST}{listed}.")] if shares else [])]
 
 
-def _reasons(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
-    return [
-        Text(f"There is no lower bound for {name}: {each['reason']}.")
-        for name, each in proofs.items()
-        if each["reason"]
-    ]
+def _reasons(proofs: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    reasons = [(name, each["reason"]) for name, each in proofs.items()]
+    return [f"Not proved for {name}: {reason}." for name, reason in reasons if reason]
 
 
 def _row(name: str, proved: Mapping[str, Any]) -> list[Cell]:

@@ -33,7 +33,6 @@ def budget(subject: Subject) -> Section | None:
         Table("Expected error with its 95 % interval", _HEAD, _rows(results), optional=_HEAD[3:]),
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(results),
-        *_unproved(found_results),
         *_believed(found_results),
         sets_table(subject),
     ]
@@ -56,7 +55,7 @@ def _answer(subject: Subject) -> list[Text]:
     else:
         text = f"No smaller number of found times reaches the error of {regular_times}."
     if reached["impossible"] is not None:
-        text += f" No {number_of(reached['impossible'], 'time')} can (95 %)."
+        text += f" Proved: no {number_of(reached['impossible'], 'time')} can (95 % confidence)."
     if untried := _untried(subject, number):
         text += f" {untried}."
     return [Text(text, prominent=True)]
@@ -89,7 +88,8 @@ def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:
         text += f", but not {', '.join(map(str, others))}"
     impossible = reached.get("impossible")
     times = "time" if impossible == 1 else "times"
-    return text if impossible is None else f"{text}; no {impossible} {times} can (95 %)"
+    proved = f"proved: no {impossible} {times} can (95 % confidence)"
+    return text if impossible is None else f"{text}; {proved}"
 
 
 def _untried(subject: Subject, number: int) -> str:
@@ -162,13 +162,3 @@ def _believed(results: Sequence[SetResult]) -> Iterator[Text]:
     )
     if distrust := results[0].search_distrust:
         yield Text(f"searched again: {distrust}", detail=True)
-
-
-def _unproved(results: Sequence[SetResult]) -> Iterator[Text]:
-    """Why there is no lower bound, if a proof has failed."""
-    numbers = defaultdict[str, list[str]](list)
-    for result in results:
-        if reason := (result.lower_bound or {}).get("reason"):
-            numbers[reason].append(str(result.measurements))
-    for reason, every in numbers.items():
-        yield Text(f"no lower bound for N = {', '.join(every)}: {reason}")

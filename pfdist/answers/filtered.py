@@ -28,9 +28,6 @@ from pfdist.plots.why import effective_sample_size
 from pfdist.store.schema import components_in
 
 _P_DIGITS = 2
-_IMPROBABLE = (
-    "The model may be wrong about this system: it rarely gives measurements as surprising."
-)
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
 _SIZE = "Effective sample size of the filter's particles at each instant."
 
@@ -49,8 +46,8 @@ def filtered_page(answer: Mapping[str, Any], table: pd.DataFrame) -> Page:
     run, file = Path(answer["run"]).name, Path(answer["measurements"]).name
     number = number_of(len(answer["measured"]), "measurement")
     subtitle = f"{number} of {file}, filtered as the run {run} does, times of {answer['planned']}"
-    warnings = [_IMPROBABLE] if answer["is_improbable"] else []
     source = f"from the measurements {file} by the filter of the run {run}"
+    warnings = _improbable(answer)
     return Page("What the measurements say", subtitle, sections, warnings, source=source)
 
 
@@ -58,7 +55,6 @@ def filtered_answer(answer: Mapping[str, Any]) -> Page:
     """The answer of `pfdist.filter_measurements` in short; see `filtered_page`."""
     number = number_of(len(answer["measured"]), "measurement")
     line = f"{number}, filtered as {answer['run']} does; planned: {answer['planned']}"
-    warnings = [_IMPROBABLE] if answer["is_improbable"] else []
     evidence = answer["log_evidence"]
     reason = f"none: {answer['why_no_evidence']}" if evidence is None else ""
     facts = _times(answer)
@@ -66,7 +62,7 @@ def filtered_answer(answer: Mapping[str, Any]) -> Page:
         at, p, among = surprise
         facts.append(("most surprising", f"t = {at}, p = {p} ({among} among all measurements)"))
     facts.append(("log evidence", reason or rounded(evidence)))
-    return Page("", line, [Section("", [Facts(facts)])], warnings)
+    return Page("", line, [Section("", [Facts(facts)])], _improbable(answer))
 
 
 def _times(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -88,6 +84,13 @@ def _surprise(answer: Mapping[str, Any]) -> tuple[str, str, str] | None:
     p_values = most["surprise"], answer["surprise_of_all"]
     alone, among = (rounded(p, _P_DIGITS) for p in p_values)
     return _time(answer, most["t"]), alone, among
+
+
+def _improbable(answer: Mapping[str, Any]) -> list[str]:
+    """The warning about an improbable measurement, if there is one."""
+    at, p, among = _surprise(answer) or ("", "", "")
+    what = f"The measurement at t = {at} is improbable, p = {p} ({among} among all)"
+    return [f"{what}: the model may be wrong about this system."] * answer["is_improbable"]
 
 
 def _time(answer: Mapping[str, Any], t: float) -> str:
@@ -176,8 +179,7 @@ def next_page(answer: Mapping[str, Any]) -> Page:
     else:
         why = "the budget is spent" if answer["left"] == 0 else "no further measurement is possible"
         line = f"{so_far}: {why}"
-    warnings = [_SEE_SURPRISE] if answer["is_improbable"] else []
-    return Page("", line, [Section("", [Facts(facts)])], warnings)
+    return Page("", line, [Section("", [Facts(facts)])], [_SEE_SURPRISE] * answer["is_improbable"])
 
 
 def _before(answer: Mapping[str, Any]) -> list[tuple[str, str]]:

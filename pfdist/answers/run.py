@@ -161,7 +161,8 @@ def _warnings(subject: Subject) -> list[str]:
     ]
     shares = {name: each.top_percent_share for name, each in subject.results.items()}
     heavy_tail = heavy_tail_warning(shares)
-    return [*warnings, *([f"{heavy_tail}."] if heavy_tail else [])]
+    unproved = subject.summary.unproved  # in a terminal the last sentence
+    return [*warnings, *filter(None, [heavy_tail and f"{heavy_tail}.", unproved])]
 
 
 # --- the answer -----------------------------------------------------------------------------------
@@ -221,10 +222,8 @@ def _gain(subject: Subject, name: str) -> str:
 
 def _proof(subject: Subject, result: SetResult) -> str:
     proof = result.lower_bound
-    if proof is None:
+    if proof is None or proof["reason"]:
         return ""
-    if proof["reason"]:
-        return f"There is no lower bound: {proof['reason']}."
     constrained = subject.summary.is_constrained
     sentence = gap_sentence(
         proof,

@@ -16,10 +16,10 @@ from pfdist.api.run_of_job import finished_run, own_store, run_and_job
 from pfdist.bounds.proof import Gap
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
-from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.errors import ArgumentError, shown
 from pfdist.job.source import JobSource
 from pfdist.runner.bound_settings import BoundSettings
-from pfdist.runner.build import Built, check_pool
+from pfdist.runner.build import check_pool
 from pfdist.runner.door import Session, complete
 from pfdist.runner.prover import Look, Prover
 
@@ -145,7 +145,7 @@ def bound(
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
         check_pool(built.job.execution)
-        prover, within, clock = _prover(built, settings), settings.within, built.job.problem.clock
+        prover, within, clock = Prover(built, settings), settings.within, built.job.problem.clock
         with own_store(proved, built, tell) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
@@ -184,13 +184,3 @@ def bound(
         prover.shares,
         within,
     )
-
-
-def _prover(built: Built, settings: BoundSettings) -> Prover:
-    try:
-        return Prover(built, settings)
-    except JobError as error:
-        if error.argument != "window":
-            raise
-        message = f"{error}; take a smaller window, or more memory"
-        raise JobError(message, argument="window") from error

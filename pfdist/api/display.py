@@ -1,5 +1,6 @@
 """The progress of a run: a bar in a terminal, a line in a notebook, else plain lines."""
 
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -11,9 +12,7 @@ from rich.progress import (
     BarColumn,
     Progress,
     ProgressColumn,
-    TaskProgressColumn,
     TextColumn,
-    TimeRemainingColumn,
 )
 from rich.table import Column
 
@@ -52,14 +51,13 @@ WIDE = 110  # columns that a terminal needs for a bar
 LINE_SECONDS = 5.0  # between two lines without a terminal
 _RATE_SECONDS = 0.5  # after which the rate of a phase is shown
 _LONGEST_IN_SECONDS = 120  # longer times are given in minutes
+_GROWN = 3  # times in a row that the time left may grow before it is no forecast
 
 
 def _columns(with_bar: bool) -> list[ProgressColumn]:
     """The columns of a line; a narrow terminal cuts only the last, the description."""
     return [
-        TaskProgressColumn(table_column=Column(min_width=4, no_wrap=True)),
-        TimeRemainingColumn(compact=True, table_column=Column(min_width=5, no_wrap=True)),
-        TextColumn("left", table_column=Column(min_width=4, no_wrap=True)),
+        TextColumn("{task.fields[at]}", table_column=Column(min_width=26, no_wrap=True)),
         *([BarColumn(bar_width=16)] if with_bar else []),
         TextColumn(
             "{task.description}",
@@ -79,21 +77,26 @@ class Display:
     ----------
     console : Console, optional
         By default, the console of standard error.
+    after : float
+        Seconds before the progress is shown. If there are any, there are no plain lines.
     """
 
-    def __init__(self, console: Console | None = None) -> None:
+    def __init__(self, console: Console | None = None, after: float = 0.0) -> None:
         self._console = console or Console(stderr=True, highlight=False)
         self._bar = Progress(
             *_columns(self._console.width >= WIDE), console=self._console, transient=True
         )
         self._live = self._console.is_terminal
-        self._cell = notebook_line() if console is None else None
+        self._cell: Callable[[str], Any] | None = None
+        self._may_be_cell = console is None
+        self._begins, self._has_lines = time.monotonic() + after, not after
         self._task: Any = None
         # Rates count from the first answer of a phase: before it, workers start and compile. They
         # start again if the evaluations do: a phase may filter its draws several times.
         self._start, self._start_time, self._last = State("", 0.0, 1.0), 0.0, 0
         self._answered = False
         self._last_done, self._last_time = -1.0, 0.0  # of the last plain line
+        self._left, self._left_time, self._grown = math.inf, 0.0, 0  # seconds left, and when
 
     def __enter__(self) -> Self:
         return self
@@ -116,20 +119,25 @@ class Display:
             self._start, self._start_time, self._answered = state, now, not begins
         self._last = state.evaluations
         line = "  ".join([*_position(state), *self._rate(state, now)])
-        percent = 100 * state.done / state.total
+        percent, left = 100 * state.done / state.total, self._time_left(state, now)
+        if now < self._begins:
+            return
+        if self._cell is None and self._may_be_cell:
+            self._cell = notebook_line()
         if self._cell is not None:
-            self._cell(f"{percent:.1f} %  {line}")
+            self._cell(f"{percent:.1f} %  {line}  {left}")
             return
         if self._live:
+            at, done, total = f"{percent:3.0f}% {left}", state.done, state.total
             if self._task is None:
-                self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
+                self._task = self._bar.add_task(line, at=at)
                 self._bar.start()
-            self._bar.update(self._task, completed=state.done, description=line)
+            self._bar.update(self._task, completed=done, total=total, description=line, at=at)
             return
         finished = state.done == state.total and state.done != self._last_done
-        if finished or now - self._last_time >= LINE_SECONDS:
+        if self._has_lines and (finished or now - self._last_time >= LINE_SECONDS):
             self._last_done, self._last_time = state.done, now
-            self.say(f"{percent:5.1f} %  {line}  {self._time_left(state, now)}")
+            self.say(f"{percent:5.1f} %  {line}  {left}")
 
     def _rate(self, state: State, now: float) -> list[str]:
         """The evaluations or draws per second, if they are known."""
@@ -141,13 +149,17 @@ class Display:
         return [f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s"]
 
     def _time_left(self, state: State, now: float) -> str:
+        """The time left at the pace of this phase, without work that may be left out."""
         if not self._answered or state.done <= self._start.done:
             return ""
         seconds_each = (now - self._start_time) / (state.done - self._start.done)
-        seconds = seconds_each * (state.total - state.done)
-        if seconds < _LONGEST_IN_SECONDS:
-            return f"about {seconds:,.0f} s left"
-        return f"about {seconds / 60:,.0f} min left"
+        seconds = seconds_each * max(0.0, state.total - state.optional - state.done)
+        if now - self._left_time >= LINE_SECONDS:
+            self._grown = self._grown + 1 if seconds > self._left else 0
+            self._left, self._left_time = seconds, now
+        minutes, about = f"{seconds / 60:,.0f} min", "at least" if state.optional else "about"
+        amount = f"{seconds:,.0f} s" if seconds < _LONGEST_IN_SECONDS else minutes
+        return f"{about} {amount} left" if self._grown < _GROWN else ""
 
 
 def _position(state: State) -> list[str]:

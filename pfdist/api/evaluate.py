@@ -5,15 +5,17 @@ from functools import partial
 from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pfdist.api.options import following
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Work
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.progress import Progress, silent
 from pfdist.runner.searches import Settings
 from pfdist.times.clock import Time
 from pfdist.times.measurement_times import REGULAR, Times
@@ -54,6 +56,8 @@ def evaluate(
     seed: int | None = None,
 ) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
+
+    A terminal and a notebook show the progress from the fifth second on.
 
     Parameters
     ----------
@@ -127,18 +131,13 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
         exact, mse = built.exact_costs([*times]).tolist(), np.empty((count, 0))
     else:
         evaluation = Settings.from_job(built.job)
-        work = Work(
-            measurement_times=times,
-            ends=(evaluator.horizon,) * count,
-            filter_streams=(stream,) * count,
-            draws_stream=stream,
-            draws=(0, evaluation.draws),
-            estimation=evaluation.estimation,
-            ids=tuple(sets),
-            sensors=evaluator.sensors,
-        )
-        scenarios = evaluator.scenarios_of(stream, range(evaluation.draws))
-        pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
+        draws, of, pieces = evaluation.draws, evaluation.estimation, list[NDArray[np.float64]]()
+        work = evaluator.work(times, stream, stream, (0, draws), of, ids=tuple(sets))
+        scenarios = evaluator.scenarios_of(stream, range(draws))
+        with following(None, silent) as (show, _):
+            for piece in evaluator.pieces(work, MOST_SECONDS):
+                pieces.append(evaluator.filtered(piece).mse)
+                show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
         mse = np.concatenate(pieces).T.copy()
     return {
         name: Evaluation(

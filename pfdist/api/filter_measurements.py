@@ -1,5 +1,6 @@
 """Real measurements of one system, filtered as a run filters its draws."""
 
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,10 +21,12 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.component_names import Component
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
+from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
 from pfdist.job.source import JobSource
 from pfdist.models.base import within_half_turn
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
+from pfdist.runner.progress import Say, silent
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
@@ -132,7 +135,7 @@ def filter_measurements(
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     report: bool = True,
-    say: Callable[[str], Any] = lambda line: None,
+    say: Say = silent,
 ) -> FilteredMeasurements:
     """Filter real measurements of one system with the filter of a finished run.
 
@@ -163,7 +166,8 @@ def filter_measurements(
     report : bool
         Whether to write the report.
     say : callable, optional
-        Receives a line for each model file before the file is run.
+        Receives a line for each model file before the file is run. Without it, an improbable
+        measurement is a `pfdist.errors.PfdistWarning`, too.
 
     Returns
     -------
@@ -222,6 +226,8 @@ def filter_measurements(
         draw_filtered(files[1], filtered_plot(result.table, marked))
     for file in files[2:]:
         write_page(filtered_page(result.as_json(), result.table), file)
+    for line in result._page().warnings if say is silent else ():
+        warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 
 

@@ -1,6 +1,7 @@
 """The time to measure next, from a run and the measurements so far."""
 
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
 from numbers import Integral, Real
@@ -19,10 +20,11 @@ from pfdist.api.run_of_job import run_and_job
 from pfdist.common.formatted_times import formatted_time
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
-from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
+from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.job.source import JobSource
+from pfdist.runner.progress import Say, silent
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
@@ -115,7 +117,7 @@ def next_time(
     prior: Table | Prior | ArrayLike = "",
     results: str | Path | None = None,
     changes: Iterable[str] = (),
-    say: Callable[[str], Any] = lambda line: None,
+    say: Say = silent,
 ) -> NextTime:
     """Choose when to measure one system next, from the measurements so far.
 
@@ -139,7 +141,8 @@ def next_time(
     changes : iterable of str, optional
         Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
     say : callable, optional
-        Receives a line for each model file before the file is run.
+        Receives a line for each model file before the file is run. Without it, an improbable
+        measurement is a `pfdist.errors.PfdistWarning`, too.
 
     Returns
     -------
@@ -177,7 +180,7 @@ def next_time(
     expected, *expected_before = planner.expected(
         planner.plan(), *([clock.written_of(before)] if still else [])
     )
-    return NextTime(
+    result = NextTime(
         plan.run.path,
         plan.name,
         planner.measured,
@@ -190,6 +193,9 @@ def next_time(
         surprise,
         clock.unit,
     )
+    for line in result._page().warnings if say is silent else ():
+        warnings.warn(line, PfdistWarning, stacklevel=2)
+    return result
 
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:

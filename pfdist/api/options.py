@@ -2,6 +2,7 @@
 
 import contextlib
 import inspect
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -11,40 +12,38 @@ from typing import Any, ParamSpec, TypedDict, TypeVar
 from pfdist.common.arguments import called_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ArgumentError
-from pfdist.runner.progress import Show
+from pfdist.runner.progress import Say, Show, silent
 
-Say = Callable[[str], Any]
 MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
-def silent(line: str) -> None:
-    """Print nothing."""
-
-
 @contextlib.contextmanager
-def following(progress: Show | bool, say: Say) -> Iterator[tuple[Show, Say]]:
+def following(progress: Show | bool | None, say: Say) -> Iterator[tuple[Show, Say]]:
     """The functions that receive the progress and the messages of a computation.
 
     Parameters
     ----------
-    progress : callable or bool
+    progress : callable, bool or None
         True shows progress and messages: a bar in a terminal, a line in a notebook, else a line
-        every few seconds. False shows nothing. A callable receives each
+        every few seconds. False shows nothing. None shows the progress of a computation that
+        takes longer than five seconds in a terminal or a notebook. A callable receives each
         `pfdist.runner.progress.Progress`.
     say : callable
         Receives the messages, line by line.
     """
     called_argument("say", say)
-    if not isinstance(progress, bool):
-        called_argument("progress", progress)
-        yield progress, say
-    elif not progress:
+    # A process without a terminal and a notebook loads no rich.
+    wanted = (sys.stderr.isatty() or "IPython" in sys.modules) if progress is None else progress
+    if not isinstance(wanted, bool):
+        called_argument("progress", wanted)
+        yield wanted, say
+    elif not wanted:
         yield lambda state: None, say
     else:
-        from pfdist.api.display import Display  # noqa: PLC0415  rich takes long to load
+        from pfdist.api.display import LINE_SECONDS, Display  # noqa: PLC0415  rich takes long to load
 
-        with Display() as display:
-            yield display.show, display.say if say is silent else say
+        with Display(after=LINE_SECONDS if progress is None else 0.0) as display:
+            yield display.show, display.say if progress and say is silent else say
 
 
 P = ParamSpec("P")
@@ -69,12 +68,14 @@ class Options(TypedDict, total=False):
     report : bool, optional
         Whether to write the file ``report.html``; by default if figures are drawn. See
         `pfdist.report`.
-    progress : callable or bool
+    progress : callable or bool, optional
         Whether to show progress and messages, or what receives each
-        `pfdist.runner.progress.Progress`.
+        `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress
+        from the fifth second on.
     say : callable, optional
         Receives lines: which model files are run, when the pool is ready, which files were
-        damaged, why a search does not trust its estimator, and why there is no lower bound.
+        damaged, why a search does not trust its estimator, and why there is no lower bound. By
+        default lines that concern the results become a `pfdist.errors.PfdistWarning`.
     """
 
     pool: str | None
@@ -83,7 +84,7 @@ class Options(TypedDict, total=False):
     wait_for_cores: int | None
     figures: bool
     report: bool | None
-    progress: Show | bool
+    progress: Show | bool | None
     say: Say
 
 
@@ -97,7 +98,7 @@ class Chosen:
     wait_for_cores: int | None = None
     figures: bool = True
     report: bool | None = None
-    progress: Show | bool = False
+    progress: Show | bool | None = None
     say: Say = silent
 
     @property

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.listed_run import FINISHED
-from pfdist.api.options import Say
 from pfdist.api.run import compute
 from pfdist.errors import BusyError, PfdistError, StoreError, one_line
 from pfdist.job.sweep import SweepJob
@@ -16,7 +15,7 @@ from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.door import Driver, Session
 from pfdist.runner.identity import opened
-from pfdist.runner.progress import Progress, Show
+from pfdist.runner.progress import Progress, Say, Show, heard, silent
 from pfdist.runner.provenance import lender
 from pfdist.store import Store, holds_run, is_held
 
@@ -82,7 +81,7 @@ class PointsAtWork:
                 yield None
             todo = [name for name in self._busy if not is_held(self._path / name)]
         for name, why in self._busy.items():
-            self._say(f"{name}: left out: {why}")
+            heard(self._say, f"{name}: left out: {why}")
 
     def points(self) -> Points:
         """The points when all drivers have ended."""
@@ -124,9 +123,10 @@ class PointsAtWork:
             self._progress[name] = progress
             self._tell()
 
-        def say(line: str) -> None:
+        def told(line: str) -> None:
             self._say(f"{name}: {line}")
 
+        say = silent if self._say is silent else told  # lines about results become warnings
         try:
             built = build(self._sweep.jobs[name])
             with opened(self._path / name, built, say) as store:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.answers.run import page_of
-from pfdist.api.options import Say, silent
 from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
+from pfdist.runner.progress import Say, heard, silent
 from pfdist.store import holds_run, is_held, remove_file, write_file
 from pfdist.store.folder import REPORT, check_page_replaceable, has_report, runs_below
 
@@ -135,10 +135,10 @@ def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
         else:
             write_sweep_report(path)
     except PfdistError as error:
-        say(f"there is no report: {error}")
+        heard(say, f"there is no report: {error}")
     except Exception as error:
         text = one_line(shown_text(f"{type(error).__name__}: {error}"))
-        say(f"there is no report: {text} (`pfdist report {path} --debug` shows where)")
+        heard(say, f"there is no report: {text} (`pfdist report {path} --debug` shows where)")
 
 
 def renew_report(path: Path, say: Say) -> None:

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Unpack
 
-from pfdist.analysis import Run, open_run
+from pfdist.analysis import Run, open_run, read_recorded
 from pfdist.answers.run import answer_in_a_line
 from pfdist.api.at_work import at_work, noted
 from pfdist.api.options import Chosen, Options, Say, following, with_options
@@ -22,9 +22,10 @@ from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.driver import drive
 from pfdist.runner.identity import is_sealed, opened
-from pfdist.runner.progress import Show
+from pfdist.runner.progress import Show, heard
 from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
+from pfdist.store import add_to_provenance
 from pfdist.store.folder import has_report, remove_figures
 
 _OF_FIGURES = ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special")
@@ -112,7 +113,7 @@ def run_built(
         As `run` raises.
     """
     if is_sealed(path, built):
-        say(f"{path} cannot be written: its figures and its report stay as they are")
+        heard(say, f"{path} cannot be written: its figures and its report stay as they are")
         return Run(path, built.job)
     lenders = [lender(open_run(other).path, built) for other in reuse]
 
@@ -165,9 +166,9 @@ def compute(
     """
     built, store, say = session.built, session.store, session.say
     path = store.path
-    prover, unfinished = _prover(built, settings, say), open_run(path).state != "finished"
+    prover, unfinished = _prover(session, settings), open_run(path).state != "finished"
     if not unfinished and (
-        prover is None or prover.has_proved(open_run(path)) or _is_long(prover, built, path, say)
+        prover is None or prover.has_proved(open_run(path)) or _is_long(session, prover)
     ):
         return False
     remove_report(path)
@@ -175,10 +176,11 @@ def compute(
         remove_figures(path)  # they show fewer draws
     note_processor(path, built, say)
     if prover is not None:
-        session.reporter.foresee(prover.steps)
+        session.reporter.foresee(prover.steps, prover.steps)
     with noted(session):
         yield from drive(session)
-        if prover is not None and not _is_long(prover, built, path, say):
+        if prover is not None and not _is_long(session, prover):
+            session.reporter.note(optional=0.0)
             run = open_run(path)
             if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search
@@ -186,8 +188,8 @@ def compute(
                 compared()
             try:
                 yield from prover.prove(session, open_run(path))
-            except TaskError as error:  # the results of the run stand
-                say(f"there is no lower bound: {error}")
+            except (JobError, ModelError, TaskError) as error:  # the results of the run stand
+                _unproved(session, str(error))
     session.reporter.finish()
     return True
 
@@ -200,26 +202,31 @@ def bound_settings(draws: int) -> BoundSettings | None:
         raise JobError(f"bound_{error} (0 for no bound)", argument="bound_draws") from error
 
 
-def _prover(built: Built, settings: BoundSettings | None, say: Say) -> Prover | None:
+def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
     """A prover of the run's lower bound; None if no bound is wanted or known."""
     if settings is None:
         return None
     try:
-        prover = Prover(built, settings)
+        return Prover(session.built, settings)
     except (JobError, ModelError) as error:
-        hint = "; try pfdist bound --window 1, or more --memory"
-        say(f"there is no lower bound: {error}{hint * (error.argument == 'window')}")
-        return None
-    return prover
+        _unproved(session, str(error))
+    return None
 
 
-def _is_long(prover: Prover, built: Built, path: Path, say: Say) -> bool:
+def _is_long(session: Session, prover: Prover) -> bool:
     """Whether a bound takes longer than somebody waits who did not ask for it; if so, say it."""
-    minutes = prover.steps * _seconds_a_step(built, path) / 60
+    minutes = prover.steps * _seconds_a_step(session.built, session.store.path) / 60
     if minutes > _PATIENCE:
-        say(f"there is no lower bound yet: pfdist bound would take about {minutes:.0f} minutes of "
-            "one core")  # fmt: skip
+        _unproved(session, f"`pfdist bound JOB` takes about {minutes:,.0f} minutes of one core")
     return minutes > _PATIENCE
+
+
+def _unproved(session: Session, reason: str) -> None:
+    """Say why there is no lower bound, and keep it for every answer of the run."""
+    if read_recorded(session.store.path)[0]["provenance"].get("unproved") != reason:
+        add_to_provenance(session.store.path, {"unproved": reason})
+        remove_report(session.store.path)
+    heard(session.say, f"Not proved: {reason}.")
 
 
 def _seconds_a_step(built: Built, path: Path) -> float:

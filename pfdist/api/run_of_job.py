@@ -9,13 +9,13 @@ from typing import Any
 
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.stored_run import job_of
-from pfdist.api.options import Say
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, RunMismatchError, StoreError
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, say_model_files
 from pfdist.runner.identity import check_same_job, check_same_models, opened, store_of
+from pfdist.runner.progress import Say, heard
 from pfdist.runner.provenance import note_processor
 from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.store import Store, folder_of_run, holds_run
@@ -163,12 +163,15 @@ def own_store(
             note_processor(run.path, built, say)
         except RunMismatchError as error:
             difference, *_ = error.differences
-            say(f"{run.path} is of another program ({difference}): the answer is not stored there")
+            line = (
+                f"{run.path} is of another program ({difference}): the answer is not stored there"
+            )
+            heard(say, line)
             store = _elsewhere(stack, built)
         except StoreError as error:
             if must_be:
                 raise
-            say(f"the answer is not stored in the run: {error}")
+            heard(say, f"the answer is not stored in the run: {error}")
             store = _elsewhere(stack, built)
         yield store
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter
 from typing import Unpack
 
 import pandas as pd
@@ -10,7 +11,7 @@ import pandas as pd
 from pfdist.analysis import Run, open_run, read_recorded
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import at_work
-from pfdist.api.options import Chosen, Options, Say, following, with_options
+from pfdist.api.options import Chosen, Options, following, with_options
 from pfdist.api.points_at_work import Points, PointsAtWork
 from pfdist.api.report import try_report
 from pfdist.api.run import bound_settings
@@ -21,14 +22,16 @@ from pfdist.job.job import Job
 from pfdist.job.points import Values
 from pfdist.job.source import JobSource
 from pfdist.job.sweep import SweepJob, check_comparable, judging, read_sweep
-from pfdist.runner.build import build, check_pool, say_model_files
+from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import Driver, Loop
 from pfdist.runner.driver import foreseen_steps
+from pfdist.runner.progress import Progress, Say, Show, heard, silent
 from pfdist.store import holds_run
 from pfdist.store.folder import has_report
 
 _SHOWN = 3  # failures in an error
+_MOMENT = 0.1  # seconds of the filters that measure the speed of a point
 _NOTHING: Mapping[str, object] = {}
 
 
@@ -196,7 +199,7 @@ def _judged(sweep_job: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob 
         The found times cannot be judged.
     """
     if len(runs) < len(sweep_job.points):
-        say("the found times are not judged, because not all points are finished")
+        heard(say, "the found times are not judged, because not all points are finished")
         return None
     judged = judging(sweep_job, times_by_search(runs))
     say(f"judges the found times at all {len(sweep_job.points)} points")
@@ -237,12 +240,14 @@ def foreseen(
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     judge: bool | None = None,
+    progress: Show | bool | None = None,
+    say: Say = silent,
 ) -> pd.DataFrame:
-    """The points of a sweep and about how much work each is; nothing is computed.
+    """The points of a sweep and about how much work each is, by the speed of a few draws.
 
     Parameters
     ----------
-    job, over, results, changes, judge
+    job, over, results, changes, judge, progress, say
         As for `sweep`.
 
     Returns
@@ -261,18 +266,34 @@ def foreseen(
     sweep_job = read_sweep(job, over, (), (), changes, {})
     path, judges = checked_folder(sweep_job, results, judge)
     rows, steps_a_set, number_of_sets = [], [], 0
-    for point in sweep_job.points:
-        folder, built = path / point.name, build(sweep_job.jobs[point.name])
-        state = _state(folder, built.job)
-        steps = foreseen_steps(built)
-        work = {"steps": steps, "seconds": steps * built.evaluator.seconds_a_step}
-        rows.append({"point": point.name, **point.chosen, "state": state, **work})
-        steps_a_set.append(comparison_steps(built) // len(built.names))
-        number_of_sets += len(built.names) - len(built.study.unsearched)
+    with following(progress, say) as (show, _):
+        for done, point in enumerate(sweep_job.points):
+            show(Progress("dry run", done, len(sweep_job.points), doing=f"measuring {point.name}"))
+            folder, built = path / point.name, build(sweep_job.jobs[point.name])
+            state = _state(folder, built.job)
+            steps = foreseen_steps(built)
+            work = {"steps": steps, "seconds": steps * _seconds_a_step(built)}
+            rows.append({"point": point.name, **point.chosen, "state": state, **work})
+            steps_a_set.append(comparison_steps(built) // len(built.names))
+            number_of_sets += len(built.names) - len(built.study.unsearched)
     points_of_sweep = pd.DataFrame(rows)
     if judges:
         points_of_sweep["judging_steps"] = [steps * (number_of_sets + 1) for steps in steps_a_set]
     return points_of_sweep
+
+
+def _seconds_a_step(built: Built) -> float:
+    """Seconds of a particle-step, by filters that take a moment; an exact engine has a guess."""
+    evaluator, draws, seconds = built.evaluator, 1, 0.0
+    if evaluator.exact:
+        return evaluator.seconds_a_step
+    while seconds < _MOMENT:
+        draws, start = 2 * draws, perf_counter()
+        sets = [built.job.problem.feasible.regular()]
+        work = evaluator.work(sets, 0, 0, (0, draws), built.comparing)
+        evaluator.filtered(work)
+        seconds = perf_counter() - start
+    return seconds / work.steps
 
 
 def _state(folder: Path, job: Job) -> str:

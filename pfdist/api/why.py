@@ -121,7 +121,7 @@ def why(
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     figures: bool = True,
-    progress: Show | bool = False,
+    progress: Show | bool | None = None,
     say: Say = silent,
 ) -> Why:
     """Compute what each measurement of a finished run is worth, and how exactly it must be kept.
@@ -144,9 +144,10 @@ def why(
         Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
     figures : bool
         Whether to draw the figures.
-    progress : callable or bool
+    progress : callable or bool, optional
         Whether to show progress and messages, or what receives each
-        `pfdist.runner.progress.Progress`.
+        `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress
+        from the fifth second on.
     say : callable, optional
         Receives a line for each model file before the file is run.
 

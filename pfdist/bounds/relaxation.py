@@ -321,7 +321,7 @@ def relaxation_for(
     if cells > most_cells:
         raise JobError(
             f"window = {window} needs about {cells:,} numbers for each group of draws, allowed: "
-            f"{most_cells:,}",
+            f"{most_cells:,}; take a smaller window, or more memory",
             argument="window",
         )
     return _relaxation(constraints, window, gap)

@@ -68,7 +68,7 @@ def computed(
     given = signature(function).bind_partial(options.job, *arguments).arguments
     keywords = [key for key in signature(function).parameters if key not in given]
     chosen = {key: getattr(options, key) for key in keywords if hasattr(options, key)} | chosen
-    if hasattr(options, "no_report"):
+    if "report" in keywords and hasattr(options, "no_report"):
         chosen["report"] = not options.no_report
     with Display() as display:
         chosen |= {"changes": options.set, "say": display.say}

@@ -15,7 +15,7 @@ from typing import Any
 
 from pfdist.cli.parser import make_parser, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
-from pfdist.errors import EngineWarning, PfdistError, SilenceError, TaskError, one_line
+from pfdist.errors import PfdistError, PfdistWarning, SilenceError, TaskError, one_line
 
 _BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # batch systems send these when time is up
 _received: list[int] = []  # signals of a batch system since the command began
@@ -117,7 +117,8 @@ def _run(options: Namespace, *, ends: bool) -> int:
         return _failed(str(error), f" (--{option})" if option else hint, code)
     except KeyboardInterrupt:
         cause = "asked to end" if _received else "interrupted"
-        goes_on = f"; {_GOES_ON}" if options.called.goes_on else ""
+        keeps = options.called.goes_on and not getattr(options, "dry_run", False)
+        goes_on = f"; {_GOES_ON}" if keeps else ""
         print(f"pfdist: {cause}{goes_on}", file=sys.stderr)
         return _AGAIN if _received else _INTERRUPTED
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
@@ -154,6 +155,6 @@ def _warnings_as_lines() -> Iterator[None]:
         print(f"pfdist: warning: {one_line(str(message))}", file=sys.stderr)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("always", EngineWarning)
+        warnings.simplefilter("always", PfdistWarning)
         warnings.showwarning = show
         yield

@@ -82,7 +82,7 @@ def gap_sentence(
     is_constrained: bool = False,
     has_scenarios: bool = False,
 ) -> str:
-    """The sentence about how much lower the error of other times can be, if there is a bound.
+    r"""The sentence about how much lower the error of other times can be, if there is a bound.
 
     `gap` has the fields of `pfdist.bounds.proof.Gap` as JSON, and ``confidence``. `measurements` is
     the number of measurements of the set, and `is_constrained` says whether other constraints
@@ -90,29 +90,37 @@ def gap_sentence(
 
     >>> gap = {"budget": 4, "gap": 0.0, "bound_error": 0.0}
     >>> gap_sentence(gap, 4)
-    'No other 4 times have a lower expected error.'
+    'Proved: no other 4 times have a lower expected error.'
     >>> gap_sentence(gap, 3)
-    'No other times that cost no more have a lower expected error.'
+    'Proved: no other times that cost no more have a lower expected error.'
     >>> gap_sentence({**gap, "budget": 1}, 1, is_constrained=True)
-    'No other time that the constraints allow has a lower expected error.'
+    'Proved: no other time that the constraints allow has a lower expected error.'
     >>> gap_sentence({**gap, "gap": 0.5}, 4, has_scenarios=True).partition(", ")[2]
     'even with a filter that is told the scenario.'
+    >>> estimated = gap | {"bound_error": 1.0, "confidence": 0.95, "gap": 0.017}
+    >>> estimated = gap_sentence(estimated | {"gap_at_most": 0.0301}, 4).replace("\xa0", " ")
+    >>> estimated.partition("by more than ")[2]
+    'a further 3.1 % (95 % confidence; estimate 1.7 %).'
     """
     times = "time" if measurements == 1 else f"{measurements} times"
     conditions = ["that the constraints allow"] if is_constrained else []
     if gap["budget"] != measurements:  # the budget counts money
         times, conditions = "times", ["that cost no more", *conditions]
-    have = "has" if times == "time" else "have"
+    have, lower = ("has", "lowers") if times == "time" else ("have", "lower")
     times = " ".join([times, " and ".join(conditions)]).rstrip()
     if not gap["bound_error"] and gap["gap"] < _ROUNDING:
-        return f"No other {times} {have} a lower expected error."
-    limit = ""
-    if gap["bound_error"]:
-        at_most = _percent(rounded_up(gap["gap_at_most"]))
-        limit = f" ({100 * gap['confidence']:.3g}\xa0%:\xa0{at_most})"
-    lower = f"can lower the error by more than another {_percent(gap['gap'])}"
+        return f"Proved: no other {times} {have} a lower expected error."
     told = ", even with a filter that is told the scenario" if has_scenarios else ""
-    return f"No other {times} {lower}{limit}{told}."
+    return f"Proved: no other {times} {lower} the error {at_most(gap, told)}."
+
+
+def at_most(gap: Mapping[str, Any], told: str = "") -> str:
+    """The gap in words: what is proved first, then its confidence and the estimate."""
+    if not gap["bound_error"]:  # it is exact
+        return f"by more than a further {_percent(rounded_up(gap['gap']))}{told}"
+    limit = f"by more than a further {_percent(rounded_up(gap['gap_at_most']))}{told}"
+    confidence = f"{100 * gap['confidence']:.3g}\xa0% confidence"
+    return f"{limit} ({confidence}; estimate {_percent(gap['gap'])})"
 
 
 def rounded_up(fraction: float) -> float:

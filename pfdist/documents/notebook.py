@@ -7,7 +7,7 @@ from pfdist.documents.parts import Block, Facts, Page, Table, Text, without_empt
 
 
 class Shown:
-    """A result that a prompt shows as a line, and a notebook as its answer.
+    """A result that a prompt shows as a line with its warnings, and a notebook as its answer.
 
     A class that inherits from this one defines `_page`.
     """
@@ -16,7 +16,7 @@ class Shown:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        return f"<{self._page().subtitle}>"
+        return f"<{' | '.join([(page := self._page()).subtitle, *page.warnings])}>"
 
     def _repr_html_(self) -> str:
         return as_fragment(self._page())

@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from pfdist.analysis import Run, reaching
-from pfdist.common.percent import rounded_up
-from pfdist.common.rounding import rounded
+from pfdist.common.percent import at_most
 from pfdist.plots.figure import Plot, Tables, figure, one_number, save_plots
 from pfdist.plots.panel import (
     BAND,
@@ -170,11 +169,8 @@ def _title_of_proof(rows: pd.DataFrame, names: list[str]) -> str:
     if gaps.empty:
         return "There is no lower bound of the found times."
     best = proved.loc[gaps.idxmin()]
-    limit = rounded(100 * rounded_up(best["gap_at_most"]), 2)
-    return (
-        f"No other times lower the expected MSE of {best['name']}, {best['expected_mse']:.4g}, by "
-        f"more than {limit} % ({100 * best['confidence']:g} %)."
-    )
+    mse = f"the expected MSE of {best['name']}, {best['expected_mse']:.4g}"
+    return f"Proved: no other times lower {mse}, {at_most(best)}."
 
 
 def _last_proof(rows: pd.DataFrame) -> pd.DataFrame:

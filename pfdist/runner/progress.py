@@ -1,10 +1,26 @@
 """The progress of a run, and the reporter that adds it up and shows it to the user."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pfdist.common.estimate import Estimate
+from pfdist.errors import PfdistWarning
+
+Say = Callable[[str], Any]
+
+
+def silent(line: str) -> None:
+    """Print nothing."""
+
+
+def heard(say: Say, line: str) -> None:
+    """Say a line about the results; it becomes a warning if nobody receives lines."""
+    if say is silent:
+        warnings.warn(line, PfdistWarning, stacklevel=3)
+    else:
+        say(line)
 
 
 @dataclass(frozen=True)
@@ -32,6 +48,8 @@ class Progress:
         Name of a search, ``comparison``, ``online``, or a part of the proof of a lower bound.
     done, total : float
         Particle-steps over all phases and sets of times; the total is a forecast.
+    optional : float
+        Particle-steps of the total that may be left out.
     evaluations : int
         Evaluations finished in this phase, copies counted; in ``comparison`` and ``online``, draws.
         The count starts again where a phase goes through its draws again, as those of `why` do.
@@ -57,6 +75,7 @@ class Progress:
     mean: float | None = None
     found: tuple[SetGain, ...] = ()
     doing: str = ""
+    optional: float = 0.0
 
 
 Show = Callable[[Progress], Any]
@@ -81,8 +100,8 @@ class Reporter:
 
     def begin(self, phase: str, **shown: Any) -> None:
         """Report that a phase begins, with the fields that it shows; all others are reset."""
-        done, total = self._progress.done, self._progress.total
-        self._progress = Progress(phase, done, total)
+        done, total, optional = self._progress.done, self._progress.total, self._progress.optional
+        self._progress = Progress(phase, done, total, optional=optional)
         self.reach(done, **shown)
 
     def reach(self, done: float, **shown: Any) -> None:
@@ -94,9 +113,10 @@ class Reporter:
         """Change fields of the progress, to be shown with the next report."""
         self._progress = replace(self._progress, **shown)
 
-    def foresee(self, steps: float) -> None:
-        """Expect more particle-steps in total."""
-        self.note(total=self._progress.total + steps)
+    def foresee(self, steps: float, optional: float = 0.0) -> None:
+        """Expect more particle-steps in total, of which so many may be left out."""
+        before = self._progress
+        self.note(total=before.total + steps, optional=before.optional + optional)
 
     def finish(self) -> None:
         """Report that nothing remains, also where fewer particle-steps were enough."""

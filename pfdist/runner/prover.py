@@ -161,9 +161,12 @@ class Prover:
         steps = self._steps(feasible_times, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
         looks, before, groups = list[Look](), 0, GroupSums(self._counted(feasible_times))
+        within = self._settings.within
         if self.particles:
             session.reporter.begin("lower bound")
         for blocks in self._blocks:
+            later = steps - self._steps(feasible_times, blocks)  # `within` may leave it out
+            session.reporter.note(optional=later * (within is not None))
             reason, sums = "", None
             try:
                 if feasible:
@@ -180,7 +183,6 @@ class Prover:
             looks.append(
                 Look(blocks * BLOCK, growth + self._steps(feasible_times, blocks), gaps_in_order)
             )
-            within = self._settings.within
             if reason:  # more draws would not help
                 break
             if within is not None and looks[-1].is_within(within, self._built.unjudged):

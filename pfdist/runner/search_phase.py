@@ -16,6 +16,7 @@ from pfdist.filters.estimate import Evaluation, difference
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase
+from pfdist.runner.progress import heard
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
 from pfdist.search.probe import (
@@ -91,7 +92,7 @@ def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, 
     leaders = searching.leaders
     polishes = bool(search.polishing) and not _is_too_long(session.built, search)
     if finalists and search.polishing and not polishes:
-        session.say(f"search {search.name}: exchanges would take too long, and are left out")
+        heard(session.say, f"search {search.name}: exchanges would take too long, and are left out")
     if finalists and polishes:
         start, ends = finalists[0].measurement_times, list[Evaluation]()
         for name in search.polishes:
@@ -121,7 +122,7 @@ def _distrusted(
     if probe and not judged(*probe).is_known:
         estimator = search.settings.estimation.estimator
         reason = unchecked_probe(*probe, clock=clock)
-        session.say(f"search {search.name}: {estimator} could not be checked: {reason}")
+        heard(session.say, f"search {search.name}: {estimator} could not be checked: {reason}")
         return None
     return failed_probe(*probe, clock=clock) if probe else None
 

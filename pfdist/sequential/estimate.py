@@ -18,7 +18,7 @@ from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
-from pfdist.sequential.one_filter import OneFilter
+from pfdist.sequential.one_filter import OneFilter, log_likelihood
 
 Array = NDArray[np.float64]
 
@@ -95,19 +95,12 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
     guides = at.t < t and at.settings.guides(model)
     cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
     own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
-    measured = tuple(np.full(cloud.particles, value) for value in y)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         if guides:
-            draws = range(at.draw, at.draw + 1)
-            x, guide = step(
-                model, tuple(cloud.x), measured, t - 1, cloud.particles, at.stream, draws
-            )
+            draws, seen = range(at.draw, at.draw + 1), tuple(np.full(len(own), v) for v in y)
+            x, guide = step(model, tuple(cloud.x), seen, t - 1, len(own), at.stream, draws)
             cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
-        log_weight = np.zeros(cloud.particles) + guide
-        for _, sensor, of_sensor, _ in model.parts:
-            if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
-                seen, x = measured[of_sensor], tuple(cloud.x)
-                log_weight += sensor.log_likelihood(seen, x, t, model.p)
+        log_weight = guide + log_likelihood(model, cloud.x, t, y)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)

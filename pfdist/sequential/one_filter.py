@@ -4,18 +4,20 @@ It gives the same bits as a filter with the same keys that receives all measurem
 """
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.streams import stream_key
-from pfdist.errors import MeasurementsError
+from pfdist.errors import MeasurementsError, shown
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
+from pfdist.filters.plain import step
 from pfdist.filters.work import Estimation
+from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.times.measurement_times import Times
@@ -66,6 +68,22 @@ class OneFilter:
         Raises `MeasurementsError` if no particle explains the measurement, or if a state is not
         finite. Raises `ModelError` if a formula failed.
         """
+        filtered = self._filtered(t, y)
+        if ENGINES[self.engine].exact and not np.isfinite(filtered.mse[0]):
+            raise MeasurementsError(f"{self.model.name}: variances must stay finite up to t = {t}")
+        if y is not None and np.isnan(filtered.mse[0]):
+            raise MeasurementsError(self._unexplained(t, y))
+        if np.isinf(filtered.mse[0]):
+            raise MeasurementsError(self._not_finite(t))
+        (last,) = filtered.last
+        weight = None if filtered.weight is None else filtered.weight[0]
+        prior = last if isinstance(last, Gaussian) else Cloud(t, last, weight)
+        measured = y is not None or (self.measured and t == self.t)
+        after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
+        return after, filtered.estimate[0], filtered.variance[0]
+
+    def _filtered(self, t: int, y: Array | None = None) -> Any:
+        """What the engine's `filter_checked_draws` gives up to t, for this one system."""
         check_lengths(self.model.parameters, t + 1)
         measurements, quantities = self.model.components[1:]
         measured_y = np.zeros((1, t + 1 - self.t, measurements))
@@ -80,26 +98,50 @@ class OneFilter:
             self.t,
         )
         times = () if y is None else made(self.model, t, y)
-        filtered = ENGINES[self.engine].filters.filter_checked_draws(
+        return ENGINES[self.engine].filters.filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )
-        if np.isnan(filtered.mse[0]):
-            raise MeasurementsError(
-                f"no particle of {self.settings.particles} explains the measurement at t = "
-                f"{formatted_instant(self.model, t)}: "
-                "more particles help, or the model is wrong about this system"
-            )
-        if np.isinf(filtered.mse[0]):
-            raise MeasurementsError(
-                f"the states of the filter's particles must stay finite, got an infinite one up "
-                f"to t = {formatted_instant(self.model, t)} (model {self.model.name})"
-            )
-        (last,) = filtered.last
-        weight = None if filtered.weight is None else filtered.weight[0]
-        prior = last if isinstance(last, Gaussian) else Cloud(t, last, weight)
-        measured = y is not None or (self.measured and t == self.t)
-        after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
-        return after, filtered.estimate[0], filtered.variance[0]
+
+    def _unexplained(self, t: int, y: Array) -> str:
+        """Why no particle explains a measurement, by the log-likelihoods of predicted particles."""
+        values = log_likelihood(self.model, self.at(t)[0].settings.prior.x, t, y)
+        at = f"{shown(y.tolist())} at t = {formatted_instant(self.model, t)}"
+        if not (values < np.inf).all():  # a log-density may be infinite
+            got = "NaN" if np.isnan(values).any() else "infinity"
+            return f"log_likelihood of {self.model.name} must be a number, got {got} for {at}"
+        why = "more particles help, or the model is wrong about this system"
+        if values.max() == -np.inf:
+            why = "its likelihood is 0 for every particle, so the model excludes it"
+        return f"no particle of {self.settings.particles} explains the measurement {at}: {why}"
+
+    def _not_finite(self, t: int) -> str:
+        """Which formula first gives NaN or too large a value, and at which instant up to t."""
+        name, got, first = "initial or quantity_of_interest", "NaN or too large a value", self.t
+        if self.t < t and np.isfinite(self._filtered(self.t).mse[0]):
+            at, _, _ = self.at(self.t)
+            while at.t + 1 < t and np.isfinite(at._filtered(at.t + 1).mse[0]):
+                at, _, _ = at.at(at.t + 1)
+            model, first, x = self.model, at.t + 1, at.settings.prior.x
+            one = range(self.draw, self.draw + 1)
+            with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+                x, _ = step(model, tuple(x), None, at.t, x.shape[1], self.stream, one)
+                z = model.quantity_of_interest(x, first, model.p)
+            is_finite = all(np.isfinite(each).all() for each in x)
+            name, values = ("quantity_of_interest", z) if is_finite else ("transition", x)
+            got = "NaN" if any(np.isnan(each).any() for each in values) else "too large a value"
+        instant = formatted_instant(self.model, first)
+        return f"{name} must stay finite, got {got} at t = {instant} (model {self.model.name})"
+
+
+def log_likelihood(model: StateSpaceModel, states: Array, t: int, y: Array) -> Array:
+    """Log-likelihood of a measurement, (m,), by all sensors that measured, for states (n, P)."""
+    x, measured = tuple(states), tuple(np.full(states.shape[1], value) for value in y)
+    total = np.zeros(states.shape[1])
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        for _, sensor, of_sensor, _ in model.parts:
+            if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
+                total += sensor.log_likelihood(measured[of_sensor], x, t, model.p)
+    return total
 
 
 @dataclass(frozen=True)

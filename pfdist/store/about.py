@@ -65,6 +65,7 @@ class _Provenance(_Part):
     name_of_model: str = ""  # as the model calls itself; older runs have none
     processor: _Processor
     continued_on: list[_Processor] = []
+    unproved: str = ""  # why there is no lower bound, although one was asked for
 
 
 class _RunFile(_Part):

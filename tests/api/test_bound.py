@@ -19,8 +19,8 @@ from pfdist.analysis.stored_run import statistics_of
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.cli.main import main
-from pfdist.common.percent import gap_sentence
-from pfdist.errors import JobError, ModelError
+from pfdist.common.percent import gap_sentence, rounded_up
+from pfdist.errors import JobError, ModelError, PfdistWarning
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
@@ -336,15 +336,23 @@ def test_an_error_of_the_users_own_has_no_bound(small_job: Job, tmp_path: Path) 
     options: Any = {"bound_draws": LEAST_DRAWS, "figures": False, "say": said.append}
     run = pfdist.run(small_job.with_changes(few), tmp_path / "run", **options)
     assert run.state == "finished"
-    assert any(line.startswith("there is no lower bound: ") for line in said)
+    (line,) = (line for line in said if line.startswith("Not proved: "))
+    assert "squared Euclidean norm" in line
     with pytest.raises(ModelError, match="squared Euclidean norm"):
         bound(run)
+    with pytest.warns(PfdistWarning, match=re.escape(line)):  # if nobody receives lines
+        again = pfdist.run(run.path / "job.toml", run.path, bound_draws=LEAST_DRAWS, figures=False)
+    assert again.summary().unproved == line
 
 
 def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
-    walk: Path, monkeypatch: pytest.MonkeyPatch
+    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The speed is that of the run's own comparison, not a guess for all models."""
+    """The speed is that of the run's own comparison, not a guess for all models.
+
+    The last sentence of every answer says why there is no proof, and which command makes one, in
+    how many minutes.
+    """
     table, said = Run.table, list[str]()
 
     def slow(run: Run, name: str, draws: int | None = None) -> pd.DataFrame:
@@ -356,8 +364,44 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
         patched.setattr(Run, "table", slow)
         assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=said.append).tables
     (line,) = said  # no pool was started
-    assert line.startswith("there is no lower bound yet: pfdist bound would take about ")
+    says = r"Not proved: `pfdist bound JOB` takes about ([\d,]+) minutes of one core\."
+    told = re.fullmatch(says, line)
+    assert told is not None
+    assert int(told[1].replace(",", "")) > 4
+    run = pfdist.open_run(walk)
+    assert repr(run).endswith(f"draws compared | {line}>")
+    assert run._repr_html_().endswith(f"<p>Note: {line}</p>")
+    assert line in (pfdist.report(walk)).read_text()
+    assert main(["status", str(walk)]) == 0
+    printed, _, _ = capsys.readouterr().out.partition("\n\ntables: ")
+    assert " ".join(printed.split()).endswith(f" Note: {line}")
     assert "bound" in pfdist.run(walk / "job.toml", walk, **again).tables
+    assert pfdist.open_run(walk).summary().unproved == ""
+
+
+def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever refuses a proof, in the prover or in its table: the results of the run stand."""
+
+    def refuse(*_: Any) -> Any:
+        raise ModelError("the log-likelihood does not fit the measurements")
+
+    again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
+    with monkeypatch.context() as patched:
+        patched.setattr(Prover, "_parts", refuse)
+        with pytest.warns(PfdistWarning, match="^Not proved: the log-likelihood does not fit"):
+            run = pfdist.run(walk / "job.toml", walk, **again)
+    line = "Not proved: the log-likelihood does not fit the measurements."
+    assert run.summary().unproved == line
+    assert repr(run).endswith(f" | {line}>")
+    with monkeypatch.context() as patched:
+        patched.setattr(Prover, "_sums", refuse)
+        proved = bound(walk)
+    of_set = line.replace("proved", "proved for random")
+    assert repr(proved).endswith(f" | {of_set}>")
+    of_sets = of_set.replace("random", "genetic, random")
+    assert pfdist.open_run(walk).summary().unproved == of_sets
 
 
 def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
@@ -519,6 +563,25 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert main(["verify", str(walk)]) == 0
 
 
+def test_work_that_may_be_left_out_is_told_apart(walk: Path) -> None:
+    """The proof of a plan may take too long, and draws beyond a look may not be needed."""
+    seen = list[Progress]()
+    again: Any = {"figures": False, "pool": "serial", "progress": seen.append}
+    job = load_job(walk / "job.toml").with_changes(["seed=2"])
+    pfdist.run(job, walk.parent / "other", bound_draws=LEAST_DRAWS, **again)
+    phases = {each.phase: each for each in seen}
+    assert 0 < phases["random"].optional < phases["random"].total
+    assert phases["random"].optional == phases["comparison"].optional
+    assert phases["lower bound"].optional == 0
+    assert seen[-1].done == seen[-1].total
+    seen.clear()
+    bound(walk, 4 * LEAST_DRAWS, within=1e-4, progress=seen.append)
+    looks = [each.optional for each in seen if each.phase == "lower bound" and each.evaluations]
+    first, second, third = dict.fromkeys(looks)
+    assert first == pytest.approx(1.5 * second)  # 480 of 1,920 draws, then 960, then all
+    assert third == 0
+
+
 def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
     walk: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -549,16 +612,17 @@ def test_the_command_says_how_much_is_left(exact: Path, capsys: pytest.CaptureFi
     assert main(words) == 0
     text = " ".join(capsys.readouterr().out.split())
     for name, gap in answer["sets"].items():
-        percent = f"{100 * gap['gap']:.2g} %"
-        sentence = f"No other 4 times can lower the error by more than another {percent}."
+        percent = f"{100 * rounded_up(gap['gap']):.2g} %"
+        sentence = f"Proved: no other 4 times lower the error by more than a further {percent}."
         assert f"{name}: {sentence}" in text
 
 
-def test_a_limit_is_printed_rounded_up() -> None:
+def test_the_sentence_states_the_limit_rounded_up_and_then_the_estimate() -> None:
     for gap, printed in ((0.02901, "3.0 %"), (0.029, "2.9 %"), (0.1, "10 %"), (0.0, "0 %")):
-        row = {"reason": "", "budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.0}
+        row = {"reason": "", "budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.0123}
         sentence = gap_sentence(row | {"gap_at_most": gap}, 4).replace("\xa0", " ")
-        assert sentence.endswith(f"(95 %: {printed}).")
+        sure = f"a further {printed} (95 % confidence; estimate 1.2 %)."
+        assert sentence == f"Proved: no other 4 times lower the error by more than {sure}"
 
 
 @pytest.mark.slow
@@ -570,7 +634,7 @@ def test_plan_says_how_good_its_times_are(
     command = ["plan", str(small_job.path), *changes, "--pool", "serial", "--results"]
     assert main([*command, str(tmp_path / "plan")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert re.search(r"No other 4 times can lower .* \(95 %: ", printed)
+    assert re.search(r"Proved: no other 4 times lower .* \(95 % confidence; estimate ", printed)
     assert len(pfdist.open_run(tmp_path / "plan").table("bound")) == 2  # regular and found times
     tables = _tables(tmp_path / "plan")
     assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do

@@ -160,7 +160,7 @@ def test_the_command_says_how_many_are_enough(
     assert main(command) == 0
     text = capsys.readouterr().out
     assert f"\ntarget {target:g}: 4 found times reach it (95 %: " in text
-    assert "; no 3 times can (95 %)" in " ".join(text.split())
+    assert "; proved: no 3 times can (95 % confidence)" in " ".join(text.split())
     assert f"\nTo reach {target:g}, measure at t = " in text
     row = rf"^5  .*\(.* to .*\) +{costs[5]:.3f} \(.* to .*\) +{bounds[5]:.4f}$"
     assert re.search(row, text, re.MULTILINE)
@@ -208,7 +208,8 @@ def test_numbers_that_were_not_tried_are_named(
     command = ["budget", str(exact_job.path), *words.split(), "--results", str(run)]
     assert main([*command, "--set", *EXACT]) == 0
     answer = " ".join(capsys.readouterr().out.split())
-    said = "4 found times reach it (95 %: 4 to 4); no 2 times can (95 %); 3 was not tried"
+    proved = "proved: no 2 times can (95 % confidence)"
+    said = f"4 found times reach it (95 %: 4 to 4); {proved}; 3 was not tried"
     assert said in answer
     page = " ".join((run / "report.html").read_text(encoding="utf-8").split())
     assert said in page

@@ -11,6 +11,9 @@ import pytest
 
 import pfdist
 from pfdist import Job
+from pfdist.api.display import Display
+from pfdist.api.options import following
+from pfdist.runner.progress import silent
 
 FEW = ["search=[{method='random', evaluations=3}]", "comparison.draws=20"]
 
@@ -38,7 +41,7 @@ def test_each_result_is_a_line_at_a_prompt_and_a_table_in_a_notebook(
         assert len(line.splitlines()) == 1
         assert "<table>" in table
         assert "<b>" not in table
-    assert repr(run) == f"<run {run.path}: finished, 20 draws compared>"
+    assert repr(run) == f"<run {run.path}: finished, 20 draws compared>"  # no proof was wanted
     assert "regular" in run._repr_html_()
 
 
@@ -59,6 +62,17 @@ def test_progress_is_silent_unless_it_is_wanted(
     assert out == ""
     assert "1 worker in " in err
     assert "100.0 %  comparison" in err
+
+
+@pytest.mark.parametrize("watched", [False, True])
+def test_by_default_a_terminal_shows_the_progress(
+    watched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: watched, raising=False)
+    monkeypatch.delitem(sys.modules, "IPython", raising=False)
+    with following(None, silent) as (show, say):
+        assert isinstance(getattr(show, "__self__", None), Display) is watched
+        assert say is silent  # lines about results become warnings, and no others are printed
 
 
 def test_a_function_receives_the_progress_and_another_the_messages(

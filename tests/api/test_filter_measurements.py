@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from pfdist import Filter, Job
 from pfdist.api.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.cli.main import main
 from pfdist.common.component_names import numbered_components
-from pfdist.errors import JobError, MeasurementsError, PriorError, StoreError
+from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError, StoreError
 from pfdist.filters.simulation import simulate
 from pfdist.store import filtered_schema
 
@@ -167,7 +168,28 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "most surprising       t = 5, p = " in text
-    assert "Note: The model may be wrong about this system" in text
+    note = r"Note: The measurement at t = 5 is improbable, p = [\de.-]+ \([\de.-]+ among all\): "
+    assert re.search(note + "the model may be wrong about this system", " ".join(text.split()))
+
+
+def test_an_improbable_measurement_is_a_warning_and_shows_itself(
+    job: Path, y: Any, tmp_path: Path
+) -> None:
+    """Where nobody receives lines; the command line prints a note."""
+    y[5] = 1e3
+    path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
+    options: Any = {"planned": "regular", "report": False}
+    with pytest.warns(
+        PfdistWarning, match=r"^The measurement at t = 5 is improbable, p = "
+    ) as said:
+        found = pfdist.filter_measurements(job, path, **options)
+    line = str(said[0].message)
+    assert repr(found).endswith(f" | {line}>")
+    assert f"<p>Note: {line}</p>" in found._repr_html_()
+    lines = list[str]()
+    pfdist.filter_measurements(job, path, **options, say=lines.append)  # raises no warning
+    _written(path, (0, 8), y)
+    assert "improbable" not in repr(pfdist.filter_measurements(job, path, **options))
 
 
 @pytest.mark.slow

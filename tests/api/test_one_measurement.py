@@ -39,7 +39,7 @@ def test_one_measurement_is_planned_explained_and_chosen_online(
     quick = ["--set", *ONE]
     path.write_text(path.read_text().partition("[[search]]")[0] + '[execution]\npool = "serial"\n')
     assert main(["plan", str(path), "--results", run, *quick]) == 0
-    assert "No other time can lower the error" in " ".join(capsys.readouterr().out.split())
+    assert "Proved: no other time lowers the error" in " ".join(capsys.readouterr().out.split())
     text = (tmp_path / "run" / "report.html").read_text()
     assert "Measuring at this time instead of regular times" in text
     assert main(["why", str(path), "--results", run, "--draws", "20", *quick]) == 0

@@ -14,7 +14,7 @@ from oracles.kalman import SCALAR, riccati_cost
 from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
-from pfdist.errors import PfdistError
+from pfdist.errors import PfdistError, PfdistWarning
 from pfdist.filters.simulation import simulate
 
 JOB = """
@@ -257,7 +257,10 @@ def test_measurements_that_contradict_the_model_are_told(
 ) -> None:
     file = tmp_path / "y.csv"
     file.write_text("t,y0\n0,3000.0\n")
-    assert pfdist.next_time(kept, file).is_improbable
+    with pytest.warns(PfdistWarning, match="^The model may be wrong about this system: look at"):
+        told = pfdist.next_time(kept, file)
+    assert told.is_improbable
+    assert " | The model may be wrong about this system" in repr(told)
     assert main(["next", str(kept), str(file)]) == 0
     assert "The model may be wrong about this system" in capsys.readouterr().out
 

@@ -331,6 +331,32 @@ def test_a_point_that_another_process_computes_is_left_out_and_said(
     assert (list(again.runs), again.busy) == (["seed=1", "seed=2"], ())
 
 
+def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hundreds of sines in a step take at least a microsecond; the guess for all models is 2 ns."""
+    (small_job.path.parent / "slow.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model\n"
+        "def transition(x, t, w, p):\n"
+        "    total = x[0]\n"
+        "    for k in range(300):\n"
+        "        total = np.sin(total + k)\n"
+        "    return (total + w[0],)\n"
+        "model = replace(load_model('random_walk'), linear_gaussian=False, transition=transition)\n"
+    )
+    seen = list[Progress]()
+    options: Any = {"results": tmp_path / "sweep", "changes": ["model.name=slow.py:model"]}
+    points = foreseen(small_job, SEEDS, **options, progress=seen.append)
+    assert (points["seconds"] / points["steps"]).between(2e-7, 1e-4).all()
+    assert [(each.done, each.total) for each in seen] == [(0, 2), (1, 2)]
+    assert [each.doing for each in seen] == ["measuring seed=1", "measuring seed=2"]
+    words = ["sweep", str(small_job.path), "--over", "seed=1:2", "--dry-run", "--results"]
+    assert main([*words, str(tmp_path / "sweep")]) == 0
+    assert "measuring seed=1" in capsys.readouterr().err
+
+
 def test_a_folder_of_another_run_fails_its_point_alone(
     swept: Sweeping, small_job: Job, tmp_path: Path
 ) -> None:

@@ -176,6 +176,8 @@ def test_a_missing_file_is_told_as_what_the_job_makes_again(
         ("plan {run}/job.toml", "pfdist.api.plan.plan", True),
         ("budget {run}/job.toml --measurements 2:3", "pfdist.api.budget.budget", True),
         ("status {run}", "pfdist.analysis.open_run", False),
+        ("sweep {run}/job.toml --over seed=1:2", "pfdist.api.sweep.sweep", True),
+        ("sweep {run}/job.toml --over seed=1:2 --dry-run", "pfdist.api.sweep.foreseen", False),
     ],
 )
 def test_an_interrupted_command_says_whether_the_same_command_goes_on(

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -109,7 +110,8 @@ def test_percentage_and_time_left_are_seen_at_any_width(width: int) -> None:
     rows = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", out.getvalue()).replace("\r", "\n").split("\n")
     shown = [row for row in rows if row.strip()]
     assert shown
-    assert all(re.match(r" *\d+% +(-|\d)[-\d]*:[-\d]+ left ", row) for row in shown), shown
+    assert all(re.match(r" *\d+% ", row) for row in shown), shown
+    assert re.match(r" *50% about 0 s left ", shown[-1])
     assert all(len(row) <= width for row in shown)
 
 
@@ -122,6 +124,68 @@ def test_the_time_left_does_not_count_the_time_to_compile(monkeypatch: pytest.Mo
     *before, last = out.getvalue().splitlines()
     assert re.search(r"0\.1 evaluations/s +about 60 s left$", last)
     assert not [line for line in before[:2] if "left" in line]
+
+
+def _lines_of(
+    monkeypatch: pytest.MonkeyPatch, states: Iterable[tuple[float, Progress]], after: float = 0.0
+) -> list[str]:
+    """The lines that a display without a terminal prints of states at some seconds."""
+    now, out = [0.0], io.StringIO()
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    display = Display(Console(file=out, width=120), after)
+    for now[0], state in states:
+        display.show(state)
+    return out.getvalue().splitlines()
+
+
+def test_a_time_left_that_only_grows_is_no_forecast_and_the_share_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each step takes three times as long as the one before; then the pace is even."""
+    seconds = [0.0, 10.0]
+    for _ in range(5):
+        seconds.append(3 * seconds[-1])
+    seconds += [seconds[-1] * (1 + k) for k in range(1, 30)]
+    states = [
+        (10 + second, Progress("search", done, 100.0, evaluations=int(done)))
+        for done, second in enumerate(seconds)
+    ]
+    told = [line.rpartition("  ")[2] for line in _lines_of(monkeypatch, states)]
+    left = [line.endswith("left") for line in told]
+    assert left[:2] == [False, False]  # nothing is known yet
+    first = left.index(True)
+    assert left[first : first + 3] == [True, True, True]  # it may grow twice
+    assert not any(left[first + 3 : 7])
+    assert left[-1]  # it falls again
+
+
+def test_the_time_left_leaves_out_what_may_be_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    states = [
+        (10.0 * (done + 1), Progress("a", done, 100.0, evaluations=done, optional=90.0))
+        for done in range(6)
+    ]
+    *_, last = _lines_of(monkeypatch, states)
+    assert last.startswith("  5.0 %")
+    assert last.endswith("  at least 50 s left")
+
+
+def test_progress_that_nobody_asked_for_begins_after_some_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In a terminal; a file gets none."""
+    states = [(second, Progress("a", second, 100.0)) for second in (0.0, 4.9, 5.1, 10.0)]
+    assert _lines_of(monkeypatch, states, after=5.0) == []
+    now, out = [0.0], io.StringIO()
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    with Display(Console(file=out, force_terminal=True, width=80), after=5.0) as display:
+        for second, state in states[:2]:
+            now[0] = second
+            display.show(state)
+        assert out.getvalue() == ""
+        now[0] = 5.1
+        display.show(states[2][1])
+        display._bar.refresh()
+        assert "5%" in out.getvalue()
 
 
 def test_a_rate_is_that_of_the_present_count_and_never_negative(

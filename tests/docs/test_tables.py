@@ -141,7 +141,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables(
     results = root / "benchmarks" / "results"
     proofs = pd.read_csv(results / "growth_work.csv", comment="#").set_index(["kind", "draws"])
     limit = 100 * proofs.loc[("windows grow", 480), "gap_at_most"]
-    assert f"another {limit:.1f} % (with 95 % confidence)" in readme
+    assert f"a further {limit:.1f} % (95 % confidence)" in readme
     online = pd.read_csv(results / "online.csv", comment="#").set_index(["problem", "setting"])
     errors = online.loc[("paper", "default")]
     assert f"lower it by {100 * (1 - errors.mse / errors.regular):.0f} %" in readme

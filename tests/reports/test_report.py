@@ -96,7 +96,7 @@ def test_an_exact_gain_is_that_of_evaluate_where_the_tables_hold_it(
     ):
         assert words in page.text
     assert "its draws chose the set" not in page.text  # which is said of other filters
-    proved = "No other 4 times can lower the error by more than another" in page.text
+    proved = "Proved: no other 4 times lower the error by more than a further" in page.text
     assert proved is (ask is pfdist.bound)
     assert not list(verify_run(run.path))
 
@@ -287,10 +287,10 @@ def test_a_gain_is_said_as_far_as_its_interval_supports_it() -> None:
 
 def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
     none = gap_sentence(BOUND | {"gap": 1e-16}, 4)
-    assert none == "No other 4 times have a lower expected error."
+    assert none == "Proved: no other 4 times have a lower expected error."
     assert percent(-1e-17) == "0.00 %"
     assert gap_sentence(BOUND, 3, is_constrained=True).startswith(
-        "No other times that cost no more and that the constraints allow can lower"
+        "Proved: no other times that cost no more and that the constraints allow lower"
     )
 
 

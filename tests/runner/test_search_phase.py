@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.errors import PfdistWarning
 from pfdist.filters.estimate import Evaluation
 from pfdist.runner.search_phase import _uncontradicted
 from pfdist.search.methods import DEFAULT_METHOD
@@ -79,7 +80,10 @@ def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
     said: list[str] = []
     run = pfdist.plan(small_job, tmp_path / "run", bound_draws=0, figures=False, say=said.append)
     assert f"{DEFAULT_METHOD}.polish" not in set(run.table("evaluations")["phase"])
-    assert "search relaxation: exchanges would take too long, and are left out" in said
+    line = "search relaxation: exchanges would take too long, and are left out"
+    assert line in said
+    with pytest.warns(PfdistWarning, match=f"^{line}$"):  # where nobody receives lines
+        pfdist.plan(small_job, tmp_path / "again", bound_draws=0, figures=False)
 
 
 @pytest.mark.parametrize("phase", ["", ".polish"])

@@ -416,9 +416,58 @@ def test_a_missing_component_needs_the_models_word() -> None:
         assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
 
 
-def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
-    with pytest.raises(MeasurementsError, match=r"no particle of 10 explains .* at t = 3"):
-        OneFilter(ungm, Estimation(10), 1).at(3, np.array([np.nan]))
+def _walk(**formulas: Any) -> StateSpaceModel:
+    return replace(load_model("random_walk"), linear_gaussian=False, **formulas)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_a_measurement_that_no_particle_explains_is_named_with_the_reason(engine: str) -> None:
+    """More particles do not help where the likelihood is 0 for all, nor where it is NaN."""
+
+    def refused(value: float, **formulas: Any) -> str:
+        with pytest.raises(MeasurementsError) as error:
+            Filter(_walk(**formulas), 20, engine=engine).update(3, value)
+        return str(error.value)
+
+    def bounded(y: Any, x: Any, t: Any, p: Any) -> Any:
+        return np.where(np.abs(y[0] - x[0]) < 1, 0.0, -np.inf)
+
+    excluded = "its likelihood is 0 for every particle, so the model excludes it"
+    assert refused(1e6, log_likelihood=bounded) == (
+        f"no particle of 20 explains the measurement [1000000.0] at t = 3: {excluded}"
+    )
+    for value, name in ((np.nan, "NaN"), (np.inf, "infinity")):
+        told = refused(2.5, log_likelihood=lambda y, x, t, p, value=value: 0 * x[0] + value)
+        assert (
+            told == f"log_likelihood of random_walk must be a number, got {name} for [2.5] at t = 3"
+        )
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_a_formula_that_gives_nan_is_named_with_the_instant(engine: str) -> None:
+    def at_2(value: float) -> Any:
+        """A term that is this value at t = 2, and 0 elsewhere."""
+        return lambda t: np.where(np.equal(t, 2), value, 0.0)
+
+    def refused(**formulas: Any) -> str:
+        with pytest.raises(MeasurementsError) as error:
+            Filter(_walk(**formulas), 20, engine=engine).update(5, 0.0)
+        return str(error.value)
+
+    nan, large = at_2(np.nan), at_2(1e300)
+    cases = {
+        "transition must stay finite, got NaN at t = 3": {
+            "transition": lambda x, t, w, p: (x[0] + w[0] + nan(t),)
+        },
+        "quantity_of_interest must stay finite, got NaN at t = 2": {
+            "quantity_of_interest": lambda x, t, p: (x[0] + nan(t),)
+        },
+        "quantity_of_interest must stay finite, got too large a value at t = 2": {
+            "quantity_of_interest": lambda x, t, p: (x[0] + large(t),)
+        },
+    }
+    for told, formulas in cases.items():
+        assert refused(**formulas) == f"{told} (model random_walk)"
 
 
 @pytest.mark.slow

@@ -289,7 +289,8 @@ def _add_sweep(parser: ArgumentParser) -> None:
     either.add_argument(
         "--dry-run",
         action="store_true",
-        help="print the points, their work, and the number of parts that pays; compute nothing",
+        help="print the points, their work by the speed of a few draws, and the number of parts "
+        "that pays; compute no point",
     )
 
 
@@ -337,9 +338,7 @@ def sweep_command(options: Namespace) -> None:
 
     over = values_by_key(options.over)
     if options.dry_run:
-        points = foreseen(
-            options.job, over, results=options.results, changes=options.set, judge=options.judge
-        )
+        points = computed(foreseen, options, over)
         if options.json:
             print_records("points", points, options)
         else:
