@@ -234,6 +234,8 @@ class ComparisonStatistics:
         Number of added draws.
     mse : dict of str to Moments
         Moments of each set's MSE.
+    degenerate_draws : dict of str to int
+        Number of draws that are degenerate with each set.
     gains : dict of str to Gain
         Gain of each set over its reference.
     """
@@ -245,22 +247,26 @@ class ComparisonStatistics:
         self.references = dict.fromkeys(names[1:], names[0]) if references is None else references
         self._largest = {name: np.empty(0) for name in names}
         self.mse = {name: Moments() for name in names}
+        self.degenerate_draws = dict.fromkeys(names, 0)
         self.gains = {name: Gain() for name in self.references}
 
-    def add(self, block: Array) -> None:
+    def add(self, block: Array, degenerate: Array | None = None) -> None:
         """Add a block of draws.
 
         Parameters
         ----------
         block : array of float64, (D, S)
-            Per-draw MSE of each set; NaN marks a degenerate draw.
+            Per-draw MSE of each set.
+        degenerate : array of bool, (D, S), optional
+            Whether each draw is degenerate with each set; by default none is.
         """
         self.draws += len(block)
         columns = dict(zip(self.names, block.T, strict=True))
-        for name, column in columns.items():
-            usable = column[~np.isnan(column)]
-            self.mse[name].add(usable)
-            self._largest[name] = _largest(np.append(self._largest[name], usable), self._most)
+        for place, (name, column) in enumerate(columns.items()):
+            self.mse[name].add(column)
+            self._largest[name] = _largest(np.append(self._largest[name], column), self._most)
+            if degenerate is not None:
+                self.degenerate_draws[name] += int(degenerate[:, place].sum())
         for name, reference in self.references.items():
             self.gains[name].add(columns[name], columns[reference])
 

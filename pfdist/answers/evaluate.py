@@ -31,6 +31,8 @@ def evaluate_page(
     for name, evaluation in evaluations.items():
         these = f"the times of {name} break" if name else "these times break"
         warnings += [f"{these} a constraint: {constraint}" for constraint in broken[name]]
+        of_set = f"{name}: " * bool(name and evaluation.degenerate_draws)
+        warnings += filter(None, [of_set + evaluation.degenerate_text])
         warnings += filter(None, [heavy_tail_warning({name: evaluation.top_percent_share})])
     tables = [Table("", _HEAD, rows)] if rows else []
     tables += _of_scenarios(evaluations, scenarios)

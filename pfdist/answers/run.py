@@ -261,12 +261,13 @@ def _gains_row(name: str, result: SetResult) -> list[Cell]:
 
 
 def _degenerate(subject: Subject) -> list[Text]:
-    left_out = [
+    counts = [
         f"{number_of(result.degenerate_draws, 'draw')} of {name}"
         for name, result in subject.results.items()
         if result.degenerate_draws
     ]
-    return [Text(f"Degenerate and left out: {', '.join(left_out)}.")] if left_out else []
+    text = "there the filter leaves out measurements that no particle explains"
+    return [Text(f"Degenerate: {', '.join(counts)}; {text}.")] if counts else []
 
 
 def _broken(subject: Subject) -> Iterator[Text]:

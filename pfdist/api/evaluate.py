@@ -125,6 +125,7 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
     exact, scenarios = [None] * count, None
     if evaluator.exact:
         exact, mse = built.exact_costs([*times]).tolist(), np.empty((count, 0))
+        degenerate = np.empty((count, 0), np.bool_)
     else:
         evaluation = Settings.from_job(built.job)
         work = Work(
@@ -138,17 +139,22 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
             sensors=evaluator.sensors,
         )
         scenarios = evaluator.scenarios_of(stream, range(evaluation.draws))
-        pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
-        mse = np.concatenate(pieces).T.copy()
+        pieces = [evaluator.filtered(piece) for piece in evaluator.pieces(work, MOST_SECONDS)]
+        mse, degenerate = (
+            np.concatenate([getattr(each, name) for each in pieces]).T.copy()
+            for name in ("mse", "degenerate")
+        )
     return {
         name: Evaluation(
             tuple(built.job.problem.clock.written_of(sets[name])),
             mse_of_set,
-            built.job.evaluation.degenerate_draws,
-            cost,
+            exact=cost,
             purpose="evaluate",
             scenarios=scenarios,
             is_worst=built.is_worst,
+            degenerate=degenerate_of_set,
         )
-        for name, mse_of_set, cost in zip(sets, mse, exact, strict=True)
+        for name, mse_of_set, degenerate_of_set, cost in zip(
+            sets, mse, degenerate, exact, strict=True
+        )
     }

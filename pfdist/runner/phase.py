@@ -122,6 +122,7 @@ class Request:
     stream: int  # key of draws and filter noise: their roles keep them apart
     estimation: Estimation
     mse: NDArray[np.float64]  # (D,); NaN for a draw that is not known yet
+    degenerate: NDArray[np.bool_]  # (D,)
     known_draws: int = 0
 
 
@@ -142,8 +143,8 @@ class Phase:
     keep_leaders: bool = False
     # Searches that add errors of instants, and are told means whatever the criterion is.
     additive: bool = False
-    # MSE of each draw by the evaluation's id, of this session, for sets that are requested again
-    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    # Requests by the evaluation's id, of this session, for sets that are requested again
+    evaluated: dict[str, Request] = field(default_factory=dict)
     leaders: list[Evaluation] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -171,16 +172,19 @@ class Phase:
         estimation = self.built.comparing if squared else self.settings.estimation
         id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
-        return Request(id_, candidate, last, stream, estimation, mse)
+        degenerate = np.zeros(mse.size, np.bool_)
+        return Request(id_, candidate, last, stream, estimation, mse, degenerate)
 
     def recall(self, request: Request) -> None:
         """Fill a request with the draws that were evaluated before in this session."""
         if self.settings.common_noise:  # with fresh noise no evaluation is requested twice
-            before = self.evaluated.get(request.id, request.mse[:0])[: request.mse.size]
-            request.mse[: before.size], request.known_draws = before, before.size
-            if before.size < request.mse.size:
-                # The same array, not a copy: the draws that the request still lacks will fill it.
-                self.evaluated[request.id] = request.mse
+            before, size = self.evaluated.get(request.id), request.mse.size
+            if before is not None:
+                known = request.known_draws = min(before.mse.size, size)
+                request.mse[:known] = before.mse[:known]
+                request.degenerate[:known] = before.degenerate[:known]
+            if request.known_draws < size:  # the draws that it still lacks will fill it
+                self.evaluated[request.id] = request
 
     def stream(self, *keyed_by: Any) -> int:
         """Key of the draws and of the filters' noise."""
@@ -209,6 +213,7 @@ class Phase:
             purpose=self.purpose,
             scenarios=scenarios,
             is_worst=self.built.is_worst and not self.additive,
+            degenerate=request.degenerate,
         )
 
 
@@ -224,6 +229,7 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
+    killed = 0
     copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
@@ -252,6 +258,7 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
             rows = evaluation_rows(name, generation, candidates, requests, evaluations)
             session.keep(name, EVALUATIONS, f"{generation:06d}", rows)
         in_order = [evaluations[candidate] for candidate in candidates]
+        killed += sum(evaluation.is_killed for evaluation in in_order)
         if phase.keep_leaders:
             no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]
             phase.leaders.extend(new_leaders(no_windows, phase.leaders))
@@ -260,6 +267,8 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         mean = float(np.mean(costs)) if costs else None
         reporter.note(best=best[0] if best else None, mean=mean)
     reporter.note(done=start + phase.steps())
+    if killed:
+        session.say(f"search {name}: degenerate draws killed {killed:,} evaluated sets")
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
@@ -316,7 +325,7 @@ def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None
     ends = [request.end for request in requests]
     costs = phase.built.exact_costs(sets, ends, additive=phase.additive)
     for request, cost in zip(requests, costs, strict=True):
-        request.mse = np.empty(0)
+        request.mse, request.degenerate = np.empty(0), np.empty(0, np.bool_)
         record(request.candidate, phase.evaluation(request, float(cost)))
     record.show()
 
@@ -337,13 +346,15 @@ def _per_draw(
 
     def record_all(request: Request) -> None:
         for alike in same[request.id]:
-            alike.mse = request.mse[: alike.mse.size]
+            draws = slice(alike.mse.size)
+            alike.mse, alike.degenerate = request.mse[draws], request.degenerate[draws]
             record(alike.candidate, phase.evaluation(alike))
 
     def learn(work: Work, result: Result) -> None:
+        degenerate = work.by_id(result, "degenerate")
         for id_, mse in work.by_id(result).items():
-            request = longest[id_]
-            request.mse[slice(*work.draws)] = mse
+            request, draws = longest[id_], slice(*work.draws)
+            request.mse[draws], request.degenerate[draws] = mse, degenerate[id_]
             request.known_draws += mse.size
             if request.known_draws == request.mse.size:
                 record_all(request)

@@ -43,6 +43,8 @@ class EvaluationSettings(Section):
         The resampling scheme of the search.
     estimator : str
         How the error of a draw is estimated; "auto" chooses by the model.
+    degenerate_draws : str
+        Whether a degenerate draw makes the cost of a set infinite ("kill").
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
@@ -50,6 +52,7 @@ class EvaluationSettings(Section):
     particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     resampling: Resampling | None = None
     estimator: Estimator | Literal["auto"] | None = None
+    degenerate_draws: Literal["continue", "kill"] | None = None
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, from that of the job."""
@@ -67,6 +70,7 @@ class CommonNoiseSettings(EvaluationSettings):
     noise: Literal["fresh", "common"] = "common"
     resampling: Resampling = "systematic"
     estimator: Estimator | Literal["auto"] = AUTO
+    degenerate_draws: Literal["continue", "kill"] = "continue"
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, from that of the job."""

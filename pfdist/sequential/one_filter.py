@@ -81,7 +81,7 @@ class OneFilter:
         filtered = ENGINES[self.engine].filters.filter_checked_draws(
             self.model, draws, times, self.stream, self.settings, trajectories=True
         )
-        if np.isnan(filtered.mse[0]):
+        if filtered.degenerate[0]:
             raise MeasurementsError(
                 f"no particle of {self.settings.particles} explains the measurement at t = "
                 f"{formatted_instant(self.model, t)}: "

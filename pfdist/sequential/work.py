@@ -44,6 +44,7 @@ class OnlineWork(Work):
         estimates = [result.estimates[0, 0] for result in results if result.estimates.size]
         return Result(
             np.concatenate([result.mse for result in results]),
+            degenerate=np.concatenate([result.degenerate for result in results]),
             estimates=np.array(estimates),
             measurement_times=chosen,
         )
@@ -74,7 +75,7 @@ class OnlineWork(Work):
             if plan or not self.feasible.counted:  # else nothing is left to plan
                 try:
                     filtering, *_ = filtering.at(t, seen(evaluator.model, y[t], here))
-                except MeasurementsError:  # the draw is degenerate, whatever follows
+                except MeasurementsError:  # the draw is degenerate: the last plan stays
                     return (*taken, *plan)
                 now = Now(filtering.settings.prior, measured=True)
                 plan = replanner.plan(now, taken, plan, draw)
