@@ -239,6 +239,18 @@ def copies_of(run: StoredRun) -> dict[str, list[int]]:
     return {str(name): copies.tolist() for name, copies in rows["copies"].groupby(names)}
 
 
+def killed_of(run: StoredRun) -> dict[str, int]:
+    """How many evaluated sets of each search degenerate draws have killed, if they killed any."""
+    rows, job = run.table("evaluations"), run.job
+    policies = {
+        each["name"]: each["evaluation"].get("degenerate_draws")
+        or job["evaluation"]["degenerate_draws"]
+        for each in job["search"]
+    }
+    killed = rows[(rows["degenerate_draws"] > 0) & (rows["phase"].map(policies) == "kill")]
+    return {str(name): int(n) for name, n in killed.groupby("phase")["copies"].sum().items() if n}
+
+
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
     """The comparison in tables of as many draws each, so that memory does not grow."""
     return run._store.blocks("comparison", "draw", BLOCK)

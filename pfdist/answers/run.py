@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.analysis.stored_run import copies_of, found_sets, problem_of
+from pfdist.analysis.stored_run import copies_of, found_sets, killed_of, problem_of
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.about_run import citation, computed, problem, tables
 from pfdist.answers.bound import proof
@@ -327,7 +327,11 @@ def searches(subject: Subject) -> Section | None:
         "Searches", _SEARCHES_HEAD, rows, detail=True,
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
     )  # fmt: skip
-    blocks: list[Block] = [without_empty_columns(table), meaning, Figures(["cost"])]
+    killed = [
+        Text(f"Degenerate draws killed {n:,} of {sum(copies[name]):,} evaluated sets of {name}.")
+        for name, n in killed_of(subject.run).items()
+    ]
+    blocks: list[Block] = [without_empty_columns(table), *killed, meaning, Figures(["cost"])]
     return Section("How the times were found", blocks)
 
 

@@ -22,7 +22,7 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.schemes import ALWAYS, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
-from pfdist.search.section import Estimator, Resampling
+from pfdist.search.section import Degenerate, Estimator, Resampling
 from pfdist.times.clock import Time, plain_time
 from pfdist.times.measurement_times import REGULAR
 
@@ -218,7 +218,7 @@ class EvaluationSection(Section):
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
-    degenerate_draws: Literal["continue", "kill"] = "kill"
+    degenerate_draws: Degenerate = "kill"
     estimator: Estimator = SQUARED_ERROR.name
 
 

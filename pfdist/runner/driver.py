@@ -90,9 +90,10 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
     for name in built.names:
         if name not in compared:
             raise SearchError(
-                f"search {name}: every set of times that it ended with had a degenerate "
-                f"draw (a measurement no particle can explain); more particles than "
-                f"{built.job.filter.particles} help, or evaluation.degenerate_draws = 'continue'"
+                f"search {name}: every set of times that it ended with costs infinity, by a "
+                f"degenerate draw (a measurement no particle explains) or an infinite error; more "
+                f"particles than {built.job.filter.particles} help, or "
+                f"evaluation.degenerate_draws = 'continue'"
             )
     for position, row in enumerate(rows):
         row["position"] = position

@@ -229,7 +229,7 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
-    killed = 0
+    killed, start_of_phase = 0, reporter.progress.evaluations
     copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
@@ -268,7 +268,8 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         reporter.note(best=best[0] if best else None, mean=mean)
     reporter.note(done=start + phase.steps())
     if killed:
-        session.say(f"search {name}: degenerate draws killed {killed:,} evaluated sets")
+        evaluated = reporter.progress.evaluations - start_of_phase
+        session.say(f"search {name}: degenerate draws killed {killed:,} of {evaluated:,} sets")
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)

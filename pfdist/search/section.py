@@ -19,6 +19,7 @@ else:
     Resampling = Literal[tuple(SCHEMES)]
     Estimator = Literal[tuple(ESTIMATORS)]
 
+Degenerate = Literal["continue", "kill"]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Even = Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)]
 Flag = Annotated[bool, Field()]
@@ -52,7 +53,7 @@ class EvaluationSettings(Section):
     particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     resampling: Resampling | None = None
     estimator: Estimator | Literal["auto"] | None = None
-    degenerate_draws: Literal["continue", "kill"] | None = None
+    degenerate_draws: Degenerate | None = None
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, from that of the job."""
@@ -70,7 +71,7 @@ class CommonNoiseSettings(EvaluationSettings):
     noise: Literal["fresh", "common"] = "common"
     resampling: Resampling = "systematic"
     estimator: Estimator | Literal["auto"] = AUTO
-    degenerate_draws: Literal["continue", "kill"] = "continue"
+    degenerate_draws: Degenerate = "continue"
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, from that of the job."""

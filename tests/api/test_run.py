@@ -51,7 +51,11 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) 
     np.testing.assert_allclose(evaluations["standard_error"], per_draw.sem()[evaluations.index])
     assert (per_draw.size() == 30).all()
     comparison = small_run.table("comparison")
-    assert comparison.columns.tolist() == ["draw", "mse_regular", "mse_genetic", "mse_random"]
+    assert comparison.columns.tolist() == [
+        "draw",
+        *(f"mse_{name}" for name in ("regular", "genetic", "random")),
+        *(f"degenerate_{name}" for name in ("regular", "genetic", "random")),
+    ]
     assert comparison["draw"].tolist() == list(range(250))
     gains = small_run.table("gains")
     expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
@@ -123,11 +127,16 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
         "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
     )
     changes = ['model.name="hopeless.py:hopeless"', "filter.engine=numpy", "evaluation.draws=3"]
+    said = list[str]()
     with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
-        pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+        pfdist.run(
+            small_job.with_changes(changes), tmp_path / "run", figures=False, say=said.append
+        )
     rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     assert (rows["degenerate_draws"] == rows["draws"]).all()
     assert np.isinf(rows["expected_mse"]).all()
+    killed = rows["copies"][rows["phase"] == "genetic"].sum()
+    assert f"search genetic: degenerate draws killed {killed} of {killed} sets" in said
 
 
 # --- The same, however it was computed ----------------------------------------------------------
