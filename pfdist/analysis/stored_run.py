@@ -221,12 +221,12 @@ def distrust_of(run: StoredRun, search: str) -> str | None:
 def own_estimation(run: StoredRun, search: str) -> dict[str, Any]:
     """How a search estimates otherwise than the comparison: particles, resampling, estimator.
 
-    If a search was run again by the squared error, this is the estimation of the second time.
+    If a search was run again by the squared error, its race chose, as the comparison estimates.
     """
     compared = {**run.job["filter"], "estimator": SQUARED_ERROR.name}
     own = run._about["estimations"].get(search, {})
     if search in run._distrusts:
-        own = {"resampling": own.get("resampling", compared["resampling"])}
+        return {}
     return {key: value for key, value in own.items() if key in compared and value != compared[key]}
 
 

@@ -8,7 +8,7 @@ and finds their draws by the ids of the evaluations.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +21,7 @@ from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
@@ -169,7 +170,9 @@ class Phase:
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
-        estimation = self.built.comparing if squared else self.settings.estimation
+        estimation = self.settings.estimation
+        if squared:
+            estimation = replace(estimation, estimator=SQUARED_ERROR.name)
         id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
         degenerate = np.zeros(mse.size, np.bool_)

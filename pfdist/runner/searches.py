@@ -170,8 +170,8 @@ class NamedSearch:
     racing: Settings  # of the race, which the job's own filter decides by the squared error
     additive: bool  # whether the optimiser adds errors of instants; then costs must be means
     is_worst: bool  # whether the worst scenario decides
-    # The same search by the squared error, with the particles of the job's own filter. It takes the
-    # place of this search if the estimator cannot be trusted. None if this search uses it.
+    # The same search by the squared error, with the particles of the job's own filter. It follows
+    # if the estimator cannot be trusted. None if this search uses it.
     again: "NamedSearch | None" = None
 
     @property
