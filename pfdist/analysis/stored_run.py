@@ -221,12 +221,12 @@ def distrust_of(run: StoredRun, search: str) -> str | None:
 def own_estimation(run: StoredRun, search: str) -> dict[str, Any]:
     """How a search estimates otherwise than the comparison: particles, resampling, estimator.
 
-    If a search was run again by the squared error, its race chose, as the comparison estimates.
+    If a search was run again by the squared error, this is the estimation of the second time.
     """
     compared = {**run.job["filter"], "estimator": SQUARED_ERROR.name}
     own = run._about["estimations"].get(search, {})
     if search in run._distrusts:
-        return {}
+        own = {"resampling": own.get("resampling", compared["resampling"])}
     return {key: value for key, value in own.items() if key in compared and value != compared[key]}
 
 
@@ -240,15 +240,10 @@ def copies_of(run: StoredRun) -> dict[str, list[int]]:
 
 
 def killed_of(run: StoredRun) -> dict[str, int]:
-    """How many evaluated sets of each search degenerate draws have killed, if they killed any."""
-    rows, job = run.table("evaluations"), run.job
-    policies = {
-        each["name"]: each["evaluation"].get("degenerate_draws")
-        or job["evaluation"]["degenerate_draws"]
-        for each in job["search"]
-    }
-    killed = rows[(rows["degenerate_draws"] > 0) & (rows["phase"].map(policies) == "kill")]
-    return {str(name): int(n) for name, n in killed.groupby("phase")["copies"].sum().items() if n}
+    """How many evaluated sets of each phase degenerate draws have killed, if they killed any."""
+    rows = run.table("evaluations")
+    killed = rows[(rows["degenerate_draws"] > 0) & (rows["expected_mse"] == math.inf)]
+    return {str(phase): int(n) for phase, n in killed.groupby("phase")["copies"].sum().items() if n}
 
 
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:

@@ -328,7 +328,7 @@ def searches(subject: Subject) -> Section | None:
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
     )  # fmt: skip
     killed = [
-        Text(f"Degenerate draws killed {n:,} of {sum(copies[name]):,} evaluated sets of {name}.")
+        Text(f"Degenerate draws killed {n:,} evaluated sets of {name}.")
         for name, n in killed_of(subject.run).items()
     ]
     blocks: list[Block] = [without_empty_columns(table), *killed, meaning, Figures(["cost"])]

@@ -9,7 +9,7 @@ import numpy as np
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
-from pfdist.filters.work import Work
+from pfdist.filters.work import Work, joined
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build
@@ -140,10 +140,8 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
         )
         scenarios = evaluator.scenarios_of(stream, range(evaluation.draws))
         pieces = [evaluator.filtered(piece) for piece in evaluator.pieces(work, MOST_SECONDS)]
-        mse, degenerate = (
-            np.concatenate([getattr(each, name) for each in pieces]).T.copy()
-            for name in ("mse", "degenerate")
-        )
+        result = joined(pieces)
+        mse, degenerate = result.mse.T.copy(), result.degenerate.T
     return {
         name: Evaluation(
             tuple(built.job.problem.clock.written_of(sets[name])),

@@ -225,8 +225,9 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
     """
     loss, _ = measured_loss(evaluator, work)
     text = f"{loss.particles:,} particles lose {loss.text}"
-    if not loss.is_large:
+    if not loss.warning:
         return "ok", text
+    text += f". {loss.rare}".rstrip(". ")
     (times,), steps = work.measurement_times, _LONGEST * work.steps / seconds
     found = enough_particles(evaluator, times, 0, work.estimation, steps)
     if found.is_small:

@@ -434,10 +434,9 @@ class Evaluator:
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
             ]
-            mse, degenerate, estimates = (
-                np.stack([getattr(each, name) for each in filtered], axis=axis)
-                for name, axis in (("mse", 1), ("degenerate", 1), ("estimate", 0))
-            )
+            mse = np.stack([each.mse for each in filtered], axis=1)
+            degenerate = np.stack([each.degenerate for each in filtered], axis=1)
+            estimates = np.stack([each.estimate for each in filtered])
             return Result(mse, draws.z, draws.y, estimates, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
         degenerate = np.zeros(values.shape, np.bool_)

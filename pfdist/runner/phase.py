@@ -232,7 +232,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
-    killed, start_of_phase = 0, reporter.progress.evaluations
     copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
@@ -261,7 +260,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
             rows = evaluation_rows(name, generation, candidates, requests, evaluations)
             session.keep(name, EVALUATIONS, f"{generation:06d}", rows)
         in_order = [evaluations[candidate] for candidate in candidates]
-        killed += sum(evaluation.is_killed for evaluation in in_order)
         if phase.keep_leaders:
             no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]
             phase.leaders.extend(new_leaders(no_windows, phase.leaders))
@@ -270,9 +268,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         mean = float(np.mean(costs)) if costs else None
         reporter.note(best=best[0] if best else None, mean=mean)
     reporter.note(done=start + phase.steps())
-    if killed:
-        evaluated = reporter.progress.evaluations - start_of_phase
-        session.say(f"search {name}: degenerate draws killed {killed:,} of {evaluated:,} sets")
     # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)

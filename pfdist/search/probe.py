@@ -231,25 +231,17 @@ def failed_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) ->
     as users read them, on the clock.
     """
     if estimated.measurement_times != squared.measurement_times:
-        return wrong_order(estimated, squared, clock=clock)
+        apart = difference(squared, estimated)
+        return (
+            f"it prefers {_text(squared, clock)} to {_text(estimated, clock)}, where the squared "
+            f"error of the same filter is larger by {apart.value:.4g} ± {apart.standard_error:.2g}"
+        )
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     estimate, error = np.mean(estimated.mse[usable]), Estimate.of_mean(squared.mse[usable])
     up_to = "" if estimated.end is None else f" up to t = {clock.formatted(estimated.end)}"
     return (
         f"it gives {estimate:.4g} for {_text(estimated, clock)}{up_to}, where the squared "
         f"error of the same filter is {error.value:.4g} ± {error.standard_error:.2g}"
-    )
-
-
-def wrong_order(better: Evaluation, worse: Evaluation, *, clock: Clock) -> str:
-    """A sentence that says which two sets an estimator puts in the wrong order.
-
-    Both evaluations are by the squared error, on common draws.
-    """
-    apart = difference(worse, better)
-    return (
-        f"it prefers {_text(worse, clock)} to {_text(better, clock)}, where the squared error of "
-        f"the same filter is larger by {apart.value:.4g} ± {apart.standard_error:.2g}"
     )
 
 

@@ -13,6 +13,9 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, count_draws
 from pfdist import Job, load_job
+from pfdist.analysis.stored_run import killed_of
+from pfdist.answers.run import searches
+from pfdist.answers.subject import Subject
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, SearchError, TaskError
 from pfdist.filters.evaluator import Evaluator
@@ -127,16 +130,29 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
         "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
     )
     changes = ['model.name="hopeless.py:hopeless"', "filter.engine=numpy", "evaluation.draws=3"]
-    said = list[str]()
     with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
-        pfdist.run(
-            small_job.with_changes(changes), tmp_path / "run", figures=False, say=said.append
-        )
+        pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
     rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     assert (rows["degenerate_draws"] == rows["draws"]).all()
     assert np.isinf(rows["expected_mse"]).all()
-    killed = rows["copies"][rows["phase"] == "genetic"].sum()
-    assert f"search genetic: degenerate draws killed {killed} of {killed} sets" in said
+    assert killed_of(pfdist.open_run(tmp_path / "run")) == {"genetic": 24, "random": 10}
+
+
+def test_the_answer_says_how_many_sets_were_killed(small_job: Job, tmp_path: Path) -> None:
+    small_job.path.with_name("rare.py").write_text(
+        "from pfdist import where\n"
+        "from pfdist.models.ungm import model\n"
+        "import dataclasses\n"
+        "rare = dataclasses.replace(model, log_likelihood=lambda y, x, t, p: where(\n"
+        "    y[0] > 27.0, -float('inf'), model.log_likelihood(y, x, t, p)))\n"
+    )
+    changes = ['model.name="rare.py:rare"', "filter.engine=numpy", "evaluation.draws=3"]
+    run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+    rows = run.table("evaluations")
+    killed = rows["copies"][np.isinf(rows["expected_mse"])].groupby(rows["phase"]).sum()
+    assert 0 < killed["genetic"] < 24
+    texts = [block.text for block in searches(Subject(run)).blocks if hasattr(block, "text")]
+    assert f"Degenerate draws killed {killed['genetic']} evaluated sets of genetic." in texts
 
 
 # --- The same, however it was computed ----------------------------------------------------------

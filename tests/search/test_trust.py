@@ -19,7 +19,6 @@ from pfdist.search.probe import (
     judged,
     misordered,
     new_leaders,
-    wrong_order,
 )
 from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible
@@ -102,7 +101,7 @@ def test_sets_are_written_with_their_times_on_the_clock_and_their_sensors() -> N
         *pair, clock=clock
     )
     other = Evaluation((1,), np.zeros(4))
-    text = wrong_order(other, pair[0], clock=clock)
+    text = failed_probe(other, pair[0], clock=clock)
     assert text.startswith("it prefers {0 probe, 0.5 probe, 1.5 core} to {0 core}, ")
 
 
