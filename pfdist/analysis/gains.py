@@ -29,7 +29,7 @@ negative. Gains below -10 or above 1 are counted separately."""
 
 @dataclass(frozen=True)
 class GainSummary:
-    """Gain of a set of times over the reference, on the draws that are degenerate with neither.
+    """Gain of a set of times over the reference, on the draws whose relative gain is a number.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class GainSummary:
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:
-    """Relative gain of each draw, 1 - mse / reference; NaN if a filter is degenerate."""
+    """Relative gain of each draw, 1 - mse / reference; NaN if both are 0 or infinite."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return 1.0 - mse / reference
 
@@ -104,7 +104,7 @@ def gain_over_itself(mse: Array, again: Array) -> Moments:
     Parameters
     ----------
     mse, again : array of float64, (D,)
-        Per-draw MSE on the same draws; NaN marks a degenerate draw.
+        Per-draw MSE on the same draws.
     """
     both, moments = (relative_gain(mse, again) + relative_gain(again, mse)) / 2, Moments()
     moments.add(both[~np.isnan(both)])
@@ -145,10 +145,10 @@ class Gain:
         Parameters
         ----------
         mse, reference : array of float64, (D,)
-            Per-draw MSE on the same draws; NaN marks a degenerate draw.
+            Per-draw MSE on the same draws.
         """
         gain = relative_gain(mse, reference)
-        usable = ~np.isnan(gain)  # NaN: a degenerate draw, both errors 0, or both infinite
+        usable = ~np.isnan(gain)  # NaN: both errors 0, or both infinite
         gain = gain[usable]
         self.relative.add(gain)
         self.errors.add(mse[usable], reference[usable])
@@ -287,12 +287,12 @@ def _largest(values: Array, number: int) -> Array:
 
 
 def summarise_gain(mse: Array, reference: Array) -> GainSummary:
-    """Summary of the gain, on the draws that are degenerate with neither set.
+    """Summary of the gain, on the draws whose relative gain is a number.
 
     Parameters
     ----------
     mse, reference : array of float64, (D,)
-        Per-draw MSE on the same draws; NaN marks a degenerate draw.
+        Per-draw MSE on the same draws.
     """
     gain = Gain()
     gain.add(mse, reference)
