@@ -33,12 +33,14 @@ def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[st
     """
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
-    own, copies = own_estimation(run, search), copies_of(run).get(search, [1])
+    distrust, copies = distrust_of(run, search), copies_of(run).get(search, [1])
+    # After a second search the race gives the cost, and it estimates as the comparison.
+    own = {} if distrust else own_estimation(run, search)
     return {
         "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
         "search_estimation": own,
         "search_cause": cause_of_excess(result, own, str(run.path), len(copies)),
-        "search_distrust": distrust_of(run, search),
+        "search_distrust": distrust,
     }
 
 

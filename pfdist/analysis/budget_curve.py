@@ -59,7 +59,7 @@ def budget_table(
                 "low": low,
                 "high": high,
                 "draws": moments.count,
-                "degenerate_draws": statistics.draws - moments.count,
+                "degenerate_draws": statistics.degenerate_draws[name],
                 "top_percent_share": statistics.top_percent_share(name),
                 "search_cost": float(entry["search_cost"]),
                 "search_standard_error": float(entry["search_standard_error"]),

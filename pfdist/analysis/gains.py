@@ -29,7 +29,7 @@ negative. Gains below -10 or above 1 are counted separately."""
 
 @dataclass(frozen=True)
 class GainSummary:
-    """Gain of a set of times over the reference, on the draws that are degenerate with neither.
+    """Gain of a set of times over the reference, on the draws whose relative gain is a number.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class GainSummary:
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:
-    """Relative gain of each draw, 1 - mse / reference; NaN if a filter is degenerate."""
+    """Relative gain of each draw, 1 - mse / reference; NaN if both are 0 or infinite."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return 1.0 - mse / reference
 
@@ -105,7 +105,7 @@ def gain_over_itself(mse: Array, again: Array) -> Moments:
     Parameters
     ----------
     mse, again : array of float64, (D,)
-        Per-draw MSE on the same draws; NaN marks a degenerate draw.
+        Per-draw MSE on the same draws.
     """
     both, moments = (relative_gain(mse, again) + relative_gain(again, mse)) / 2, Moments()
     moments.add(both[~np.isnan(both)])
@@ -147,10 +147,10 @@ class Gain:
         Parameters
         ----------
         mse, reference : array of float64, (D,)
-            Per-draw MSE on the same draws; NaN marks a degenerate draw.
+            Per-draw MSE on the same draws.
         """
         gain = relative_gain(mse, reference)
-        usable = ~np.isnan(gain)  # NaN: a degenerate draw, both errors 0, or both infinite
+        usable = ~np.isnan(gain)  # NaN: both errors 0, or both infinite
         gain = gain[usable]
         self.relative.add(gain)
         self.errors.add(mse[usable], reference[usable])
@@ -241,6 +241,8 @@ class ComparisonStatistics:
         Number of added draws.
     mse : dict of str to Moments
         Moments of each set's MSE.
+    degenerate_draws : dict of str to int
+        Number of draws that are degenerate with each set.
     gains : dict of str to Gain
         Gain of each set over its reference.
     """
@@ -252,22 +254,26 @@ class ComparisonStatistics:
         self.references = dict.fromkeys(names[1:], names[0]) if references is None else references
         self._largest = {name: np.empty(0) for name in names}
         self.mse = {name: Moments() for name in names}
+        self.degenerate_draws = dict.fromkeys(names, 0)
         self.gains = {name: Gain() for name in self.references}
 
-    def add(self, block: Array) -> None:
+    def add(self, block: Array, degenerate: Array | None = None) -> None:
         """Add a block of draws.
 
         Parameters
         ----------
         block : array of float64, (D, S)
-            Per-draw MSE of each set; NaN marks a degenerate draw.
+            Per-draw MSE of each set.
+        degenerate : array of bool, (D, S), optional
+            Whether each draw is degenerate with each set; by default none is.
         """
         self.draws += len(block)
         columns = dict(zip(self.names, block.T, strict=True))
-        for name, column in columns.items():
-            usable = column[~np.isnan(column)]
-            self.mse[name].add(usable)
-            self._largest[name] = _largest(np.append(self._largest[name], usable), self._most)
+        for place, (name, column) in enumerate(columns.items()):
+            self.mse[name].add(column)
+            self._largest[name] = _largest(np.append(self._largest[name], column), self._most)
+            if degenerate is not None:
+                self.degenerate_draws[name] += int(degenerate[:, place].sum())
         for name, reference in self.references.items():
             self.gains[name].add(columns[name], columns[reference])
 
@@ -288,12 +294,12 @@ def _largest(values: Array, number: int) -> Array:
 
 
 def summarise_gain(mse: Array, reference: Array) -> GainSummary:
-    """Summary of the gain, on the draws that are degenerate with neither set.
+    """Summary of the gain, on the draws whose relative gain is a number.
 
     Parameters
     ----------
     mse, reference : array of float64, (D,)
-        Per-draw MSE on the same draws; NaN marks a degenerate draw.
+        Per-draw MSE on the same draws.
     """
     gain = Gain()
     gain.add(mse, reference)

@@ -6,7 +6,6 @@ All of them filter the same fresh draws, so the errors are compared draw by draw
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,8 +32,8 @@ class OnlineDraws:
     planned_times : tuple of int
         The times of that set.
     rows : DataFrame
-        A row for each draw: draw, measurement_times, estimate, mse_online, and mse_<name> for the
-        reference and the plan.
+        A row for each draw: draw, measurement_times, estimate, mse_online and degenerate, and
+        mse_<name> and degenerate_<name> for the reference and the plan.
     clock : Clock
         The clock of all these times.
     """
@@ -46,11 +45,12 @@ class OnlineDraws:
     clock: Clock
 
     def mse(self, name: str) -> Array:
-        """Per-draw MSE on the draws that are degenerate with none of the three."""
-        return self.rows[f"mse_{name}"].to_numpy()[self._usable]
+        """Per-draw MSE."""
+        mse: Array = self.rows[f"mse_{name}"].to_numpy()
+        return mse
 
     def gain(self, name: str, reference: str) -> Gain:
-        """Gain over a reference, on the draws that are degenerate with none of the three."""
+        """Gain over a reference."""
         gain = Gain()
         gain.add(self.mse(name), self.mse(reference))
         return gain
@@ -63,10 +63,10 @@ class OnlineDraws:
 
     def summary(self) -> dict[str, Any]:
         """Costs, differences and gains; see `pfdist.analysis.Run.summary`."""
-        usable = int(self._usable.sum())
+        degenerate = self.rows.filter(regex="^degenerate").any(axis=1)
         return {
-            "draws": usable,
-            "degenerate_draws": len(self.rows) - usable,
+            "draws": len(self.rows),
+            "degenerate_draws": int(degenerate.sum()),
             **self._cost("online"),
             "differs_from_plan": float(np.mean(self.differ)) if len(self.rows) else np.nan,
             "plan": self._against(self.plan),
@@ -90,11 +90,6 @@ class OnlineDraws:
             **self.gain("online", name).summary().columns(),
         }
 
-    @cached_property
-    def _usable(self) -> NDArray[np.bool_]:
-        names = ("online", self.plan, self.reference)
-        return self.rows[[f"mse_{name}" for name in names]].notna().all(axis=1).to_numpy()
-
 
 def online_draws(run: StoredRun) -> OnlineDraws:
     """Read the draws that have both online times and errors in the comparison.
@@ -107,6 +102,6 @@ def online_draws(run: StoredRun) -> OnlineDraws:
     reference, plan = run.names[0], str(run.job["search"][0]["name"])
     chosen = run.table("online").rename(columns={"mse": "mse_online"})
     compared = run.table("comparison", int(chosen["draw"].max()) + 1)
-    columns = ["draw", f"mse_{reference}", f"mse_{plan}"]
-    rows = chosen.merge(compared[columns], on="draw")
+    columns = [f"{start}_{name}" for name in (reference, plan) for start in ("mse", "degenerate")]
+    rows = chosen.merge(compared[["draw", *columns]], on="draw")
     return OnlineDraws(reference, plan, run.sets[plan], rows, problem_of(run).clock)

@@ -39,8 +39,6 @@ RANK_COLUMNS = (
 class Pair:
     """Statistics of the errors of two sets on the same draws, which are added block by block.
 
-    Draws that are degenerate with one of the sets are left out.
-
     Parameters
     ----------
     difference : Moments
@@ -61,10 +59,8 @@ class Pair:
         Parameters
         ----------
         first, second : array of float64, (D,)
-            Per-draw MSE of both sets on the same draws; NaN marks a degenerate draw.
+            Per-draw MSE of both sets on the same draws.
         """
-        usable = ~(np.isnan(first) | np.isnan(second))
-        first, second = first[usable], second[usable]
         with np.errstate(invalid="ignore"):  # infinite errors have no difference
             self.difference.add(first - second)
         self.errors.add(first, second)
@@ -115,7 +111,7 @@ def pairs_table(
     names : sequence of str
         Names of S sets.
     blocks : iterable of arrays of float64, (D, S)
-        Per-draw MSE of each set, block by block; NaN marks a degenerate draw.
+        Per-draw MSE of each set, block by block.
     exact : mapping of str to float
         Expected MSEs that an engine computes without draws, by the name of the set.
     """

@@ -16,11 +16,13 @@ import numpy as np
 
 from pfdist.analysis.streaming_moments import Array, Moments
 from pfdist.common.estimate import Estimate
-from pfdist.common.percent import particle_loss_text
+from pfdist.common.percent import HEAVY, particle_loss_text, percent
+from pfdist.filters.estimate import top_percent_share
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: with a loss by two filters and a limit below, P is enough."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
+_NOTABLE_TOP = 0.1
 _HARDLY = 0.95  # of the error without a measurement
 _QUANTILE = NormalDist().inv_cdf(0.95)
 
@@ -37,14 +39,14 @@ class ParticleLoss:
         Right to order 1/P.
     at_most : Estimate
         At least the loss, for any number of particles.
-    left_out : int
-        Draws with a degenerate or infinite filter, which do not count.
+    top_share : float
+        Share of the expected MSE, or of its excess over the variance, that 1 % of the draws carry.
     """
 
     particles: int
     by_two_filters: Estimate
     at_most: Estimate
-    left_out: int = 0
+    top_share: float = 0.0
 
     @property
     def is_large(self) -> bool:
@@ -54,16 +56,15 @@ class ParticleLoss:
 
     @property
     def is_small(self) -> bool:
-        """Whether two filters lose at most 1 %, the limit is below 5 %, and all draws count."""
+        """Whether two filters lose at most 1 %, the limit is below 5 %; no few draws carry it."""
         is_small = self.by_two_filters.value <= SMALL and self.limit < SMALL_AT_MOST
-        return is_small and not self.left_out
+        return is_small and not self.rare
 
     @property
     def may_be_small(self) -> bool:
         """Whether more draws might show that the loss is small."""
         low = self.at_most.value - _QUANTILE * self.at_most.standard_error
-        is_open = self.by_two_filters.value <= SMALL and low < SMALL_AT_MOST
-        return is_open and not self.left_out
+        return self.by_two_filters.value <= SMALL and low < SMALL_AT_MOST
 
     @property
     def text(self) -> str:
@@ -71,19 +72,27 @@ class ParticleLoss:
         return particle_loss_text(self.by_two_filters.value, self.limit)
 
     @property
+    def rare(self) -> str:
+        """A sentence if a few draws carry much of the error, else nothing."""
+        share = percent(min(1.0, self.top_share), 0)
+        return (
+            f"1 % of the draws carry {share} of the error of {self.particles:,} particles, or of "
+            "its excess over the variance, so few draws do not show the loss."
+        ) * (self.top_share > HEAVY)
+
+    @property
     def limit(self) -> float:
-        """The upper 95 % limit of the loss."""
-        return self.at_most.value + _QUANTILE * self.at_most.standard_error
+        """The upper 95 % limit of the loss, at most 1; 1 if a filter is infinite."""
+        return min(1.0, self.at_most.value + _QUANTILE * self.at_most.standard_error)
 
     @property
     def warning(self) -> str:
-        """A sentence if the loss is large, else nothing."""
-        if not self.is_large:
-            return ""
-        return (
+        """Sentences if the loss is large, or if few draws carry much of the error; else nothing."""
+        large = (
             f"{self.particles} particles may be too few: they lose {self.text}. "
             "pfdist check-model looks for a number that is enough."
-        )
+        ) * self.is_large
+        return " ".join(filter(None, (large, self.rare)))
 
     def columns(self) -> dict[str, Any]:
         """The values as a summary gives them."""
@@ -108,17 +117,34 @@ def particle_loss(
         Moments of the squared errors of all draws, the first of which are `squared`.
     squared, distance, variance : array of float64, (D,)
         Squared error, half the squared distance of two filters, and variance beside the truth, of
-        the same draws. Draws with a degenerate filter are left out.
+        the same draws.
     """
-    usable = np.isfinite(squared + distance + variance)
-    squared, distance, variance = squared[usable], distance[usable], variance[usable]
     scale = 1 / whole.mean if whole.mean > 0 else 0.0
     apart = Moments()
     apart.add(distance)
     most = less(whole, squared, variance)
     return ParticleLoss(
-        particles, apart.estimate.times(scale), most.times(scale), int(usable.size - usable.sum())
+        particles,
+        apart.estimate.times(scale),
+        most.times(scale),
+        _top_share(squared, variance),
     )
+
+
+def _top_share(squared: Array, variance: Array) -> float:
+    """The larger share of the error, or of its excess over the variance, that 1 % of draws carry.
+
+    A small excess is mostly chance. So it counts only if these draws alone add a tenth to the rest
+    of the error.
+    """
+    if squared.size < 100 or not np.isfinite(squared + variance).all():
+        return 0.0
+    excess, draws = squared - variance, squared.size
+    mean = float(np.mean(excess))
+    of_error = top_percent_share(squared, draws, float(np.mean(squared)))
+    of_excess = top_percent_share(excess, draws, mean)
+    is_notable = of_excess * mean > _NOTABLE_TOP * np.mean(squared)
+    return max(of_error, of_excess if is_notable else 0.0)
 
 
 def less(whole: Moments, first: Array, other: Array) -> Estimate:

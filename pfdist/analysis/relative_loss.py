@@ -17,19 +17,13 @@ _TWO_SIDED = 2 * CONFIDENCE - 1  # its ends are one-sided limits of the confiden
 class RelativeLoss:
     """Mean rise of the MSE over the mean MSE of the kept set, on the pairs of errors added so far.
 
-    Draws that are degenerate with either set are left out.
-
     Parameters
     ----------
     pairs : Pairs
         Moments of the rise of the MSE (x) and the MSE of the kept set (y).
-    degenerate_draws, kept_degenerate_draws : int
-        Number of draws that are degenerate with the changed set, and with the kept set.
     """
 
     pairs: Pairs = field(default_factory=Pairs)
-    degenerate_draws: int = 0
-    kept_degenerate_draws: int = 0
 
     def add(self, changed_mse: Array, kept_mse: Array) -> None:
         """Add a block of draws; the same blocks in the same order give the same bits.
@@ -37,15 +31,10 @@ class RelativeLoss:
         Parameters
         ----------
         changed_mse, kept_mse : array of float64, (D,)
-            Per-draw MSE of both sets on the same draws; NaN marks a degenerate draw.
+            Per-draw MSE of both sets on the same draws.
         """
-        degenerate, kept_degenerate = np.isnan(changed_mse), np.isnan(kept_mse)
-        self.degenerate_draws += int(degenerate.sum())
-        self.kept_degenerate_draws += int(kept_degenerate.sum())
-        usable = ~(degenerate | kept_degenerate)
         with np.errstate(invalid="ignore"):  # infinite errors have no difference
-            rise = changed_mse[usable] - kept_mse[usable]
-        self.pairs.add(rise, kept_mse[usable])
+            self.pairs.add(changed_mse - kept_mse, kept_mse)
 
     @property
     def mean(self) -> float:
@@ -68,13 +57,9 @@ class RelativeLoss:
         return self.pairs.ratio_interval() if self._is_known else UNKNOWN
 
     def state(self, level: float) -> str:
-        """Whether the loss is at most a level, by its one-sided limits.
-
-        A loss is never inside if more draws are degenerate with the changed set than with the kept
-        set: the errors of these draws are unknown.
-        """
+        """Whether the loss is at most a level, by its one-sided limits."""
         low, high = self.limits
-        if high <= level and self.degenerate_draws <= self.kept_degenerate_draws:
+        if high <= level:
             return INSIDE
         return OUTSIDE if low > level else OPEN
 

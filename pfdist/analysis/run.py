@@ -67,7 +67,7 @@ class Run(StoredRun, Shown):
               (draw, time, set, component).
             - ``evaluations``: the columns of the table (row).
 
-            Times are those of the job's clock. Errors of degenerate draws are NaN.
+            Times are those of the job's clock.
 
         Raises
         ------

@@ -239,22 +239,33 @@ def copies_of(run: StoredRun) -> dict[str, list[int]]:
     return {str(name): copies.tolist() for name, copies in rows["copies"].groupby(names)}
 
 
+def killed_of(run: StoredRun) -> dict[str, int]:
+    """How many evaluated sets of each phase degenerate draws have killed, if they killed any."""
+    rows = run.table("evaluations")
+    killed = rows[(rows["degenerate_draws"] > 0) & (rows["expected_mse"] == math.inf)]
+    return {str(phase): int(n) for phase, n in killed.groupby("phase")["copies"].sum().items() if n}
+
+
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
     """The comparison in tables of as many draws each, so that memory does not grow."""
     return run._store.blocks("comparison", "draw", BLOCK)
 
 
-def _errors_of(run: StoredRun) -> Iterator[tuple[NDArray[np.float64], pa.Table]]:
-    """Per-draw MSE of all compared sets, (D, S), block by block; and the rows of the block."""
+def _errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.Table]]:
+    """Per-draw MSE, and whether each draw is degenerate, (D, S); and the rows of the block."""
     for rows in blocks_of(run):
-        yield np.stack([rows[f"mse_{name}"].to_numpy() for name in run.sets], axis=1), rows
+        mse, degenerate = (
+            np.stack([rows[f"{start}_{name}"].to_numpy() for name in run.sets], axis=1)
+            for start in ("mse", "degenerate")
+        )
+        yield mse, degenerate, rows
 
 
 def statistics_of(run: StoredRun) -> ComparisonStatistics:
     """Statistics of all compared draws; memory does not grow with the draws."""
     statistics = ComparisonStatistics(run.names, run.draws_compared, run.references)
-    for block, _ in _errors_of(run):
-        statistics.add(block)
+    for mse, degenerate, _ in _errors_of(run):
+        statistics.add(mse, degenerate)
     return statistics
 
 
@@ -322,11 +333,11 @@ def budget_of(run: StoredRun, statistics: ComparisonStatistics | None = None) ->
     times) and ``given`` (the other sets that the job names).
 
     The columns are kind, measurements, name, measurement_times, expected_mse (on fresh draws),
-    standard_error, low and high (ends of the 95 % interval), draws (without the degenerate ones),
-    degenerate_draws, top_percent_share (the share of expected_mse that 1 % of the draws carry),
-    search_cost and search_standard_error (what the search believed), and worse_than. The last is
-    the best smaller number of measurements of the same kind, if it is better on common draws. The
-    intervals of all such differences hold together with 95 %.
+    standard_error, low and high (ends of the 95 % interval), draws, degenerate_draws,
+    top_percent_share (the share of expected_mse that 1 % of the draws carry), search_cost and
+    search_standard_error (what the search believed), and worse_than. The last is the best smaller
+    number of measurements of the same kind, if it is better on common draws. The intervals of all
+    such differences hold together with 95 %.
 
     Three columns more say what any feasible times of this number can reach: bound (lower bound of
     the expected MSE), bound_error (standard error), and bound_low (one-sided limit of the bound).
@@ -340,7 +351,7 @@ def budget_of(run: StoredRun, statistics: ComparisonStatistics | None = None) ->
 
 
 def pairs_of(run: StoredRun) -> pd.DataFrame:
-    """A row for each pair of compared sets, on the draws that are degenerate with neither.
+    """A row for each pair of compared sets, on the same draws.
 
     The columns are first and second (names); draws; difference (expected MSE of the first less
     that of the second) with low and high (95 %, Student's t, of the paired differences);
@@ -352,7 +363,7 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
     first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
     without draws, difference and gain_of_means are exact, and all their limits are equal.
     """
-    return pairs_table(run.names, (block for block, _ in _errors_of(run)), exact_costs(run))
+    return pairs_table(run.names, (block for block, *_ in _errors_of(run)), exact_costs(run))
 
 
 def ranks_of(run: StoredRun) -> pd.DataFrame:
@@ -375,16 +386,16 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     """A row for each scenario of the job and each compared set.
 
     The columns are scenario (its number, from 0), share and parameters; name (of the set); draws
-    (without the degenerate_draws), expected_mse and standard_error in this scenario; and
+    and degenerate_draws, expected_mse and standard_error in this scenario; and
     gain_of_means over the reference with gain_of_means_low and gain_of_means_high (95 %, Fieller's,
     for one scenario alone).
     """
     scenarios = Scenarios.model_validate(run.job["scenarios"]).each
     statistics = [ComparisonStatistics(run.names, references=run.references) for _ in scenarios]
-    for block, rows in _errors_of(run):
+    for mse, degenerate, rows in _errors_of(run):
         numbers = rows["scenario"].to_numpy()
         for number, of_scenario in enumerate(statistics):
-            of_scenario.add(block[numbers == number])
+            of_scenario.add(mse[numbers == number], degenerate[numbers == number])
     table = []
     for number, (scenario, each) in enumerate(zip(scenarios, statistics, strict=True)):
         for name, moments in each.mse.items():
@@ -396,7 +407,7 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
                 "parameters": dict(scenario.parameters),
                 "name": name,
                 "draws": moments.count,
-                "degenerate_draws": each.draws - moments.count,
+                "degenerate_draws": each.degenerate_draws[name],
                 "expected_mse": moments.mean,
                 "standard_error": moments.standard_error,
                 "gain_of_means": gain.of_means,

@@ -179,8 +179,8 @@ class Summary:
     results : dict of str to SetResult
         The results of each set by name, the reference first.
     online : dict or None
-        Results of times that were chosen one after another: draws (without the degenerate_draws,
-        which are degenerate with the online times, the plan or the reference), expected_mse and
+        Results of times that were chosen one after another: draws, degenerate_draws (with the
+        online times, the plan or the reference), expected_mse and
         standard_error of the online times, and differs_from_plan (share of draws whose times are
         not those of the plan). The plan is the set of the first search. Under ``plan`` and
         ``reference`` stand name, expected_mse and standard_error on these draws, difference

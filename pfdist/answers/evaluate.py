@@ -10,7 +10,7 @@ from pfdist.common.rounding import rounded, with_error
 from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.filters.estimate import Evaluation
 
-_HEAD = ("times", "number", "expected MSE ± standard error", "draws", "degenerate")
+_HEAD = ("times", "number", "expected MSE ± standard error", "draws")
 
 
 def evaluate_page(
@@ -24,13 +24,14 @@ def evaluate_page(
     """
     line, rows = "", [_row(name, evaluation) for name, evaluation in evaluations.items()]
     if list(evaluations) == [""]:
-        _, _, mse, *counts = (cell.text for cell in rows.pop())
-        names = zip(("draws", "degenerate"), counts, strict=True)
-        line = ", ".join([f"expected MSE {mse}", *(f"{n} {name}" for name, n in names if n)])
+        _, _, mse, draws = (cell.text for cell in rows.pop())
+        line = f"expected MSE {mse}" + f", {draws} draws" * bool(draws)
     warnings = list[str]()
     for name, evaluation in evaluations.items():
         these = f"the times of {name} break" if name else "these times break"
         warnings += [f"{these} a constraint: {constraint}" for constraint in broken[name]]
+        of_set = f"{name}: " * bool(name and evaluation.degenerate_draws)
+        warnings += filter(None, [of_set + evaluation.degenerate_text])
         warnings += filter(None, [heavy_tail_warning({name: evaluation.top_percent_share})])
     tables = [Table("", _HEAD, rows)] if rows else []
     tables += _of_scenarios(evaluations, scenarios)
@@ -61,12 +62,10 @@ def _row(name: str, evaluation: Evaluation) -> list[Cell]:
     number = len(evaluation.measurement_times)
     cells = [Cell(name), Cell(str(number), number)]
     if evaluation.exact is not None:
-        return [*cells, Cell(f"{rounded(evaluation.exact)} (exact)"), Cell(""), Cell("")]
+        return [*cells, Cell(f"{rounded(evaluation.exact)} (exact)"), Cell("")]
     mse = with_error(evaluation.expected_mse, evaluation.standard_error)
-    draws, degenerate = evaluation.draws, evaluation.degenerate_draws
     return [
         *cells,
         Cell(mse),
-        Cell(f"{draws:,}", draws),
-        Cell(f"{degenerate:,}" if degenerate else "", degenerate),
+        Cell(f"{evaluation.draws:,}", evaluation.draws),
     ]

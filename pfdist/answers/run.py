@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.analysis.stored_run import copies_of, found_sets, problem_of
+from pfdist.analysis.stored_run import copies_of, found_sets, killed_of, problem_of
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.about_run import citation, computed, problem, tables
 from pfdist.answers.bound import proof
@@ -297,12 +297,13 @@ def _gains_row(name: str, result: SetResult) -> list[Cell]:
 
 
 def _degenerate(subject: Subject) -> list[Text]:
-    left_out = [
+    counts = [
         f"{number_of(result.degenerate_draws, 'draw')} of {name}"
         for name, result in subject.results.items()
         if result.degenerate_draws
     ]
-    return [Text(f"Degenerate and left out: {', '.join(left_out)}.")] if left_out else []
+    text = "there the filter leaves out measurements that no particle explains"
+    return [Text(f"Degenerate: {', '.join(counts)}; {text}.")] if counts else []
 
 
 def _broken(subject: Subject) -> Iterator[Text]:
@@ -350,7 +351,11 @@ def searches(subject: Subject) -> Section | None:
         "Searches", _SEARCHES_HEAD, rows, detail=True,
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
     )  # fmt: skip
-    blocks: list[Block] = [without_empty_columns(table), meaning, Figures(["cost"])]
+    killed = [
+        Text(f"Degenerate draws killed {n:,} evaluated sets of {name}.")
+        for name, n in killed_of(subject.run).items()
+    ]
+    blocks: list[Block] = [without_empty_columns(table), *killed, meaning, Figures(["cost"])]
     return Section("How the times were found", blocks)
 
 

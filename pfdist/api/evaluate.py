@@ -5,12 +5,12 @@ from functools import partial
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pfdist.api.options import following
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import Result, joined
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build
@@ -129,25 +129,29 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
     exact, scenarios = [None] * count, None
     if evaluator.exact:
         exact, mse = built.exact_costs([*times]).tolist(), np.empty((count, 0))
+        degenerate = np.empty((count, 0), np.bool_)
     else:
         evaluation = Settings.from_job(built.job)
-        draws, of, pieces = evaluation.draws, evaluation.estimation, list[NDArray[np.float64]]()
+        draws, of, pieces = evaluation.draws, evaluation.estimation, list[Result]()
         work = evaluator.work(times, stream, stream, (0, draws), of, ids=tuple(sets))
         scenarios = evaluator.scenarios_of(stream, range(draws))
         with following(None, silent) as (show, _):
             for piece in evaluator.pieces(work, MOST_SECONDS):
-                pieces.append(evaluator.filtered(piece).mse)
+                pieces.append(evaluator.filtered(piece))
                 show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
-        mse = np.concatenate(pieces).T.copy()
+        result = joined(pieces)
+        mse, degenerate = result.mse.T.copy(), result.degenerate.T
     return {
         name: Evaluation(
             tuple(built.job.problem.clock.written_of(sets[name])),
             mse_of_set,
-            built.job.evaluation.degenerate_draws,
-            cost,
+            exact=cost,
             purpose="evaluate",
             scenarios=scenarios,
             is_worst=built.is_worst,
+            degenerate=degenerate_of_set,
         )
-        for name, mse_of_set, cost in zip(sets, mse, exact, strict=True)
+        for name, mse_of_set, degenerate_of_set, cost in zip(
+            sets, mse, degenerate, exact, strict=True
+        )
     }

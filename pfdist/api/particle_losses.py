@@ -49,8 +49,7 @@ def particle_losses(
     Returns
     -------
     DataFrame
-        A row for each number of particles. The columns are particles; draws and degenerate_draws,
-        whose filters fail or become infinite, and which do not count; expected_mse and
+        A row for each number of particles. The columns are particles; draws; expected_mse and
         standard_error, of the job's filter on the draws of its own model; as fractions of this
         expected MSE, particle_loss and particle_loss_error, half the squared distance of two
         independent filters and its standard error; particle_loss_at_most and
@@ -91,7 +90,6 @@ def particle_losses(
             {
                 "particles": number,
                 "draws": draws,
-                "degenerate_draws": loss.left_out,
                 "expected_mse": mse.mean,
                 "standard_error": mse.standard_error,
                 **loss.columns(),

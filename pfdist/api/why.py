@@ -73,14 +73,14 @@ class Why(Shown):
         instant, where nothing moves): position, name, t,
         moved_to (the instant, or on a clock its time), moved_to_instant (its number), draws, loss
         (the expected MSE over that of the kept set, less 1), loss_error (its standard error),
-        degenerate_draws, lower_limit and upper_limit (one-sided, 95 %). The states
+        lower_limit and upper_limit (one-sided, 95 %). The states
         within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
         the lower limit is above, and else "open". The instants lie between the neighbouring
         measurements, and end on each side with the first that is outside within_5.
     jitter : DataFrame
         A row for each set and level: position, name, percent (1 or 5), draws, and the loss when
         each draw moves all measurements at random within their windows of this level: loss,
-        loss_error, degenerate_draws, low and high (95 % interval). If nothing can move, draws is 0.
+        loss_error, low and high (95 % interval). If nothing can move, draws is 0.
     figures : list of Path
         The PNG and SVG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
         reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.

@@ -103,7 +103,7 @@ UNKNOWN, ZERO = Estimate(math.nan, math.nan), Estimate(0.0)
 class GapParts:
     """The expected MSE of a set, and the parts of its gap that no relaxation causes."""
 
-    expected_mse: Estimate  # with the job's own filter; NaN if a draw is degenerate or infinite
+    expected_mse: Estimate  # with the job's own filter; NaN if a draw is infinite
     # Expected MSE with the true model, less the expected variance of particles among which the
     # truth stands. This is at least what the number of particles costs.
     estimate: Estimate = ZERO
@@ -158,7 +158,7 @@ def gap_of(
     """
     mse = parts.expected_mse
     if not math.isfinite(mse.value):
-        return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
+        return Gap(name, times, mse, "a draw is infinite with the set itself")
     slack, budget = proof.slack[place].plus(parts.weighting), proof.budgets[place]
     total = slack.plus(parts.both)
     at_most = total.at_most(confidence)

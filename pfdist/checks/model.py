@@ -225,8 +225,9 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
     """
     loss, _ = measured_loss(evaluator, work)
     text = f"{loss.particles:,} particles lose {loss.text}"
-    if not loss.is_large:
+    if not loss.warning:
         return "ok", text
+    text += f". {loss.rare}".rstrip(". ")
     (times,), steps = work.measurement_times, _LONGEST * work.steps / seconds
     found = enough_particles(evaluator, times, 0, work.estimation, steps)
     if found.is_small:
@@ -242,21 +243,19 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     draws = min(_DRAWS, max(1, int(_SECONDS / seconds_a_draw)))
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # the check below reports infinite errors
-        mse = evaluator(replace(work, draws=(0, draws))).mse[:, 0]
+        result = evaluator(replace(work, draws=(0, draws)))
     seconds = (time.perf_counter() - start) * _DRAWS / draws
-    usable = mse[~np.isnan(mse)]
-    share = 1 - usable.size / draws
+    share = result.degenerate.mean()
     text = (
         f"{share:.2%} of draws with {len(times)} regular times and {estimation.particles} particles"
     )
     yield Check("degenerate draws", "note" if share else "ok", text)
-    mean = Estimate.of_mean(usable)
+    mean = Estimate.of_mean(result.mse[:, 0])
     text = f"{mean.text} with these times"
     if math.isfinite(mean.value) and math.isfinite(mean.standard_error):
         yield Check("expected MSE", "ok", text)
     else:
-        got = text if usable.size else "no usable draw"
-        yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {got}")
+        yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
     work = replace(work, draws=(0, draws))
     yield Check("effective sample size", *_effective_sizes(evaluator, work))
     if has_particle_loss(evaluator):

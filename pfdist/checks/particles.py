@@ -63,7 +63,7 @@ def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Momen
         errors.append(np.concatenate([evaluator.filtered(piece).mse[:, 0] for piece in pieces]))
     squared, distance, variance = errors
     whole = Moments()
-    whole.add(squared[~np.isnan(squared)])
+    whole.add(squared)
     return particle_loss(particles, whole, squared, distance, variance), whole
 
 
@@ -93,9 +93,11 @@ def enough_particles(
 ) -> ParticleLoss:
     """The loss with the least of `NUMBERS` with which it is small.
 
-    If it is small with none, the loss with the largest number, or with the largest for which at
-    most so many particle-steps are enough. The result depends on the arguments alone, so the same
-    job gets the same number.
+    A loss must be small on all draws of `_DRAWS`. If it is small on few draws, and rare failures of
+    the filter appear on more, this loss is the result: more particles make failures rarer, until no
+    number of draws shows them. If the loss is small with no number, the result is that with the
+    largest number, or with the largest for which at most so many particle-steps are enough. The
+    result depends on the arguments alone, so the same job gets the same number.
     """
     losses, steps = list[ParticleLoss](), 0
     for number in NUMBERS:
@@ -106,8 +108,9 @@ def enough_particles(
             if losses and steps > most_steps:
                 return losses[-1]
             loss, _ = measured_loss(evaluator, work)
+            few_draws_mislead = draws > _DRAWS[0] and losses[-1].is_small and loss.rare
             losses.append(loss)
-            if loss.is_small:
+            if few_draws_mislead or (loss.is_small and draws == _DRAWS[-1]):
                 return loss
             if not loss.may_be_small:
                 break

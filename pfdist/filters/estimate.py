@@ -15,13 +15,6 @@ from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Facts, Page, Section
 from pfdist.times.measurement_times import Times
 
-DEGENERATE_POLICIES = ("kill", "leave_out")
-"""Policies for degenerate draws.
-
-``kill``, the paper's, makes the cost infinite if a draw is degenerate; ``leave_out`` takes the mean
-over the other draws.
-"""
-
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Shown):
@@ -32,8 +25,10 @@ class Evaluation(Shown):
     measurement_times : tuple of int
         Instants; times on the clock where a user reads them.
     mse : array of float64, (D,)
-        Per-draw MSE; NaN marks a degenerate draw.
-    degenerate_policy : {"kill", "leave_out"}
+        Per-draw MSE. In a degenerate draw the filter leaves out the measurements that no particle
+        explains, and the draw counts with the error of this filter.
+    degenerate_policy : {"continue", "kill"}
+        ``kill``, the paper's, makes the cost infinite if a draw is degenerate.
     exact : float, optional
         The expected MSE, where the engine knows it without draws.
     end : int, optional
@@ -46,17 +41,20 @@ class Evaluation(Shown):
         The number of each draw's scenario.
     is_worst : bool
         Whether the cost is the largest of the scenarios' means, and not the mean over all draws.
+    degenerate : array of bool, (D,), optional
+        Whether each draw is degenerate; by default none is.
     """
 
     measurement_times: Times
     mse: NDArray[np.float64]
-    degenerate_policy: str = "kill"
+    degenerate_policy: str = "continue"
     exact: float | None = None
     end: int | None = None
     errors: NDArray[np.float64] | None = None
     purpose: str = "search"
     scenarios: NDArray[np.int64] | None = None
     is_worst: bool = False
+    degenerate: NDArray[np.bool_] | None = None
 
     @property
     def draws(self) -> int:
@@ -66,23 +64,22 @@ class Evaluation(Shown):
     @cached_property
     def degenerate_draws(self) -> int:
         """Number of degenerate draws."""
-        return int(np.isnan(self.mse).sum())
+        return 0 if self.degenerate is None else int(self.degenerate.sum())
+
+    @property
+    def is_killed(self) -> bool:
+        """Whether the cost is infinite because a draw is degenerate."""
+        return self.degenerate_policy == "kill" and self.degenerate_draws > 0
 
     @cached_property
     def expected_mse(self) -> float:
-        """Mean of the per-draw MSE, or that of the worst scenario.
-
-        The policy says how degenerate draws count.
-        """
+        """Mean of the per-draw MSE, or that of the worst scenario; infinite if it is killed."""
         if self.exact is not None:
             return self.exact
         if self.is_worst:
             return self.worst.expected_mse
-        mean = float(np.mean(self.mse)) if self.draws else math.nan
-        if not math.isnan(mean):  # no draw is degenerate
-            return mean
-        usable = self._usable
-        return float(np.mean(usable)) if usable.size else math.inf
+        mean = float(np.mean(self.mse)) if self.draws and not self.is_killed else math.inf
+        return math.inf if math.isnan(mean) else mean
 
     @cached_property
     def standard_error(self) -> float:
@@ -93,7 +90,7 @@ class Evaluation(Shown):
             return self.worst.standard_error
         if math.isinf(self.expected_mse):
             return math.inf
-        return Estimate.of_mean(self._usable).standard_error
+        return Estimate.of_mean(self.mse).standard_error
 
     @cached_property
     def of_scenarios(self) -> "dict[int, Evaluation]":
@@ -101,9 +98,7 @@ class Evaluation(Shown):
         if self.scenarios is None:
             return {}
         return {
-            number: replace(
-                self, mse=self.mse[self.scenarios == number], scenarios=None, is_worst=False
-            )
+            number: replace(self._of(self.scenarios == number), scenarios=None, is_worst=False)
             for number in np.unique(self.scenarios).tolist()
         }
 
@@ -120,12 +115,19 @@ class Evaluation(Shown):
     @cached_property
     def top_percent_share(self) -> float:
         """Share of `expected_mse` that 1 % of the draws carry; NaN with fewer than 100 draws."""
-        return top_percent_share(self._usable, self._usable.size, self.expected_mse)
+        return top_percent_share(self.mse, self.draws, self.expected_mse)
 
     def first(self, draws: int) -> "Evaluation":
         """The evaluation on the first draws."""
-        scenarios = None if self.scenarios is None else self.scenarios[:draws]
-        return replace(self, mse=self.mse[:draws], scenarios=scenarios)
+        return self._of(slice(draws))
+
+    def _of(self, chosen: slice | NDArray[np.bool_]) -> "Evaluation":
+        return replace(
+            self,
+            mse=self.mse[chosen],
+            scenarios=None if self.scenarios is None else self.scenarios[chosen],
+            degenerate=None if self.degenerate is None else self.degenerate[chosen],
+        )
 
     @property
     def errors_of_instants(self) -> NDArray[np.float64]:
@@ -146,16 +148,19 @@ class Evaluation(Shown):
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
         rows = [("measured at t", formatted_times(self.measurement_times))]
         if self.degenerate_draws:
-            rows.append(("degenerate draws", f"{self.degenerate_draws:,}"))
+            rows.append(("degenerate", self.degenerate_text))
         if warning := heavy_tail_warning({"": self.top_percent_share}):
             rows.append(("heavy tail", warning))
         return Page("", title, [Section("", [Facts(rows)])])
 
     @property
-    def _usable(self) -> NDArray[np.float64]:
-        if self.degenerate_draws and self.degenerate_policy == "kill":
-            return np.empty(0)
-        return self.mse[~np.isnan(self.mse)]
+    def degenerate_text(self) -> str:
+        """How many draws are degenerate, as a sentence; empty if none is."""
+        count, are = self.degenerate_draws, "draw is" if self.draws == 1 else "draws are"
+        return (
+            f"{count:,} of {self.draws:,} {are} degenerate: the filter leaves out measurements "
+            "that no particle explains"
+        ) * bool(count)
 
 
 def difference(first: Evaluation, second: Evaluation) -> Estimate:
@@ -177,7 +182,7 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
         error = math.hypot(worst.standard_error, other.standard_error)
         return Estimate(worst.expected_mse - other.expected_mse, error)
     differences = first.mse[:draws] - second.mse[:draws]
-    return Estimate.of_mean(differences[~np.isnan(differences)])
+    return Estimate.of_mean(differences)
 
 
 def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:

@@ -224,8 +224,8 @@ class Evaluator:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
 
         All sets of the work have the same filter noise. Values after a set's end mean nothing. A
-        set has NaN if a draw is degenerate or infinite with it. A `ModelError` says that a formula
-        failed.
+        set has NaN if a draw is infinite with it, or degenerate although the truth is among the
+        particles. A `ModelError` says that a formula failed.
         """
         draws = self.draws(range(*work.draws), work.draws_stream)
         stream, *_ = work.filter_streams
@@ -384,15 +384,17 @@ class Evaluator:
         ends: Sequence[int],
         stream: int,
         estimation: Estimation,
+        degenerate: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float64]:
         """The MSE of draws with several checked sets under the same noise, (D, S).
 
-        It is the sum of the errors up to each set's end, divided by the number of instants. A
-        `ModelError` says that a formula failed.
+        `degenerate`, (D, S), receives which of them are degenerate. The MSE is the sum of the
+        errors up to each set's end, divided by the number of instants. A `ModelError` says that a
+        formula failed.
         """
         settings = self.settings(estimation)
         mse: NDArray[np.float64] = self.computed_by.filters.filter_checked_sets(
-            self.believed, draws, sets, ends, stream, settings
+            self.believed, draws, sets, ends, stream, settings, degenerate
         )
         return mse
 
@@ -433,13 +435,19 @@ class Evaluator:
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
             ]
             mse = np.stack([each.mse for each in filtered], axis=1)
-            return Result(mse, draws.z, draws.y, np.stack([each.estimate for each in filtered]))
+            degenerate = np.stack([each.degenerate for each in filtered], axis=1)
+            estimates = np.stack([each.estimate for each in filtered])
+            return Result(mse, draws.z, draws.y, estimates, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
+        degenerate = np.zeros(values.shape, np.bool_)
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
-            values[:, same_noise] = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
-        return Result(values)
+            flags = degenerate[:, same_noise]  # a copy
+            given = draws, sets, ends, stream, work.estimation, flags
+            values[:, same_noise] = self.mse_of_sets(*given)
+            degenerate[:, same_noise] = flags
+        return Result(values, degenerate=degenerate)
 
     def settings(self, estimation: Estimation) -> Estimation:
         """The estimation, with filters that start from the prior."""

@@ -51,16 +51,19 @@ class Filtered:
     """The filter's result for D draws."""
 
     # (D,): mean over t = 0..T of the error of the estimate of z(t). The true model defines the
-    # error. NaN marks a degenerate draw, inf a draw whose particles are no longer finite.
+    # error. Inf marks a draw whose particles are no longer finite. If the truth is among the
+    # particles, NaN marks a degenerate draw.
     mse: NDArray[np.float64]
+    # (D,): whether the draw is degenerate: at some measurement no particle has a finite
+    # log-likelihood. The filter leaves such a measurement out.
+    degenerate: NDArray[np.bool_]
     # (D, T+1, q): weighted mean and variance of the particles' z(t), if trajectories were wanted.
-    # They are NaN from the measurement at which a draw became degenerate, and after the instant at
-    # which it became infinite.
+    # They are NaN after the instant at which a draw became infinite.
     estimate: NDArray[np.float64] | None = None
     variance: NDArray[np.float64] | None = None
     # (D,): each draw's distribution of the last state, if trajectories were wanted: particles
     # (n, P), resampled if the filter measured then, or a normal distribution. The particles are NaN
-    # if the draw is degenerate or infinite.
+    # if the draw is infinite.
     last: Sequence[NDArray[np.float64] | Gaussian] | None = None
     # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
     weight: NDArray[np.float64] | None = None
@@ -147,6 +150,7 @@ def one_by_one(
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
+    degenerate: NDArray[np.bool_] | None = None,
 ) -> Array:
     """The result of a filter of one set that is called for each set.
 
@@ -154,11 +158,15 @@ def one_by_one(
     `pfdist.filters.particle_filter`.
     """
     keys = filter_streams(stream, settings.estimator)
-    each_set = (
-        (some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys])
-        for times, some in zip(sets, map(draws.upto, ends), strict=True)
-    )
-    return result(each_set, draws, ALL_ESTIMATORS[settings.estimator])
+
+    def each_set() -> EachSet:
+        for place, (times, some) in enumerate(zip(sets, map(draws.upto, ends), strict=True)):
+            filters = [filter_checked_draws(model, some, times, k, settings, True) for k in keys]
+            if degenerate is not None:
+                degenerate[:, place] = np.any([each.degenerate for each in filters], axis=0)
+            yield some, filters
+
+    return result(each_set(), draws, ALL_ESTIMATORS[settings.estimator])
 
 
 def mse_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array:
@@ -178,7 +186,8 @@ def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array
             errors = _errors(filters, some, estimator).sum(axis=0)
         row = np.zeros(draws.z.shape[1])
         row[: errors.size] = errors
-        sums.append(row if np.isfinite(errors).all() else np.full_like(row, np.nan))
+        is_known = np.isfinite(errors).all() and not np.isnan([f.mse for f in filters]).any()
+        sums.append(row if is_known else np.full_like(row, np.nan))
     return np.stack(sums)
 
 

@@ -243,10 +243,11 @@ def filter_checked_draws(
             covariance = _propagated(covariance, step)
     errors = np.sum((draws.z - estimate) ** 2, axis=2)
     mse = np.mean(weighed(errors, draws.instant_weights), axis=1)
+    degenerate = np.zeros(mse.shape, np.bool_)
     if not trajectories:
-        return Filtered(mse)
+        return Filtered(mse, degenerate)
     last = tuple(Gaussian(instants[-1], row, covariance) for row in mean)
-    return Filtered(mse, estimate, variance, last)
+    return Filtered(mse, degenerate, estimate, variance, last)
 
 
 def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:

@@ -25,6 +25,7 @@ from pfdist.kernels.estimators import ALL_ESTIMATORS
 from pfdist.kernels.formulas import compiled_formulas
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import flat_parameters, parameter_names
@@ -62,7 +63,8 @@ def filter_checked_draws(
     """
     planned = _planned(draws, (measurement_times,)).plan
     if not trajectories:
-        return Filtered(_filter(model, draws, planned, stream, settings)[:, 0])
+        mse, degenerate = _filter(model, draws, planned, stream, settings)
+        return Filtered(mse[:, 0], degenerate[:, 0])
     count, particles = len(draws.index), settings.particles
     wanted = _Wanted(
         moments=np.full((2, *draws.z.shape), np.nan),
@@ -70,12 +72,13 @@ def filter_checked_draws(
         cloud=np.full((count, model.components[0], particles), np.nan),
         weight=np.ones((count, particles)),
     )
-    mse = _filter(model, draws, planned, stream, settings, wanted)[:, 0]
+    mse, degenerate = _filter(model, draws, planned, stream, settings, wanted)
     estimate, variance = wanted.moments
     for array in (estimate, variance, wanted.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
     weights = wanted.weight if settings.carries else None
-    return Filtered(mse, estimate, variance, tuple(wanted.cloud), weights, wanted.ranks)
+    given = estimate, variance, tuple(wanted.cloud), weights, wanted.ranks
+    return Filtered(mse[:, 0], degenerate[:, 0], *given)
 
 
 filter_draws = checking(filter_checked_draws)
@@ -88,8 +91,11 @@ def filter_checked_sets(
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
+    degenerate: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """The MSE of draws with several checked sets under the same noise, (D, S).
+
+    `degenerate`, (D, S), receives which of them are degenerate.
 
     A prefix that two sets share is filtered once. This is faster than filtering the sets one by
     one, and gives the same bits. `ends` are the last instants whose errors count; their sum is
@@ -97,7 +103,10 @@ def filter_checked_sets(
     `check_filter` has accepted the settings for this model and the draws' model.
     """
     planned, columns, _ = _planned(draws, sets, ends)
-    return _filter(model, draws, planned, stream, settings)[:, columns]
+    mse, is_degenerate = _filter(model, draws, planned, stream, settings)
+    if degenerate is not None:
+        degenerate[:] = is_degenerate[:, columns]
+    return mse[:, columns]
 
 
 def sum_errors(
@@ -110,13 +119,14 @@ def sum_errors(
 ) -> NDArray[np.float64]:
     """Sums of the errors of each instant over draws, (S, T+1), with checked arguments.
 
-    A set has NaN if a draw is degenerate or infinite with it. Values after the end of a set mean
+    A set has NaN if a draw is infinite with it, or degenerate although the truth is among the
+    particles. Values after the end of a set mean
     nothing. The memory does not grow with the draws. Arguments are those of `filter_checked_sets`.
     """
     instants = draws.z.shape[1]
     planned, columns, givers = _planned(draws, sets, ends)
     errors = np.zeros((len(planned.measured), instants))
-    mse = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
+    mse, _ = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
     for row, giver, begin in zip(errors, givers, planned.begins, strict=True):
         row[:begin] = errors[giver, :begin]
     sums = errors[columns]
@@ -131,9 +141,13 @@ def _filter(
     stream: int,
     settings: Estimation,
     wanted: _Wanted = _NOTHING_ELSE,
-) -> NDArray[np.float64]:
-    """The mse of the sets of a plan, (D, U); the other arrays that are wanted are filled."""
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The mse of the sets of a plan, (D, U), and which draws are degenerate, (D, U).
+
+    The other arrays that are wanted are filled.
+    """
     mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
+    degenerate = np.zeros(mse.shape, np.bool_)
     request = Request(
         np.array(filter_streams(stream, settings.estimator), np.uint64),
         draws.index.start,
@@ -150,11 +164,12 @@ def _filter(
         flat_parameters(truth.parameters, draws.instants.stop),
     )
     estimate, variance = wanted.moments
-    results = Results(mse, estimate, variance, *wanted[1:], np.zeros(2, np.int64))
+    at = np.zeros(2, np.int64)
+    results = Results(mse, degenerate, estimate, variance, *wanted[1:], at)
 
     def again() -> str:
         """Filter the failed draw in NumPy."""
-        row, number = results.at
+        row, number = at
         sensors = len(model.parts)
         measured = measurements_of(planned.measured[number], sensors)
         times = tuple(draws.start * sensors + measurement for measurement in measured)
@@ -164,7 +179,9 @@ def _filter(
 
     with compiled_formulas(model.name, again):
         compiled_filter(model, truth, settings)(request, planned, results)
-    return mse
+    if ALL_SCHEMES[settings.resampling].holds_truth:
+        mse[degenerate] = np.nan  # the truth itself does not explain a measurement
+    return mse, degenerate
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:

@@ -89,13 +89,14 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
-    mse, estimate, variance, last, weight, ranks = (
+    mse, degenerate, estimate, variance, last, weight, ranks = (
         np.concatenate(parts) for parts in zip(*blocks, strict=True)
     )
     if not trajectories:
-        return Filtered(mse)
+        return Filtered(mse, degenerate)
     carried = weight if settings.carries else None
-    return Filtered(mse, estimate, variance, tuple(last), carried, np.moveaxis(ranks, 1, 0))
+    moments = estimate, variance, tuple(last), carried
+    return Filtered(mse, degenerate, *moments, np.moveaxis(ranks, 1, 0))
 
 
 def _filter(
@@ -104,37 +105,43 @@ def _filter(
     times: Times,
     stream: int,
     settings: Estimation,
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P).
+) -> tuple[NDArray[Any], ...]:
+    """Filter D draws; their MSE (D,), which are degenerate, mean and variance of z (D, T+1, q).
 
-    The last arrays have the weights of the last particles, (D, P), and the ranks (D, 2, T+1, q).
+    Then follow the last x, (D, n, P), the weights of the last particles, (D, P), and the ranks,
+    (D, 2, T+1, q).
     """
-    particles, sensors = settings.particles, len(model.parts)
-    scheme = ALL_SCHEMES[settings.resampling]
+    particles, scheme = settings.particles, ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((count, 2, *draws.z.shape[1:]), np.nan)
     true_error = draws.model.formulas["error"]
     total, alive = np.zeros(count), np.ones(count, np.bool_)
+    degenerate = np.zeros(count, np.bool_)
     x, carried = _first(model, draws, stream, settings)
     for k, t in enumerate(draws.instants):
-        log_guide = np.zeros(1)
+        log_guide, before, seen = np.zeros(1), _flat(x), None
         if k > 0:
             y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
             seen = y if settings.guides(model) and t in times else None
-            flat, log_guide = step(model, _flat(x), seen, t - 1, particles, stream, draws.index)
+            flat, log_guide = step(model, before, seen, t - 1, particles, stream, draws.index)
             x = _states(flat, cloud)
         if scheme.holds_truth:
             for component, true in zip(x, draws.x[:, k].T, strict=True):
                 component[:, 0] = true
-        x, weight, degenerate = _weighed(
+        x, weight, fails, weighs = _weighed(
             model, draws, k, x, carried, log_guide, times, stream, settings
         )
-        degenerate &= alive
-        total[degenerate], alive[degenerate] = np.nan, False
+        degenerate |= fails & alive
+        if seen is not None and fails.any():  # these draws step as if t were not measured
+            flat, _ = step(model, before, None, t - 1, particles, stream, draws.index)
+            both = zip(_states(flat, cloud), x, strict=True)
+            x = tuple(
+                np.where(fails[:, None], *unguided_and_guided) for unguided_and_guided in both
+            )
         share = weight / weight.sum(axis=1, keepdims=True)
-        measured = any(time // sensors == t for time in times)
+        measured = any(time // len(model.parts) == t for time in times)
         for c, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
             z = _of_cloud(values, cloud)
             if scheme.holds_truth and measured:
@@ -147,13 +154,13 @@ def _filter(
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
-        carried = weight
-        if measured:
-            key = (t + 1) * sensors - 1
-            x, carried = _resampled(x, weight, settings, stream, draws.index, key)
+        key = (t + 1) * len(model.parts) - 1
+        x, carried = _resampled(x, weight, settings, stream, draws.index, key, weighs)
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
-    return total / instants, mean, variance, last, carried, ranks
+    if scheme.holds_truth:
+        total[degenerate] = np.nan
+    return total / instants, degenerate, mean, variance, last, carried, ranks
 
 
 def _first(
@@ -206,31 +213,32 @@ def _weighed(
     times: Times,
     stream: int,
     settings: Estimation,
-) -> tuple[tuple[Array, ...], Array, NDArray[np.bool_]]:
+) -> tuple[tuple[Array, ...], Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Particles and weights after the measurements at an instant, and which draws degenerate.
 
-    The sensors weigh in their order. The particles are resampled in between, but not propagated.
-    `weight` has the carried weights, and `log_guide` what a proposal adds to their logarithms.
+    A measurement that no particle of a draw explains is left out there. The last array says which
+    draws the last measurement has weighed. The sensors weigh in their order. The particles are
+    resampled in between, but not propagated. `weight` has the carried weights, and `log_guide` what
+    a proposal adds to their logarithms.
     """
     count, particles = cloud = x[0].shape
-    degenerate = np.zeros(count, np.bool_)
-    first, weighs = draws.instants[k] * len(model.parts), False
+    degenerate, weighs = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    first = draws.instants[k] * len(model.parts)
     for number, (_, sensor, of_sensor, _) in enumerate(model.parts):
         if first + number not in times:
             continue
-        if weighs:
-            key = first + number - 1
-            x, weight = _resampled(x, weight, settings, stream, draws.index, key)
-        weighs = True
+        x, weight = _resampled(x, weight, settings, stream, draws.index, first + number - 1, weighs)
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, of_sensor].T)
         log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p) + log_guide
-        weight = plain_weights(_of_cloud(log_weight, cloud) + np.log(weight))
+        new = plain_weights(_of_cloud(log_weight, cloud) + np.log(weight))
+        weighs = np.any(new > 0.0, axis=1)
         if ALL_SCHEMES[settings.resampling].sorts:
-            order = plain_order(x[0], weight)
+            order = np.where(weighs[:, None], plain_order(x[0], new), np.arange(particles))
             x = (np.take_along_axis(x[0], order, axis=1),)
-            weight = np.take_along_axis(weight, order, axis=1)
-        degenerate |= ~weight.any(axis=1)
-    return x, weight, degenerate
+            new = np.take_along_axis(new, order, axis=1)
+        weight = np.where(weighs[:, None], new, weight)
+        degenerate |= ~weighs
+    return x, weight, degenerate, weighs
 
 
 def _resampled(
@@ -240,12 +248,18 @@ def _resampled(
     stream: int,
     index: range,
     key: int,
+    weighs: NDArray[np.bool_],
 ) -> tuple[tuple[Array, ...], Array]:
-    """Particles and weights after resampling; draws with even weights are left as they are."""
+    """Particles and weights after resampling; draws with even weights are left as they are.
+
+    So are draws that no measurement weighs.
+    """
     particles = settings.particles
+    if not weighs.any():
+        return x, weight
     ancestors = plain_ancestors(settings.resampling, weight, stream, index, key)
     effective_sizes = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
-    uneven = (effective_sizes < settings.threshold * particles)[:, None]
+    uneven = (weighs & (effective_sizes < settings.threshold * particles))[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
     x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return x, np.where(uneven, 1.0, weight)

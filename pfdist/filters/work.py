@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,9 +116,9 @@ class Work:
             draws=draws,
         )
 
-    def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
-        """Per-draw MSE of each set, (D,), by the id of its evaluation."""
-        return dict(zip(self.ids, result.mse.T, strict=True))
+    def by_id(self, result: "Result", field: str = "mse") -> dict[str, NDArray[Any]]:
+        """A field of the result, (D,), of each set by the id of its evaluation."""
+        return dict(zip(self.ids, getattr(result, field).T, strict=True))
 
     @property
     def summed(self) -> bool:
@@ -165,7 +165,7 @@ def _instants(
 class Result:
     """The result of a `Work` of D draws and S sets."""
 
-    mse: NDArray[np.float64]  # (D, S): NaN marks a degenerate draw
+    mse: NDArray[np.float64]  # (D, S)
     # (D, T+1, q), with trajectories; else empty
     z: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (D, T+1, m), with trajectories; else empty
@@ -173,21 +173,24 @@ class Result:
     # (S, D, T+1, q), with trajectories; else empty
     estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (E,): Sums of the errors over the draws, set by set, if they are wanted; then everything else
-    # is empty. NaN for each set with which a draw is degenerate or infinite.
+    # is empty. NaN for each set with which a draw is infinite, or degenerate beside the truth.
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (D,): the times of each draw, if each draw has times of its own
     measurement_times: tuple[Times, ...] = ()
+    # (D, S): whether each draw is degenerate with each set
+    degenerate: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
 
 def joined(results: Sequence[Result]) -> Result:
     """The result of successive ranges of draws with the same sets; sums are added."""
 
-    def all_of(name: str, axis: int = 0) -> NDArray[np.float64]:
+    def all_of(name: str, axis: int = 0) -> NDArray[Any]:
         arrays = [getattr(result, name) for result in results]
         return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
 
     sums = np.sum([result.sums for result in results], axis=0)
-    return Result(all_of("mse"), all_of("z"), all_of("y"), all_of("estimates", 1), sums)
+    of_draws = all_of("mse"), all_of("z"), all_of("y"), all_of("estimates", 1)
+    return Result(*of_draws, sums, degenerate=all_of("degenerate"))
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

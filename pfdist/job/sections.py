@@ -22,7 +22,7 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.schemes import ALWAYS, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
-from pfdist.search.section import Estimator, Resampling
+from pfdist.search.section import Degenerate, Estimator, Resampling
 from pfdist.times.clock import Time, plain_time
 from pfdist.times.measurement_times import REGULAR
 
@@ -210,14 +210,15 @@ class EvaluationSection(Section):
     noise : str
         Whether each evaluation has draws of its own, or all share theirs.
     degenerate_draws : str
-        Whether a degenerate draw makes the cost infinite, or is left out of the mean.
+        Whether a degenerate draw makes the cost of a set infinite ("kill"). By default only genetic
+        and random searches read it.
     estimator : str
         How the error of a draw is estimated.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
-    degenerate_draws: Literal["kill", "leave_out"] = "kill"
+    degenerate_draws: Degenerate = "kill"
     estimator: Estimator = SQUARED_ERROR.name
 
 

@@ -29,12 +29,18 @@ from pfdist.kernels.weights import cumulate, weigh
 
 
 def measuring(
-    fillers: Sequence[Callable[..., None]], measurements: Sequence[int], resampling: str
+    fillers: Sequence[Callable[..., None]],
+    measurements: Sequence[int],
+    resampling: str,
+    unguided: Callable[..., None] | None,
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Compile the two steps of the measurements at an instant.
 
-    - ``weigh_cloud(scratch, here, request, p, at, t, sensors) -> here, total``: the half that then
-      holds the cloud, and the sum of the weights. `sensors` has a bit for each sensor that
+    - ``measure(scratch, here, row, total, request, p, at, t, sensors) -> here, row, total, weighs,
+      fails``: the half that then holds the cloud, row and sum of the weights, whether the last
+      measurement gave these weights, and whether a measurement was left out because no particle
+      explains it. If it was the last, the weights are those before, and a guided filter repeats its
+      step by `unguided`, as if t were not measured. `sensors` has a bit for each sensor that
       measures. Each weighs in its turn, and the cloud is resampled in between;
     - ``resample_cloud(scratch, here, request, at, t, left) -> here``, where so many sensors may
       still measure at t. Each number has noise of its own.
@@ -50,7 +56,8 @@ def measuring(
     def weigh_by(scratch, here, request, p, at, t, sensor):
         cloud, weight, log_weight = scratch.cloud, scratch.weight, scratch.log_weight
         fill_log_weights(cloud, here, request, p, at.d, t, log_weight, sensor)
-        weigh(log_weight, weight, WEIGHTED)
+        if not weigh(log_weight, weight, WEIGHTED):
+            return here, 0.0
         here = sort(cloud, here, request.particles, weight, WEIGHTED, scratch.sorting)
         cumulative = scratch.resampling.cumulative
         return here, cumulate(weight, WEIGHTED, log_weight.size, cumulative)
@@ -64,20 +71,42 @@ def measuring(
 
     @melted
     def weigh_cloud(scratch, here, request, p, at, t, sensors):
-        total, weighted = 1.0, False
+        total, fails = 0.0, False
         for sensor in range(number_of_sensors):
-            if (sensors >> sensor) & 1 and total > 0.0:
-                if weighted:
+            if (sensors >> sensor) & 1:
+                if total > 0.0:
                     here = resample_cloud(scratch, here, request, at, t, number_of_sensors - sensor)
                 here, total = weigh_by(scratch, here, request, p, at, t, sensor)
-                weighted = True
-        return here, total
+                fails |= total == 0.0
+        return here, total, fails
 
     @melted
     def weigh_by_the_only_sensor(scratch, here, request, p, at, t, sensors):
-        return weigh_by(scratch, here, request, p, at, t, 0)
+        here, total = weigh_by(scratch, here, request, p, at, t, 0)
+        return here, total, total == 0.0
 
-    return weigh_cloud if number_of_sensors > 1 else weigh_by_the_only_sensor, resample_cloud
+    if number_of_sensors == 1:
+        weigh_cloud = weigh_by_the_only_sensor
+    return _leaving_out(weigh_cloud, unguided or _keep_particles), resample_cloud
+
+
+def _leaving_out(weigh_cloud: Callable[..., Any], step: Callable[..., None]) -> Callable[..., Any]:
+    @melted
+    def measure(scratch, here, row, total, request, p, at, t, sensors):
+        cloud, noise, before = scratch.cloud, scratch.noise, request.start + t - 1
+        here, weighed, fails = weigh_cloud(scratch, here, request, p, at, t, sensors)
+        if weighed > 0.0:
+            return here, WEIGHTED, weighed, True, fails
+        if t > 0:
+            step(cloud, 1 - here, noise, request.particles, p, at.stream, at.draw, before)
+        return here, row, total, False, fails
+
+    return measure
+
+
+@melted
+def _keep_particles(cloud, here, noise, particles, p, stream, draw, t):
+    """Leave all particles as they are: no proposal has made them."""
 
 
 def _of_sensor(
@@ -231,6 +260,9 @@ class Results(NamedTuple):
     """Arrays that the filter fills, for the U sets of the plan; those not wanted are empty."""
 
     mse: NDArray[np.float64]  # (D, U): errors up to the set's end, over T + 1
+    # (D, U): whether no particle explains a measurement, up to the set's end. The caller fills it
+    # with False.
+    degenerate: NDArray[np.bool_]
     estimate: NDArray[np.float64]  # (D, T+1, q): of a single set
     variance: NDArray[np.float64]  # (D, T+1, q): of a single set
     # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
@@ -300,8 +332,10 @@ def fused_filter(
                 for s in range(mse.shape[1]):
                     results.at[0], results.at[1] = d, s
                     at = _At(request.streams[k], k, request.first_draw + d, d, s)
-                    mse_of_filter = filter_draw(at, request, models, plan, results, sized)
+                    filtered = filter_draw(at, request, models, plan, results, sized)
+                    mse_of_filter, is_degenerate = filtered
                     mse[d, s] = mse_of_filter if k == 0 else mse[d, s] + mse_of_filter
+                    results.degenerate[d, s] |= is_degenerate
 
     compiled = cached_on_disk(
         filter_draws,
@@ -328,13 +362,15 @@ def _filter_draw(
     resampling: str,
     is_angle: tuple[bool, ...],
     carries: bool,
-) -> Callable[..., float]:
-    """Compile the filter of one draw with one set of times, which returns the draw's MSE.
+) -> Callable[..., tuple[float, bool]]:
+    """Compile the filter of one draw with one set of times: its MSE, and whether it is degenerate.
 
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
     begin, propagate, *fillers = cloud_steps(formulas, noise_kinds[:2], components[0], carries)
-    weigh_cloud, resample_cloud = measuring(fillers, components[1], resampling)
+    measure, resample_cloud = measuring(
+        fillers, components[1], resampling, propagate if formulas.proposal else None
+    )
     begin_weighted, begin_log_weights, resample = weighting(
         begin, resample_cloud, bool(formulas.proposal), carries
     )
@@ -356,6 +392,7 @@ def _filter_draw(
         k, behind = first_stops[s], first_stops[s + 1]  # of its next stop, and of all its stops
         goes_on = slots[behind - 1] >= 0 or results.cloud.size > 0  # its last cloud counts
         here, stop, source = np.int64(0), begins[s], sources[s] if begins[s] > 0 else np.int64(-1)
+        is_degenerate = source >= 0 and saved.degenerate[source]
         error, row, total = begin_weighted(at, request, p, scratch, source)
         # At each instant: propagate, weight, estimate, resample. The estimate comes before
         # resampling, which adds noise. The loop pauses at each instant whose cloud a later set
@@ -363,16 +400,16 @@ def _filter_draw(
         while k < behind and error < np.inf:
             first, stop, k = stop, stops[k], k + 1
             for t in range(first, stop):
-                instant = request.start + t
+                instant, weighs = request.start + t, False
                 if t > 0:
                     step(scratch, here, row, request, p, at, t, measured[s, t])
                     here = 1 - here
                 put_truth(cloud, here, request.x, d, t)
                 if measured[s, t]:
-                    here, total = weigh_cloud(scratch, here, request, p, at, t, measured[s, t])
-                    row = WEIGHTED
-                if total == 0.0:
-                    return _end(saved.errors, slots[k - 1 : behind], np.nan)  # degenerate
+                    here, row, total, weighs, fails = measure(
+                        scratch, here, row, total, request, p, at, t, measured[s, t]
+                    )
+                    is_degenerate |= fails
                 rank_truth(scratch, here, request, p, total, results.ranks, d, t, measured[s, t])
                 fill_terms(cloud, here, instant, p, weight, row, terms)
                 mean = mean_of(terms, total)
@@ -394,13 +431,13 @@ def _filter_draw(
                 error += squared
                 _add(results.errors, s, t, squared)
                 if not error < np.inf:
-                    return _end(saved.errors, slots[k - 1 : behind], np.inf)
-                if measured[s, t] and (goes_on or t + 1 < ends[s]):
+                    return _end(saved, slots[k - 1 : behind], is_degenerate)
+                if weighs and (goes_on or t + 1 < ends[s]):
                     here, row, total = resample(scratch, here, request, total, at, t)
             # Inside the loop over t this costs 3 %.
-            _save(cloud, here, weight, row, saved, slots[k - 1], error)
+            _save(cloud, here, weight, row, saved, slots[k - 1], error, is_degenerate)
         _keep(cloud, here, weight, row, results, d)
-        return _mean(error, measured.shape[1], saved.errors, slots[k:behind])
+        return _mean(error, measured.shape[1], saved, slots[k:behind], is_degenerate)
 
     return filter_draw
 
@@ -468,10 +505,10 @@ def _add(errors, s, t, error):
 
 
 @melted
-def _save(cloud, here, weight, row, saved, slot, error):
+def _save(cloud, here, weight, row, saved, slot, error, is_degenerate):
     """Save the cloud with its weights, and the sum of errors, if a later set resumes from here."""
     if slot >= 0:
-        saved.errors[slot] = error
+        saved.errors[slot], saved.degenerate[slot] = error, is_degenerate
         copy_cloud(cloud, here, saved.clouds, slot)
         for i in range(weight.shape[1]):
             saved.weights[slot, i] = weight[row, i]
@@ -488,15 +525,17 @@ def _keep(cloud, here, weight, row, results, d):
 
 
 @melted
-def _end(saved_errors, slots, mse):
-    """End a set with this MSE, NaN or inf, and with it the sets that would resume from it."""
+def _end(saved, slots, is_degenerate):
+    """End a set with an infinite MSE, and with it the sets that would resume from it."""
     for slot in slots:
         if slot >= 0:
-            saved_errors[slot] = mse
-    return mse
+            saved.errors[slot], saved.degenerate[slot] = np.inf, is_degenerate
+    return np.inf, is_degenerate
 
 
 @melted
-def _mean(error, instants, saved_errors, slots):
-    """The sum of errors over the number of instants, or NaN or inf if a shared prefix ended so."""
-    return error / instants if error < np.inf else _end(saved_errors, slots, error)
+def _mean(error, instants, saved, slots, is_degenerate):
+    """The sum of errors over the number of instants, or inf if a shared prefix ended so."""
+    if error < np.inf:
+        return error / instants, is_degenerate
+    return _end(saved, slots, is_degenerate)

@@ -52,6 +52,7 @@ class Saved(NamedTuple):
     errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
     # (slots, width(P)): the weights that a filter carries; not used by one that carries none
     weights: NDArray[np.float32]
+    degenerate: NDArray[np.bool_]  # (slots,): whether the draw is degenerate up to each cloud
 
 
 @lru_cache(maxsize=16)

@@ -94,6 +94,7 @@ def filter_scratch(
             aligned((slots, states, size), np.float64),
             aligned((slots,), np.float64),
             aligned((slots, size), np.float32),
+            aligned((slots,), np.bool_),
         ),
         aligned((*first_means, rows), np.float64),
     )
@@ -123,6 +124,7 @@ def with_sizes(scratch, states, rows, noise_rows, particles):
             shaped(saved.clouds, (slots, states, size)),
             saved.errors,
             shaped(saved.weights, (slots, size)),
+            saved.degenerate,
         ),
         scratch.first_means,
     )

@@ -48,15 +48,21 @@ def _exp(x):
 
 @melted
 def weigh(log_weight, weight, row):
-    """Compute a row of weights from finite log-weights; all are 0 if all are `IMPOSSIBLE`."""
+    """Compute a row of weights from finite log-weights, and return whether one is possible.
+
+    If all log-weights are `IMPOSSIBLE`, the row is left as it is.
+    """
     highest = log_weight[0]
     for i in range(log_weight.size):
         highest = larger(highest, log_weight[i])
+    if not highest > IMPOSSIBLE:
+        return False
     for i in range(log_weight.size):
         excess = log_weight[i] - highest
         possible = excess > _LEAST and log_weight[i] > IMPOSSIBLE
         value = _exp(np.float32(excess if possible else 0.0))
         weight[row, i] = value if possible else np.float32(0.0)
+    return True
 
 
 def plain_weights(log_likelihood: NDArray[np.float64]) -> NDArray[np.float64]:

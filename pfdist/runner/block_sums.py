@@ -134,21 +134,15 @@ class BlockSums:
     def means(self, blocks: int, session: Session) -> Generator[Batch, None, list[Array]]:
         """Mean errors of each set at the instants that count, over the first blocks.
 
-        A block in which a set has a degenerate draw does not count for this set; a set without a
-        usable block has NaN.
+        A set with an infinite draw has NaN.
         """
-        starts, set_of = self._counted.starts, self._counted.set_of
-        sums, usable = np.zeros(set_of.size), np.zeros(starts.size)
+        sums = np.zeros(self._counted.set_of.size)
 
         def add(_block: int, errors: Array) -> None:
-            finite = np.logical_and.reduceat(np.isfinite(errors), starts)
-            sums[:] += np.where(finite[set_of], errors, 0.0)
-            usable[:] += finite
+            sums[:] += errors
 
         yield from self.added(session, range(blocks), add, more_follows=True)
-        with np.errstate(invalid="ignore"):
-            means = np.where(usable[set_of] > 0, sums / (BLOCK * usable[set_of]), np.nan)
-        return np.split(means, starts[1:])
+        return np.split(sums / (BLOCK * blocks), self._counted.starts[1:])
 
 
 class GroupSums:

@@ -183,11 +183,11 @@ def _with_enough_particles(job: Job) -> Job:
         )
     loss = enough_particles(evaluator, times, job.seed, built.comparing)
     if not loss.is_small:
-        left_out = f", and {loss.left_out} draws are degenerate" * bool(loss.left_out)
+        rare = f". {loss.rare}" * bool(loss.rare)
         raise JobError(
             f"{must}: no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters "
             f"and less than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
-            f"{left_out} ({job.path})"
+            f"{rare} ({job.path})"
         )
     return with_number(loss.particles)
 

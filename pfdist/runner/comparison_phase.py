@@ -60,7 +60,8 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
         columns = [pa.array(np.arange(*piece.draws))]
-        columns += [pa.array(mse, from_pandas=True) for mse in piece.by_id(result).values()]
+        columns += [pa.array(mse) for mse in piece.by_id(result).values()]
+        columns += [pa.array(flags) for flags in piece.by_id(result, "degenerate").values()]
         scenarios = evaluator.scenarios_of(piece.draws_stream, range(*piece.draws))
         columns += [] if scenarios is None else [pa.array(scenarios.astype(np.int16))]
         return pa.Table.from_arrays(columns, schema=schema)

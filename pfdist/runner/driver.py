@@ -33,8 +33,8 @@ COMPARED = "search"
 def drive(session: Session) -> Generator[Batch, None, None]:
     """Compute everything that a run still lacks, whether it is new or half finished.
 
-    Raises `SearchError` if a search found no set of times without degenerate draws. The errors of
-    every driver follow from `pfdist.runner.door`.
+    Raises `SearchError` if degenerate draws killed every set with which a search ended. The errors
+    of every driver follow from `pfdist.runner.door`.
     """
     built, store, reporter = session.built, session.store, session.reporter
     reporter.foresee(foreseen_steps(built))
@@ -90,9 +90,10 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
     for name in built.names:
         if name not in compared:
             raise SearchError(
-                f"search {name}: every set of times that it ended with had a degenerate "
-                f"draw (a measurement no particle can explain); more particles than "
-                f"{built.job.filter.particles} help, or evaluation.degenerate_draws = 'leave_out'"
+                f"search {name}: every set of times that it ended with costs infinity, by a "
+                f"degenerate draw (a measurement no particle explains) or an infinite error; more "
+                f"particles than {built.job.filter.particles} help, or "
+                f"evaluation.degenerate_draws = 'continue'"
             )
     for position, row in enumerate(rows):
         row["position"] = position
@@ -189,7 +190,8 @@ def _rows(piece: Work, result: Result) -> pa.Table:
     later = len(result.mse) - len(estimates)
     columns = [
         pa.array(np.arange(*piece.draws)),
-        pa.array(result.mse[:, 0], from_pandas=True),
+        pa.array(result.mse[:, 0]),
+        pa.array(result.degenerate[:, 0]),
         pa.array(result.measurement_times, pa.list_(pa.int16())),
         pa.array([*estimates, *[None] * later], pa.list_(pa.float64())),
     ]

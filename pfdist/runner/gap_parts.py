@@ -88,21 +88,14 @@ def gap_parts(
     if squared is None:
         rows, statistics = run.table("comparison", draws), statistics_of(run)
         squared = {name: rows[f"mse_{name}"].to_numpy(np.float64) for name in sets}
-        whole = {
-            name: statistics.mse[name]
-            for name in sets
-            if statistics.mse[name].count == statistics.draws  # no draw is degenerate
-        }
+        whole = {name: statistics.mse[name] for name in sets}
     else:
         for name, values in squared.items():
             whole[name] = Moments()
             whole[name].add(values)
     by_truth, variance = errors.get("by_truth", squared), errors["variance"]
     return {
-        name: parts_of(whole[name], squared[name], by_truth[name], variance[name])
-        if name in whole
-        else _DEGENERATE
-        for name in sets
+        name: parts_of(whole[name], squared[name], by_truth[name], variance[name]) for name in sets
     }
 
 

@@ -8,7 +8,7 @@ and finds their draws by the ids of the evaluations.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +21,7 @@ from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
@@ -122,6 +123,7 @@ class Request:
     stream: int  # key of draws and filter noise: their roles keep them apart
     estimation: Estimation
     mse: NDArray[np.float64]  # (D,); NaN for a draw that is not known yet
+    degenerate: NDArray[np.bool_]  # (D,)
     known_draws: int = 0
 
 
@@ -142,8 +144,8 @@ class Phase:
     keep_leaders: bool = False
     # Searches that add errors of instants, and are told means whatever the criterion is.
     additive: bool = False
-    # MSE of each draw by the evaluation's id, of this session, for sets that are requested again
-    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    # Requests by the evaluation's id, of this session, for sets that are requested again
+    evaluated: dict[str, Request] = field(default_factory=dict)
     leaders: list[Evaluation] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -168,19 +170,24 @@ class Phase:
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
-        estimation = self.built.comparing if squared else self.settings.estimation
+        estimation = self.settings.estimation
+        if squared:
+            estimation = replace(estimation, estimator=SQUARED_ERROR.name)
         id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
-        return Request(id_, candidate, last, stream, estimation, mse)
+        degenerate = np.zeros(mse.size, np.bool_)
+        return Request(id_, candidate, last, stream, estimation, mse, degenerate)
 
     def recall(self, request: Request) -> None:
         """Fill a request with the draws that were evaluated before in this session."""
         if self.settings.common_noise:  # with fresh noise no evaluation is requested twice
-            before = self.evaluated.get(request.id, request.mse[:0])[: request.mse.size]
-            request.mse[: before.size], request.known_draws = before, before.size
-            if before.size < request.mse.size:
-                # The same array, not a copy: the draws that the request still lacks will fill it.
-                self.evaluated[request.id] = request.mse
+            before, size = self.evaluated.get(request.id), request.mse.size
+            if before is not None:
+                known = request.known_draws = min(before.mse.size, size)
+                request.mse[:known] = before.mse[:known]
+                request.degenerate[:known] = before.degenerate[:known]
+            if request.known_draws < size:  # the draws that it still lacks will fill it
+                self.evaluated[request.id] = request
 
     def stream(self, *keyed_by: Any) -> int:
         """Key of the draws and of the filters' noise."""
@@ -209,6 +216,7 @@ class Phase:
             purpose=self.purpose,
             scenarios=scenarios,
             is_worst=self.built.is_worst and not self.additive,
+            degenerate=request.degenerate,
         )
 
 
@@ -316,7 +324,7 @@ def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None
     ends = [request.end for request in requests]
     costs = phase.built.exact_costs(sets, ends, additive=phase.additive)
     for request, cost in zip(requests, costs, strict=True):
-        request.mse = np.empty(0)
+        request.mse, request.degenerate = np.empty(0), np.empty(0, np.bool_)
         record(request.candidate, phase.evaluation(request, float(cost)))
     record.show()
 
@@ -337,13 +345,15 @@ def _per_draw(
 
     def record_all(request: Request) -> None:
         for alike in same[request.id]:
-            alike.mse = request.mse[: alike.mse.size]
+            draws = slice(alike.mse.size)
+            alike.mse, alike.degenerate = request.mse[draws], request.degenerate[draws]
             record(alike.candidate, phase.evaluation(alike))
 
     def learn(work: Work, result: Result) -> None:
+        degenerate = work.by_id(result, "degenerate")
         for id_, mse in work.by_id(result).items():
-            request = longest[id_]
-            request.mse[slice(*work.draws)] = mse
+            request, draws = longest[id_], slice(*work.draws)
+            request.mse[draws], request.degenerate[draws] = mse, degenerate[id_]
             request.known_draws += mse.size
             if request.known_draws == request.mse.size:
                 record_all(request)

@@ -8,7 +8,6 @@ once.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -36,28 +35,28 @@ class PerDraw:
         rows = store.per_draw(ids)
         if not rows.num_rows:
             return works, iter(())
-        draws_and_mse = dict[str, tuple[NDArray[Any], NDArray[Any]]]()
-        for id_, rows_of_id in rows.to_pandas().groupby("evaluation"):
-            draws_and_mse[str(id_)] = (
-                rows_of_id["draw"].to_numpy(),
-                rows_of_id["mse"].to_numpy(np.float64),
-            )
+        known = {
+            str(id_): [rows_of_id[name].to_numpy() for name in ("draw", "mse", "degenerate")]
+            for id_, rows_of_id in rows.to_pandas().groupby("evaluation")
+        }
         lacking, stored = list[Work](), list[tuple[Work, Result]]()
         for work in works:
             first, last = work.draws
             present = np.zeros((last - first, len(work.ids)), np.bool_)
-            mse = np.full(present.shape, np.nan)
+            mse, degenerate = np.full(present.shape, np.nan), np.zeros_like(present)
             for place, id_ in enumerate(work.ids):
-                draws, values = draws_and_mse.get(id_, (np.empty(0, np.int64), np.empty(0)))
+                draws, values, flags = known.get(id_, np.empty((3, 0), np.int64))
                 within = (first <= draws) & (draws < last)
-                present[draws[within] - first, place] = True
-                mse[draws[within] - first, place] = values[within]
+                rows_here = draws[within] - first
+                present[rows_here, place] = True
+                mse[rows_here, place], degenerate[rows_here, place] = values[within], flags[within]
             for mask, places in _alike(present):
                 for piece in cut(first + np.flatnonzero(~mask), last):
                     lacking.append(work.part(piece, places))
                 for piece in cut(first + np.flatnonzero(mask), last):
-                    part = mse[piece[0] - first : piece[1] - first, places]
-                    stored.append((work.part(piece, places), Result(part)))
+                    at = slice(piece[0] - first, piece[1] - first), places
+                    result = Result(mse[at], degenerate=degenerate[at])
+                    stored.append((work.part(piece, places), result))
         return lacking, iter(stored)
 
     def rows(self, work: Work, result: Result) -> pa.Table:
@@ -67,6 +66,7 @@ class PerDraw:
             pa.array(work.ids, pa.string()).take(evaluation),
             pa.array(np.tile(np.arange(*work.draws), len(work.ids))),
             pa.array(result.mse.T.ravel(), from_pandas=True),
+            pa.array(result.degenerate.T.ravel()),
         ]
         return pa.Table.from_arrays(columns, schema=schema(self.table))
 

@@ -139,7 +139,6 @@ def _row(loss: RelativeLoss) -> Row:
     return {
         "loss": loss.mean,
         "loss_error": loss.standard_error,
-        "degenerate_draws": loss.degenerate_draws,
         "lower_limit": low,
         "upper_limit": high,
     } | {f"within_{percent}": loss.state(percent / 100) for percent in WINDOW_PERCENTS}
@@ -152,8 +151,8 @@ def _exact_row(loss: float) -> Row:
     }
     if math.isnan(loss):
         states = dict.fromkeys(states, OPEN)
-    exact = {"loss": loss, "loss_error": 0.0, "degenerate_draws": 0}
-    return exact | {"lower_limit": loss, "upper_limit": loss} | states
+    exact = {"loss": loss, "loss_error": 0.0, "lower_limit": loss, "upper_limit": loss}
+    return exact | states
 
 
 # --- random times within the windows --------------------------------------------------------------
@@ -279,14 +278,13 @@ class _Jittering:
 def _jitter_row(percent: int, loss: RelativeLoss, draws: int) -> Row:
     if not draws:  # nothing moves
         still = dict.fromkeys(("loss", "loss_error", "low", "high"), 0.0)
-        return {"percent": percent, "draws": 0, "degenerate_draws": 0} | still
+        return {"percent": percent, "draws": 0} | still
     low, high = loss.interval
     return {
         "percent": percent,
         "draws": draws,
         "loss": loss.mean,
         "loss_error": loss.standard_error,
-        "degenerate_draws": loss.degenerate_draws,
         "low": low,
         "high": high,
     }

@@ -3,7 +3,8 @@
 Each phase has draws of its own. The set that the exchanges prefer is compared with the reference,
 unless the race contradicts; without exchanges it is the winner of the race. Probes check any
 estimator but the squared error before the race. If the estimator fails, the search is run again by
-the squared error under another name, and the first results are left aside.
+the squared error under another name, and the best sets of both searches join one race, which
+decides.
 """
 
 import math
@@ -19,14 +20,7 @@ from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import heard
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
-from pfdist.search.probe import (
-    PROBE_DRAWS,
-    failed_probe,
-    judged,
-    misordered,
-    unchecked_probe,
-    wrong_order,
-)
+from pfdist.search.probe import PROBE_DRAWS, failed_probe
 from pfdist.times.measurement_times import Times
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
@@ -40,7 +34,7 @@ class SearchEnd:
     """How a search ended."""
 
     # The search's own evaluation of each compared set, by name, on draws that chose the set. Empty
-    # if every set at the end of the search or of the race had a degenerate draw.
+    # if every set at the end of the search or of the race has an infinite cost.
     winners: dict[str, Evaluation]
     distrust: str | None = None  # why the search was run again with the squared error, if it was
 
@@ -63,26 +57,24 @@ class _Attempt:
 
 
 def _ended(session: Session, search: NamedSearch, name: str) -> Generator[Batch, None, SearchEnd]:
-    """Winners of a search, which is run again with the squared error if its estimator fails.
+    """Winners of a search, which is run again by the squared error if its estimator fails.
 
     The tables have the name of the search, and the winners the given name.
     """
-    attempt, again = (yield from _attempted(session, search)), search.again
-    distrust = (yield from _distrusted(session, search, attempt)) if again else None
-    if again is None or distrust is None:
-        raced = yield from _raced(session, search, attempt)
-        wrong = misordered(attempt.believed, raced) if again and raced else None
-        if again is None or wrong is None:
-            return SearchEnd(_winners(session, name, attempt, raced))
-        distrust = wrong_order(*wrong, clock=session.built.job.problem.clock)
-    estimation = search.settings.estimation
-    estimator = f"{estimation.estimator} of {estimation.particles} particles"
-    distrust = f"{estimator} cannot be believed: {distrust}"
-    say, reporter = session.say, session.reporter
-    say(f"search {search.name}: {distrust}; searching again by the squared error")
-    reporter.foresee(search_steps(session.built, again))
-    end = yield from _ended(session, again, name)
-    return replace(end, distrust=distrust)
+    attempts, again, racing = [(yield from _attempted(session, search))], search.again, search
+    distrust = (yield from _distrusted(session, search, attempts[0])) if again else None
+    if again and distrust:
+        estimation, racing = search.settings.estimation, again
+        estimator = f"{estimation.estimator} of {estimation.particles} particles"
+        distrust = f"{estimator} cannot be believed: {distrust}"
+        session.say(f"search {search.name}: {distrust}; searching again by the squared error")
+        session.reporter.foresee(search_steps(session.built, again))
+        attempts.append((yield from _attempted(session, again)))
+    believed = {times: each for found in attempts for times, each in found.believed.items()}
+    sets, raced = session.built.study.racing(believed), None
+    if sets:
+        raced = yield from _finalists(session, _racing(session.built, racing, sets))
+    return SearchEnd(_winners(session, name, attempts, raced), distrust)
 
 
 def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
@@ -112,39 +104,31 @@ def _distrusted(
     session: Session, search: NamedSearch, attempt: _Attempt
 ) -> Generator[Batch, None, str | None]:
     """On which probe the estimator of a search failed; None if it did not."""
-    # The sets that led the search, and those with which it ended, unless a race compares the latter
-    # by the squared error anyway.
-    races = session.built.study.racing(attempt.believed)
-    probed = attempt.leaders if races else [*attempt.leaders, *attempt.finalists]
+    # The sets that led the search, and those with which it ended.
+    probed = [*attempt.leaders, *attempt.finalists]
     sought = dict.fromkeys(Candidate(each.measurement_times, each.end) for each in probed)
-    phase = _probing(session.built, search, tuple(sought))
-    probe, clock = (yield from run_phase(phase, session)), session.built.job.problem.clock
-    if probe and not judged(*probe).is_known:
-        estimator = search.settings.estimation.estimator
-        reason = unchecked_probe(*probe, clock=clock)
-        heard(session.say, f"search {search.name}: {estimator} could not be checked: {reason}")
-        return None
-    return failed_probe(*probe, clock=clock) if probe else None
-
-
-def _raced(
-    session: Session, search: NamedSearch, attempt: _Attempt
-) -> Generator[Batch, None, list[Evaluation] | None]:
-    """Evaluations of the sets that raced, the winner first; None if there was no race."""
-    sets = session.built.study.racing(attempt.believed)
-    if not sets:
-        return None
-    return (yield from _finalists(session, _racing(session.built, search, sets)))
+    deciding = (attempt.polished and search.polishing) or search.settings
+    orders = deciding.estimation.estimator == search.settings.estimation.estimator
+    phase = _probing(session.built, search, tuple(sought), orders=orders)
+    failure = yield from run_phase(phase, session)
+    clock = session.built.job.problem.clock
+    return failed_probe(*failure, clock=clock) if failure else None
 
 
 def _winners(
-    session: Session, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
+    session: Session, name: str, attempts: Sequence[_Attempt], raced: Sequence[Evaluation] | None
 ) -> dict[str, Evaluation]:
-    """Sets that are compared, by name, with the search's own evaluation of each."""
-    believed = attempt.believed
+    """Sets that are compared, by name, with the search's own evaluation of each.
+
+    After two attempts it is that of the race: the first attempt's estimator is not to be believed.
+    """
+    believed = attempts[-1].believed
     ranked = list(believed)
-    if raced is not None:
-        order = _uncontradicted(ranked, raced) if attempt.polished else raced
+    if raced is not None and len(attempts) > 1:
+        believed = {evaluation.measurement_times: evaluation for evaluation in raced}
+        ranked = list(believed)
+    elif raced is not None:
+        order = _uncontradicted(ranked, raced) if attempts[0].polished else raced
         ranked = [evaluation.measurement_times for evaluation in order]
     winners = session.built.study.winners(name, ranked)
     return {key: believed[times] for key, times in winners.items()}
@@ -234,10 +218,13 @@ def _is_too_long(built: Built, search: NamedSearch) -> bool:
     )
 
 
-def _probing(built: Built, search: NamedSearch, sought: tuple[Candidate, ...]) -> Phase:
+def _probing(
+    built: Built, search: NamedSearch, sought: tuple[Candidate, ...], *, orders: bool = True
+) -> Phase:
     settings = replace(search.settings, draws=PROBE_DRAWS, common_noise=True)
-    dearer = built.comparing.steps_an_instant / settings.estimation.steps_an_instant
-    probe = Probe(built.feasible, sought, dearer)
+    estimation = settings.estimation
+    dearer = estimation.particles / estimation.steps_an_instant
+    probe = Probe(built.feasible, sought, dearer, orders)
     return Phase(search.probe, probe, "probe", settings, built)
 
 

@@ -134,7 +134,7 @@ class Settings:
 
     draws: int  # of an evaluation
     common_noise: bool  # whether all sets share draws and filter noise
-    degenerate_policy: str  # "kill" or "leave_out"
+    degenerate_policy: str  # "continue" or "kill"
     estimation: Estimation
 
     @classmethod
@@ -149,7 +149,7 @@ class Settings:
         return cls(
             own.draws or job.evaluation.draws,
             (own.noise or job.evaluation.noise) == "common",
-            job.evaluation.degenerate_draws,
+            own.degenerate_draws or job.evaluation.degenerate_draws,
             Estimation(
                 own.particles_of(job.filter.particles),
                 own.resampling or job.filter.resampling,
@@ -170,8 +170,8 @@ class NamedSearch:
     racing: Settings  # of the race, which the job's own filter decides by the squared error
     additive: bool  # whether the optimiser adds errors of instants; then costs must be means
     is_worst: bool  # whether the worst scenario decides
-    # The same search by the squared error, with the particles of the job's own filter. It takes the
-    # place of this search if the estimator cannot be trusted. None if this search uses it.
+    # The same search by the squared error, with the particles of the job's own filter. It follows
+    # if the estimator cannot be trusted. None if this search uses it.
     again: "NamedSearch | None" = None
 
     @property
@@ -239,13 +239,13 @@ def _with_settings(
     job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
 ) -> NamedSearch:
     apart = job.judged_apart
-    polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
+    # Only the method itself may kill sets, as the paper says.
+    counting = replace(settings, common_noise=True, degenerate_policy="continue")
+    polishing = replace(counting, draws=_POLISH_DRAWS)
     if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
         believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
         polishing = replace(polishing, estimation=believed)
-    racing = replace(
-        settings, draws=apart * _RACE_DRAWS, common_noise=True, estimation=comparing_of(job)
-    )
+    racing = replace(counting, draws=apart * _RACE_DRAWS, estimation=comparing_of(job))
     additive = METHODS[section.method].additive
     polishing_or_none = polishing if section.polish else None
     return NamedSearch(name, optimiser, settings, polishing_or_none, racing, additive, apart > 1)

@@ -125,15 +125,16 @@ def _means(
     columns = [Moments() for _ in range(1 + len(work.ends))]
     degenerate = np.zeros(instants, np.int64)
     for piece in pieces:
-        mse = yield from mse_of_sets(session, [piece])
+        flags = np.zeros((piece.draws[1] - piece.draws[0], len(piece.ends)), np.bool_)
+        mse = yield from mse_of_sets(session, [piece], flags)
         prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
         if evaluator.weights is None:
             unweighted = mse[:, :instants]
         else:
             unweighted = yield from mse_of_sets(session, [prefixes])
-        degenerate += np.isnan(unweighted).sum(axis=0)
+        degenerate += flags[:, :instants].sum(axis=0)
         for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
-            moments.add(values[~np.isnan(values)])
+            moments.add(values[~np.isnan(values)])  # infinite errors have no difference
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
     errors = [0.0 if evaluator.exact else moments.standard_error for moments in columns]
@@ -141,10 +142,13 @@ def _means(
     return list(zip(means, errors, strict=True)), degenerate.tolist()
 
 
-def mse_of_sets(session: Session, works: list[Work]) -> Generator[Batch, None, Array]:
+def mse_of_sets(
+    session: Session, works: list[Work], degenerate: NDArray[np.bool_] | None = None
+) -> Generator[Batch, None, Array]:
     """MSE of each set for each draw, (D, S); for an exact engine (1, S).
 
-    The draws of the works follow each other. An exact engine takes one work.
+    The draws of the works follow each other. An exact engine takes one work. `degenerate`, (D, S),
+    receives which of the draws are degenerate.
     """
     (first, _), (_, last) = works[0].draws, works[-1].draws
     evaluator, (work, *_) = session.built.evaluator, works
@@ -154,8 +158,10 @@ def mse_of_sets(session: Session, works: list[Work]) -> Generator[Batch, None, A
     mse = np.empty((last - first, len(work.ends)))
 
     def learn(piece: Work, result: Result) -> None:
-        begin, end = piece.draws
-        mse[begin - first : end - first] = result.mse
+        here = slice(piece.draws[0] - first, piece.draws[1] - first)
+        mse[here] = result.mse
+        if degenerate is not None:
+            degenerate[here] = result.degenerate
 
     yield Batch(session, "why", works, None, learn)
     return mse
@@ -166,12 +172,10 @@ def _columns(mse: Array, unweighted: Array) -> Array:
 
     `mse`, (D, T+1+V), has the sum of the weighted errors up to every instant over T+1, then the MSE
     of each of V changed sets. `unweighted`, (D, T+1), has the same sums of errors without weights.
-    The result is NaN where the unchanged set is degenerate.
     """
     instants = unweighted.shape[1]
     whole = mse[:, instants - 1 : instants]
     with np.errstate(invalid="ignore"):  # infinite errors have no difference
         errors = np.diff(unweighted, axis=1, prepend=0.0) * instants
         rises = mse[:, instants:] - whole
-    errors[np.isnan(whole[:, 0])] = np.nan  # also before the instant of the degeneracy
     return np.concatenate([whole, errors, rises], axis=1)

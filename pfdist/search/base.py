@@ -24,8 +24,7 @@ class Candidate(NamedTuple):
         Index in the population. It makes copies of a set have fresh draws each. Copies without an
         index share one evaluation; under common noise all copies do.
     squared : bool
-        Whether the squared error of the job's own filter is wanted. Otherwise the search's own
-        estimator is used.
+        Whether the squared error is wanted. Otherwise the search's own estimator is used.
     since : int, optional
         If given, the expected errors of the instants from this one on are wanted, and not the cost
         of each draw.

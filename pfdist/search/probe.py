@@ -1,6 +1,8 @@
 """A probe of an estimator: sets on which it is compared with the squared error.
 
-The sets are the regular times, a few random sets, and the leaders of the search. The estimator
+The sets are the regular times, a few random sets, the leaders of the search, and its best sets.
+Estimator and squared error take the same filter, so they have equal numbers of particles. Only sets
+whose estimate is near the least are judged, because a search ends with one of them. The estimator
 fails if its estimate is clearly too small for one of them. Sets whose result is still open go on to
 the next round with twice as many draws, but at most half of the sets of a round do: those for which
 the estimate looks worst. The others pass. This is sequential halving (Karnin, Koren, Somekh,
@@ -9,7 +11,7 @@ the estimate looks worst. The others pass. This is sequential halving (Karnin, K
 If the particles of a filter have collapsed onto a wrong state, their variance is tiny and the error
 is large. An estimator that uses this variance is too small there, and a search seeks exactly the
 sets where it is smallest. Two tests detect this: the estimate lies far below the squared error on
-some set, or it reverses the order of two finalists.
+some set, or it reverses the order of two sets.
 """
 
 import math
@@ -42,23 +44,23 @@ class ProbeState:
     undecided: tuple[Candidate, ...] | None = None  # sets of the next round; None before the first
     draws: int = PROBE_DRAWS  # number of draws of the next round
     # The two evaluations, by the estimator and by the squared error, of the set on which the
-    # estimator failed; empty if it failed on none.
+    # estimator failed, or the two of `misordered`; empty if it failed on none.
     failed: tuple[Evaluation, ...] = ()
-    # The two evaluations of the first set on which the estimator could not be tested.
-    unknown: tuple[Evaluation, ...] = ()
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Optimiser that compares an estimator with the squared error of the job's own filter.
+    """Optimiser that compares an estimator with the squared error of the same filter.
 
-    `sought` are the leaders of the search: sets, and prefixes with their ends. `dearer` is the time
-    that an evaluation by the squared error takes, divided by that of one by the estimator.
+    `sought` are leaders and best sets of the search: sets, and prefixes with their ends. `dearer`
+    is the time that an evaluation by the squared error takes, divided by that of one by the
+    estimator. `orders` says whether the estimator decides between the best sets.
     """
 
     feasible: Feasible
     sought: tuple[Candidate, ...] = ()
     dearer: float = 1.0
+    orders: bool = True
 
     @property
     def generations(self) -> int:
@@ -92,16 +94,17 @@ class Probe:
 
     def tell(self, state: ProbeState, evaluations: Sequence[Evaluation]) -> ProbeState:
         """Decide where the draws suffice; the worst open sets go on, at most half of all."""
-        pairs = list(zip(evaluations[::2], evaluations[1::2], strict=True))
+        pairs = _near_the_best(list(zip(evaluations[::2], evaluations[1::2], strict=True)))
         verdicts = [judged(*pair) for pair in pairs]
         order = sorted(range(len(pairs)), key=lambda index: -verdicts[index].excess)
         failed = [index for index in order if verdicts[index].fails]
         if failed:  # report a whole set if there is any: readers understand it more easily
             reported = min(failed, key=lambda index: pairs[index][0].end is not None)
             return replace(state, undecided=(), failed=pairs[reported])
-        unknown = [
-            pair for pair, verdict in zip(pairs, verdicts, strict=True) if not verdict.is_known
-        ]
+        whole = [pair for pair in pairs if self.orders and pair[0].end is None]
+        believed = {estimated.measurement_times: estimated for estimated, _ in whole}
+        if wrong := misordered(believed, [squared for _, squared in whole]):
+            return replace(state, undecided=(), failed=wrong)
         undecided = [index for index in order if verdicts[index].open]
         if 2 * state.draws > _MOST_DRAWS:
             undecided = []
@@ -111,7 +114,6 @@ class Probe:
             state,
             undecided=tuple(Candidate(probe.measurement_times, probe.end) for probe in probes),
             draws=2 * state.draws,
-            unknown=state.unknown or (unknown[0] if unknown else ()),
         )
 
     def done(self, state: ProbeState) -> bool:
@@ -119,11 +121,8 @@ class Probe:
         return state.undecided == ()
 
     def finalists(self, state: ProbeState) -> tuple[Evaluation, ...]:
-        """Both evaluations of the set on which the estimator failed, or else was not testable.
-
-        They are by the estimator and by the squared error. The result is empty if all sets pass.
-        """
-        return state.failed or state.unknown
+        """The two evaluations that show the failure (`failed_probe`); empty if all sets pass."""
+        return state.failed
 
 
 def new_leaders(
@@ -147,6 +146,17 @@ def new_leaders(
     return list(new.values())
 
 
+def _near_the_best(
+    pairs: list[tuple[Evaluation, Evaluation]],
+) -> list[tuple[Evaluation, Evaluation]]:
+    """The pairs of an estimate and an error whose estimate is near the least of its kind."""
+    least = dict[tuple[int, bool], float]()
+    for estimated, _ in pairs:
+        cost = least.setdefault(_kind(estimated), math.inf)
+        least[_kind(estimated)] = min(cost, _mean_cost(estimated))
+    return [each for each in pairs if _mean_cost(each[0]) * (1 - BELOW) <= least[_kind(each[0])]]
+
+
 def _kind(evaluation: Evaluation) -> tuple[int, bool]:
     return len(evaluation.measurement_times), evaluation.end is None
 
@@ -168,18 +178,16 @@ class Verdict(NamedTuple):
     excess: float
     fails: bool
     open: bool  # whether more draws may change the result
-    is_known: bool = True  # whether there were enough usable draws for a result
 
 
 def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
-    """Test an estimator on one set, on the draws in which neither filter was degenerate.
+    """Test an estimator on one set, on the draws in which neither filter became infinite.
 
-    `squared` is the evaluation by the squared error of the job's own filter. Both evaluations have
-    the same times, end and draws.
+    `squared` is the evaluation by the squared error. Both have the same times, end and draws.
     """
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     if np.sum(usable) < 2:
-        return Verdict(-math.inf, fails=False, open=False, is_known=False)
+        return Verdict(-math.inf, fails=False, open=False)
     estimates, errors = estimated.mse[usable], squared.mse[usable]
     excess = _standard_scores((1 - BELOW) * errors - estimates)
     below = _standard_scores(errors - estimates)
@@ -197,10 +205,10 @@ def _standard_scores(values: np.ndarray) -> float:
 def misordered(
     believed: Mapping[Times, Evaluation], squared: Sequence[Evaluation]
 ) -> tuple[Evaluation, Evaluation] | None:
-    """Two finalists that an estimator puts in the wrong order, the better first; None if none.
+    """Two sets that an estimator puts in the wrong order, the better first; None if none.
 
     `believed` has the evaluations by the estimator, and `squared` those by the squared error of the
-    job's own filter on common draws. The squared error must distinguish the two, and the estimator
+    same filter on common draws. The squared error must distinguish the two, and the estimator
     must contradict it: the two differences have opposite signs, and chance does not explain this.
     """
     for first, second in combinations(squared, 2):
@@ -217,37 +225,23 @@ def misordered(
 
 
 def failed_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
-    """A sentence that says how far an estimate is too small on a set.
+    """A sentence that says how far an estimate is too small on a set, or that an order is wrong.
 
-    The evaluations are those of `judged`. Sets are written as users read them, on the clock.
+    The evaluations are those of `judged` or of `misordered`, whose times differ. Sets are written
+    as users read them, on the clock.
     """
+    if estimated.measurement_times != squared.measurement_times:
+        apart = difference(squared, estimated)
+        return (
+            f"it prefers {_text(squared, clock)} to {_text(estimated, clock)}, where the squared "
+            f"error of the same filter is larger by {apart.value:.4g} ± {apart.standard_error:.2g}"
+        )
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     estimate, error = np.mean(estimated.mse[usable]), Estimate.of_mean(squared.mse[usable])
     up_to = "" if estimated.end is None else f" up to t = {clock.formatted(estimated.end)}"
     return (
         f"it gives {estimate:.4g} for {_text(estimated, clock)}{up_to}, where the squared "
-        f"error of the job's own filter is {error.value:.4g} ± {error.standard_error:.2g}"
-    )
-
-
-def unchecked_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
-    """A sentence about the set on which an estimator could not be tested, as for `judged`."""
-    usable = int(np.sum(np.isfinite(estimated.mse) & np.isfinite(squared.mse)))
-    return (
-        f"in {_text(estimated, clock)} only {usable} of {estimated.mse.size} draws had "
-        "no degenerate filter, and 2 are needed; more particles would help"
-    )
-
-
-def wrong_order(better: Evaluation, worse: Evaluation, *, clock: Clock) -> str:
-    """A sentence that says which two finalists an estimator puts in the wrong order.
-
-    Both evaluations are by the squared error, on common draws.
-    """
-    apart = difference(worse, better)
-    return (
-        f"it prefers {_text(worse, clock)} to {_text(better, clock)}, where the squared error of "
-        f"the job's own filter is larger by {apart.value:.4g} ± {apart.standard_error:.2g}"
+        f"error of the same filter is {error.value:.4g} ± {error.standard_error:.2g}"
     )
 
 

@@ -19,6 +19,7 @@ else:
     Resampling = Literal[tuple(SCHEMES)]
     Estimator = Literal[tuple(ESTIMATORS)]
 
+Degenerate = Literal["continue", "kill"]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Even = Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)]
 Flag = Annotated[bool, Field()]
@@ -43,6 +44,8 @@ class EvaluationSettings(Section):
         The resampling scheme of the search.
     estimator : str
         How the error of a draw is estimated; "auto" chooses by the model.
+    degenerate_draws : str
+        Whether a degenerate draw makes the cost of a set infinite ("kill").
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
@@ -50,6 +53,7 @@ class EvaluationSettings(Section):
     particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     resampling: Resampling | None = None
     estimator: Estimator | Literal["auto"] | None = None
+    degenerate_draws: Degenerate | None = None
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, from that of the job."""
@@ -67,6 +71,7 @@ class CommonNoiseSettings(EvaluationSettings):
     noise: Literal["fresh", "common"] = "common"
     resampling: Resampling = "systematic"
     estimator: Estimator | Literal["auto"] = AUTO
+    degenerate_draws: Degenerate = "continue"
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, from that of the job."""

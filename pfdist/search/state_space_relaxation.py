@@ -50,8 +50,7 @@ class RelaxationState:
     """Progress of the search."""
 
     relaxation: Relaxation  # its windows have errors, or are candidates of the next generation
-    # The mean errors of each window at the instants at which they count; NaN if every block of
-    # draws has a degenerate draw.
+    # The mean errors of each window at the instants at which they count; NaN if a draw is infinite.
     errors: Mapping[Window, Array] = field(default_factory=dict)
     level: int = 0  # number of programmes on few draws that were solved
     sets: tuple[Times, ...] = ()  # to be evaluated next
@@ -70,8 +69,8 @@ class RelaxationState:
         ]
 
     @property
-    def degenerate(self) -> set[Window]:
-        """Windows without usable errors: every block of draws has a degenerate draw."""
+    def infinite(self) -> set[Window]:
+        """Windows without usable errors: a draw is infinite."""
         return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
 
     def programme(self, most: int) -> Programme:
@@ -185,7 +184,7 @@ class StateSpaceRelaxation:
     def tell(self, state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
         """Solve the programme, and let the windows grow along its best sets."""
         state = _with_evaluations(state, evaluations)
-        if any(len(window) == 1 for window in state.degenerate):
+        if any(len(window) == 1 for window in state.infinite):
             # No relaxed cost is known. Exchanges may still improve the sets that were evaluated.
             return replace(state, done=True)
         exact = any(evaluation.exact is not None for evaluation in state.whole)
@@ -222,7 +221,7 @@ class StateSpaceRelaxation:
         whole = dict.fromkeys(self._whole(programme, paths))
         sets = tuple(times for times in whole if times not in evaluated)
         # The new windows have no errors yet: the next generation asks for them, and for the sets.
-        grown = relaxation.grown(*longer(relaxation, paths)).without(state.degenerate)
+        grown = relaxation.grown(*longer(relaxation, paths)).without(state.infinite)
         added = len(grown.windows) - len(self._start.windows)
         if state.round == rounds or added > self.most_grown or grown == relaxation:
             # Nothing grows any more: only the sets are evaluated, in a last generation.
@@ -274,10 +273,10 @@ class StateSpaceRelaxation:
 
 
 def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
-    """The state after the last candidates were evaluated: degenerate windows are left out."""
+    """The state after the last candidates were evaluated, without windows of infinite error."""
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
     for number, evaluation in zip(lacking, evaluations, strict=False):
         errors[relaxation.windows[number]] = evaluation.errors_of_instants
     whole = (*state.whole, *evaluations[len(lacking) :])
     updated = replace(state, errors=errors, whole=whole, sets=())
-    return replace(updated, relaxation=relaxation.without(updated.degenerate))
+    return replace(updated, relaxation=relaxation.without(updated.infinite))

@@ -71,7 +71,7 @@ class OneFilter:
         filtered = self._filtered(t, y)
         if ENGINES[self.engine].exact and not np.isfinite(filtered.mse[0]):
             raise MeasurementsError(f"{self.model.name}: variances must stay finite up to t = {t}")
-        if y is not None and np.isnan(filtered.mse[0]):
+        if y is not None and filtered.degenerate[0]:
             raise MeasurementsError(self._unexplained(t, y))
         if np.isinf(filtered.mse[0]):
             raise MeasurementsError(self._not_finite(t))

@@ -30,7 +30,6 @@ from pfdist.times.rest import rest_of
 
 _BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
 _ROUNDING = 1e-9  # relative difference of exact costs that counts as none
-_POLICY = "leave_out"  # for degenerate draws: a single draw must not decide about a plan
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ class _Outlook:
     def search(self, rest: Feasible, start: Times) -> list[Times]:
         """The best plan of a search from a start, in a list.
 
-        The list is empty if, for every plan, all draws are degenerate.
+        The list is empty if the error of every plan is infinite.
         """
         planning = self.replanner.planning
         optimiser, draws = planning.optimiser(rest, start), self.draws(range(planning.draws))
@@ -195,8 +194,7 @@ class _Outlook:
         """The second plan if it is better than the first on fresh draws; else the first.
 
         With `keep`, its mean error must be lower by more than a standard error of the paired
-        difference; without, it must only be lower. It must never have more degenerate draws. A
-        single plan is returned at once.
+        difference; without, it must only be lower. A single plan is returned at once.
         """
         plans = list(dict.fromkeys(plans))
         if len(plans) == 1:
@@ -208,8 +206,7 @@ class _Outlook:
         gain = difference(new, first)
         rounding = _ROUNDING * first.cost if math.isfinite(first.cost) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
-        # The difference uses only draws that are degenerate with neither plan.
-        return plans[1] if lower and new.degenerate_draws <= first.degenerate_draws else plans[0]
+        return plans[1] if lower else plans[0]
 
     def draws(self, index: range) -> Draws | None:
         """Simulated systems; None if the engine is exact."""
@@ -229,9 +226,8 @@ class _Outlook:
         evaluations = self.of_sets(draws, sets, ends, estimation)
         return [
             replace(
-                evaluation,
+                evaluation.first(len(evaluation.mse) if each.draws is None else each.draws),
                 measurement_times=each.measurement_times,
-                mse=evaluation.mse[: each.draws],
                 end=each.end,
                 purpose="online",
             )
@@ -249,12 +245,12 @@ class _Outlook:
         if draws is None:
             costs = self.evaluator.expected_mse(sets, ends).tolist()
             each_set = zip(sets, costs, strict=True)
-            return [Evaluation(times, np.empty(0), _POLICY, cost) for times, cost in each_set]
-        noise = stream_key(self.stream, "filter")
-        mse = np.ascontiguousarray(
-            self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation).T
-        )
-        return [Evaluation(times, row, _POLICY) for times, row in zip(sets, mse, strict=True)]
+            return [Evaluation(times, np.empty(0), exact=cost) for times, cost in each_set]
+        noise, shape = stream_key(self.stream, "filter"), (len(draws.index), len(sets))
+        flags = np.zeros(shape, np.bool_)
+        mse = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation, flags)
+        rows = zip(sets, mse.T.copy(), flags.T, strict=True)
+        return [Evaluation(times, row, degenerate=of_set) for times, row, of_set in rows]
 
     @property
     def evaluator(self) -> Evaluator:

@@ -44,6 +44,7 @@ class OnlineWork(Work):
         estimates = [result.estimates[0, 0] for result in results if result.estimates.size]
         return Result(
             np.concatenate([result.mse for result in results]),
+            degenerate=np.concatenate([result.degenerate for result in results]),
             estimates=np.array(estimates),
             measurement_times=chosen,
         )
@@ -76,7 +77,7 @@ class OnlineWork(Work):
                 measured = seen(evaluator.model, y[t], here)
                 try:
                     filtering, *_ = filtering.at(t, measured)
-                except MeasurementsError:  # the draw is degenerate, whatever follows
+                except MeasurementsError:  # the draw is degenerate: the last plan stays
                     return (*taken, *plan)
                 truths, prior = truths.at(t, measured, filtering.settings.prior)
                 plan = replanner.plan(Now(prior, measured=True), taken, plan, draw)

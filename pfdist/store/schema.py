@@ -100,12 +100,13 @@ _OF_A_SET = (
     _column("position", pa.int32(), "", "order of the set, as in compared"),
     _column("name", pa.string(), "", "the set's name, as in compared"),
 )
+_LEFT_OUT = "whether no particle explains a measurement, which is left out"
+_DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
 _LOSS = (
     _column("loss", pa.float64(), "", "expected MSE over that of the kept set, less 1"),
     _column("loss_error", pa.float64(), "", "standard error of loss"),
-    _column("degenerate_draws", pa.int64(), "", "with the moved measurements"),
 )
 
 
@@ -128,7 +129,8 @@ _SCHEMAS = {
     "draws": [
         _column("evaluation", pa.string(), "", "id, as in evaluations"),
         _column("draw", pa.int64(), "", "index of the draw in its stream"),
-        _column("mse", pa.float64(), _MSE, "null: degenerate"),
+        _column("mse", pa.float64(), _MSE, "mean over t of the error"),
+        _DEGENERATE,
     ],
     "compared": [
         _column("position", pa.int32(), "", "order; 0 is the reference"),
@@ -140,11 +142,12 @@ _SCHEMAS = {
     ],
     "repeated": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
-        _column("mse", pa.float64(), _MSE, "of the reference under other noise; null: degenerate"),
+        _column("mse", pa.float64(), _MSE, "of the reference under other noise"),
     ],
     "online": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
-        _column("mse", pa.float64(), _MSE, "with these times; null: degenerate"),
+        _column("mse", pa.float64(), _MSE, "with these times"),
+        _DEGENERATE,
         _TIMES,
         _column("estimate", pa.list_(pa.float64()), "z", "at t = 0, 1, ...; null: after draw 99"),
     ],
@@ -288,14 +291,16 @@ def keys_of(table: str, columns: Sequence[str]) -> list[str]:
 
 
 def comparison_schema(names: Sequence[str], *, with_scenarios: bool = False) -> pa.Schema:
-    """Schema of the comparison of these sets: a row a draw, a column a set, and the scenario."""
-    comparison = _of_sets("comparison", "mse", "null: degenerate with this set", names)
+    """Schema of the comparison: a row a draw, two columns a set, and the scenario."""
+    comparison = _of_sets("comparison", "mse", "with this set", names)
+    for name in names:
+        comparison = comparison.append(_column(f"degenerate_{name}", pa.bool_(), "", _LEFT_OUT))
     return comparison.append(_OPTIONAL["scenario"]) if with_scenarios else comparison
 
 
 def distance_schema(names: Sequence[str]) -> pa.Schema:
     """Schema of the errors that the filters' noise adds: a row a draw, a column a set."""
-    text = "half the squared distance of two filters' estimates; null: degenerate"
+    text = "half the squared distance of two filters' estimates"
     return _of_sets("filter_distance", "distance", text, names)
 
 
@@ -328,7 +333,7 @@ def trajectories_schema(
         _of_component("y", each, "y", "measurement, had one been made") for each in measurements
     ]
     columns += [
-        _of_component(f"estimate_{name}", each, "z", "the filter's; null: degenerate")
+        _of_component(f"estimate_{name}", each, "z", "the filter's")
         for name in names
         for each in quantities
     ]

@@ -327,11 +327,13 @@ def test_the_share_of_the_top_percent_is_the_lorenz_curve_of_a_pareto_distributi
     assert shares[0] == pytest.approx(exact, rel=1e-12)
 
 
-def test_degenerate_draws_do_not_count_in_the_share_of_the_top_percent() -> None:
-    mse = np.r_[np.full(199, 1.0), 101.0, np.full(120, np.nan)]
+def test_degenerate_draws_count_with_their_errors() -> None:
+    mse = np.r_[np.full(199, 1.0), 101.0]
     statistics = ComparisonStatistics(["regular"], mse.size)
-    statistics.add(mse[:, None])
-    # 200 draws are left, so 1 % are two draws: 101 + 1 of 300
+    statistics.add(mse[:, None], (mse > 100)[:, None])
+    assert statistics.degenerate_draws == {"regular": 1}
+    assert statistics.mse["regular"].mean == pytest.approx(1.5)
+    # 1 % of 200 draws are two draws: 101 + 1 of 300
     assert statistics.top_percent_share("regular") == pytest.approx(102 / 300)
     few = ComparisonStatistics(["regular"], 99)
     few.add(mse[101:200, None])

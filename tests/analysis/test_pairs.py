@@ -35,10 +35,9 @@ def test_a_pair_has_the_difference_with_students_interval_and_the_wins() -> None
     assert (back["difference"], back["gain_of_means"]) == pytest.approx((0.75, 1 - 13 / 10))
 
 
-def test_blocks_and_degenerate_draws_change_nothing_for_the_other_draws() -> None:
+def test_blocks_change_nothing() -> None:
     whole = pairs_table(NAMES, [ERRORS], {})
-    with_degenerate = np.vstack([ERRORS[:1], [[math.nan, math.nan, 1.0]], ERRORS[1:]])
-    blocks = pairs_table(NAMES, [with_degenerate[:2], with_degenerate[2:]], {})
+    blocks = pairs_table(NAMES, [ERRORS[:2], ERRORS[2:]], {})
     pd.testing.assert_frame_equal(whole, blocks)
 
 

@@ -91,7 +91,7 @@ def loss(particles: int, by_two_filters: float, at_most: float, error: float = 0
         (0.01, 0.05, 0.0, False, False),
         (0.005, 0.04, 0.01, False, True),  # more draws may show it
         (0.005, 0.08, 0.01, False, False),
-        (math.nan, math.nan, 0.0, False, False),  # all draws are degenerate
+        (math.nan, math.nan, 0.0, False, False),  # all draws are infinite
     ],
 )
 def test_a_loss_is_small_if_both_figures_are_and_more_draws_are_taken_where_it_is_open(
@@ -99,7 +99,30 @@ def test_a_loss_is_small_if_both_figures_are_and_more_draws_are_taken_where_it_i
 ) -> None:
     found = loss(100, by_two_filters, at_most, error)
     assert (found.is_small, found.may_be_small) == (small, open_)
-    assert not replace(found, left_out=1).is_small  # a degenerate draw counts as infinite
+    assert not replace(found, top_share=0.26).is_small
+    assert not replace(found, top_share=0.25).rare
+
+
+def test_the_limit_is_at_most_100_percent() -> None:
+    assert loss(100, 0.5, 0.9, 0.2).limit == 1.0
+
+
+@pytest.mark.parametrize(
+    ("catastrophes", "size", "is_rare"), [(0, 0.0, False), (10, 5.0, False), (10, 50.0, True)]
+)
+def test_a_few_draws_that_carry_the_excess_are_said(
+    catastrophes: int, size: float, is_rare: bool
+) -> None:
+    """Exponential errors of mean 1; ten of 4,000 draws add 0.0125 or 0.125 to it."""
+    rng = np.random.default_rng(3)
+    variance, noise = rng.uniform(0.5, 1.5, 4000), rng.exponential(1.0, 4000)
+    squared = variance * noise
+    squared[:catastrophes] += size
+    whole = Moments()
+    whole.add(squared)
+    found = particle_loss(500, whole, squared, np.zeros(4000), variance)
+    assert bool(found.rare) == is_rare
+    assert found.rare in found.warning
 
 
 def test_a_large_loss_must_be_clear() -> None:

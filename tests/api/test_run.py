@@ -13,6 +13,9 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, count_draws
 from pfdist import Job, load_job
+from pfdist.analysis.stored_run import killed_of
+from pfdist.answers.run import searches
+from pfdist.answers.subject import Subject
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, SearchError, TaskError
 from pfdist.filters.evaluator import Evaluator
@@ -51,7 +54,11 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) 
     np.testing.assert_allclose(evaluations["standard_error"], per_draw.sem()[evaluations.index])
     assert (per_draw.size() == 30).all()
     comparison = small_run.table("comparison")
-    assert comparison.columns.tolist() == ["draw", "mse_regular", "mse_genetic", "mse_random"]
+    assert comparison.columns.tolist() == [
+        "draw",
+        *(f"mse_{name}" for name in ("regular", "genetic", "random")),
+        *(f"degenerate_{name}" for name in ("regular", "genetic", "random")),
+    ]
     assert comparison["draw"].tolist() == list(range(250))
     gains = small_run.table("gains")
     expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
@@ -128,6 +135,24 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
     rows = pfdist.open_run(tmp_path / "run").table("evaluations")
     assert (rows["degenerate_draws"] == rows["draws"]).all()
     assert np.isinf(rows["expected_mse"]).all()
+    assert killed_of(pfdist.open_run(tmp_path / "run")) == {"genetic": 24, "random": 10}
+
+
+def test_the_answer_says_how_many_sets_were_killed(small_job: Job, tmp_path: Path) -> None:
+    small_job.path.with_name("rare.py").write_text(
+        "from pfdist import where\n"
+        "from pfdist.models.ungm import model\n"
+        "import dataclasses\n"
+        "rare = dataclasses.replace(model, log_likelihood=lambda y, x, t, p: where(\n"
+        "    y[0] > 27.0, -float('inf'), model.log_likelihood(y, x, t, p)))\n"
+    )
+    changes = ['model.name="rare.py:rare"', "filter.engine=numpy", "evaluation.draws=3"]
+    run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+    rows = run.table("evaluations")
+    killed = rows["copies"][np.isinf(rows["expected_mse"])].groupby(rows["phase"]).sum()
+    assert 0 < killed["genetic"] < 24
+    texts = [block.text for block in searches(Subject(run)).blocks if hasattr(block, "text")]
+    assert f"Degenerate draws killed {killed['genetic']} evaluated sets of genetic." in texts
 
 
 # --- The same, however it was computed ----------------------------------------------------------

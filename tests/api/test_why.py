@@ -227,7 +227,7 @@ def test_degenerate_draws_are_counted_up_to_each_instant(small_job: Job, tmp_pat
         "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
     )
     changes = ["model.filter.name=cut.py:model", "filter.particles=5"]
-    job = small_job.with_changes([*WALK, *changes, "evaluation.degenerate_draws=leave_out"])
+    job = small_job.with_changes([*WALK, *changes, "evaluation.degenerate_draws=continue"])
     found = pfdist.why(pfdist.run(job, tmp_path / "run", figures=False), draws=50, figures=False)
     known = found.sets.set_index("name")["degenerate_draws"]
     for name, rows in found.profile.groupby("name"):

@@ -15,8 +15,9 @@ from pfdist.filters.work import Estimation, Work, cut
 from pfdist.times.measurement_times import Times
 
 
-def _evaluation(mse: list[float], policy: str = "kill") -> Evaluation:
-    return Evaluation((0, 1), np.array(mse), policy)
+def _evaluation(mse: list[float], policy: str = "kill", degenerate: int = 0) -> Evaluation:
+    flags = np.arange(len(mse)) < degenerate
+    return Evaluation((0, 1), np.array(mse), policy, degenerate=flags)
 
 
 def test_expected_mse_and_its_standard_error() -> None:
@@ -31,14 +32,18 @@ def _work(sets: tuple[Times, ...], horizon: int, particles: int, draws: tuple[in
 
 
 def test_one_degenerate_draw_kills_an_individual() -> None:
-    killed = _evaluation([1.0, math.nan, 3.0])
+    killed = _evaluation([1.0, 2.0, 3.0], "kill", 1)
     assert killed.cost == killed.standard_error == math.inf
     assert (killed.draws, killed.degenerate_draws) == (3, 1)
 
 
-def test_left_out_a_degenerate_draw_leaves_the_mean_of_the_others() -> None:
-    assert _evaluation([1.0, math.nan, 3.0], "leave_out").cost == 2.0
-    assert _evaluation([math.nan, math.nan], "leave_out").cost == math.inf
+def test_otherwise_a_degenerate_draw_counts_with_its_error() -> None:
+    """A set must not look better because its worst draws are left out."""
+    counted = _evaluation([9.0, 1.0, 2.0], "continue", 1)
+    assert (counted.cost, counted.degenerate_draws, counted.is_killed) == (4.0, 1, False)
+    assert counted.first(1).degenerate_draws == 1
+    assert "1 of 3 draws are degenerate" in counted.degenerate_text
+    assert not _evaluation([1.0, 2.0], "kill").degenerate_text
 
 
 def test_the_estimate_does_not_depend_on_how_the_draws_are_cut(ungm: StateSpaceModel) -> None:

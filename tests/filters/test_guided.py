@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from oracles.guided import bootstrap, echoes, growth, sharp_walk
 from oracles.kalman import SCALAR
-from pfdist import Filter, StateSpaceModel, linear_gaussian
+from pfdist import Filter, StateSpaceModel, linear_gaussian, where
 from pfdist.errors import ArgumentError, ModelError
-from pfdist.filters import kalman, plain
+from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.interface import Filtered
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
@@ -87,6 +87,39 @@ def test_sets_that_share_prefixes_have_the_bits_of_each_alone(threshold: float) 
     together = filter_checked_sets(growth, draws, sets, [HORIZON] * 6, 5, settings)
     alone = [filter_checked_sets(growth, draws, [s], [HORIZON], 5, settings)[:, 0] for s in sets]
     np.testing.assert_array_equal(together, np.stack(alone, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("model", "resampling", "threshold"),
+    [(growth, "sorted_systematic", 0.5), (growth, "multinomial", ALWAYS), (STEPS, "residual", 0.5)],
+    ids=lambda each: getattr(each, "name", str(each)),
+)
+def test_a_measurement_that_no_particle_explains_is_left_out(
+    model: StateSpaceModel, resampling: str, threshold: float
+) -> None:
+    """As if it were not made, bit for bit: without the proposal, with the weights from before."""
+    likelihood, (_, t, *_) = model.log_likelihood, TIMES
+    fails = replace(
+        model,
+        log_likelihood=lambda y, x, k, p: where(
+            (k == t) & (y[0] > 0.0), -np.inf, likelihood(y, x, k, p)
+        ),
+    )
+    draws = simulate(model, HORIZON, range(12), 3)
+    degenerate = draws.y[:, t, 0] > 0
+    assert 0 < degenerate.sum() < 12
+    without = tuple(time for time in TIMES if time != t)
+    fast, slow, left_out = (
+        each.filter_draws(fails, draws, times, 60, 5, resampling, True, None, threshold)
+        for each, times in ((particle_filter, TIMES), (plain, TIMES), (particle_filter, without))
+    )
+    for name in ("mse", "estimate", "variance"):
+        found = getattr(fast, name)
+        np.testing.assert_allclose(found, getattr(slow, name), rtol=1e-7, atol=1e-9)
+        same = (found == getattr(left_out, name)).reshape(12, -1).all(axis=1)
+        np.testing.assert_array_equal(same, degenerate)
+    for filtered in (fast, slow):
+        np.testing.assert_array_equal(filtered.degenerate, degenerate)
 
 
 # --- exact filters --------------------------------------------------------------------------------

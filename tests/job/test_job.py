@@ -1,15 +1,12 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 
 from pfdist.errors import JobError
-from pfdist.filters.estimate import DEGENERATE_POLICIES
 from pfdist.job.job import job_toml, load_job
-from pfdist.job.sections import EvaluationSection
 from pfdist.job.source import as_job
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
@@ -309,11 +306,6 @@ def test_identity_survives_being_written_as_toml(name, tmp_path):
     written.write_text(job_toml(identity), encoding="utf-8")
     assert tomllib.loads(written.read_text(encoding="utf-8")) == identity
     assert load_job(written).identity() == identity
-
-
-def test_the_job_allows_the_policies_that_the_program_has():
-    allowed = get_args(EvaluationSection.model_fields["degenerate_draws"].annotation)
-    assert set(allowed) == set(DEGENERATE_POLICIES)
 
 
 def test_online_search_keeps_the_defaults_of_keys_that_are_not_given(write):

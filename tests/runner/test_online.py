@@ -91,7 +91,9 @@ def _work(times: tuple[int, ...], draw: int) -> Work:
 
 def test_a_row_has_the_error_of_the_filter_with_these_times_and_keys(job: Job, run: Run) -> None:
     evaluator, rows = build(job).evaluator, run.table("online")
-    assert rows.columns.tolist() == ["draw", "mse", "measurement_times", "estimate"]
+    assert rows.columns.tolist() == [
+        *("draw", "mse", "degenerate", "measurement_times", "estimate")
+    ]
     assert rows["draw"].tolist() == list(range(6))
     trajectories = run.table("trajectories").set_index("draw")
     for row in rows.to_dict("records"):
@@ -218,22 +220,21 @@ model = replace(ungm, log_likelihood=lambda y, x, t, p:
 
 
 @pytest.mark.slow
-def test_degenerate_draws_are_left_out_and_counted(job: Job, tmp_path: Path) -> None:
+def test_degenerate_draws_count_with_their_errors_and_are_counted(job: Job, tmp_path: Path) -> None:
     (tmp_path / "rare.py").write_text(RARE)
     (tmp_path / "rare.toml").write_text(JOB)
-    changes = ["model.name=rare.py:model", "evaluation.degenerate_draws=leave_out"]
-    changes += ["online.draws=30"]
+    changes = ["model.name=rare.py:model", "online.draws=30"]
     run = pfdist.run(tmp_path / "rare.toml", tmp_path / "run", changes=changes, figures=False)
     rows, compared = run.table("online"), run.table("comparison")
-    assert rows["mse"].isna().any()
-    assert rows["mse"].notna().any()
+    assert rows["degenerate"].any()
+    assert not rows["degenerate"].all()
     assert all(len(times) == 4 for times in rows["measurement_times"])
-    sets = [compared["mse_regular"], compared["mse_survivors"], rows["mse"]]
-    usable = np.all([column.notna() for column in sets], axis=0)
-    online = run.summary().online
-    assert (online["draws"], online["degenerate_draws"]) == (usable.sum(), 30 - usable.sum())
-    assert online["expected_mse"] == pytest.approx(rows["mse"][usable].mean())
-    assert online["plan"]["expected_mse"] == pytest.approx(sets[1][usable].mean())
+    compared, online = compared[compared["draw"] < 30], run.summary().online
+    either = compared["degenerate_regular"] | compared["degenerate_survivors"]
+    degenerate = rows["degenerate"].to_numpy() | either.to_numpy()
+    assert (online["draws"], online["degenerate_draws"]) == (30, degenerate.sum())
+    assert online["expected_mse"] == pytest.approx(rows["mse"].mean())
+    assert online["plan"]["expected_mse"] == pytest.approx(compared["mse_survivors"].mean())
 
 
 def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Run) -> None:

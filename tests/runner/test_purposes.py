@@ -95,7 +95,10 @@ def test_no_two_phases_share_a_draw(
             small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL, figures=False
         ),
     )
-    assert budget.keys() == _phases("", ".probe", ".again") | {"comparison", "bound"}
+    assert budget.keys() == _phases("", ".probe", ".again", ".again.shortlist") | {
+        "comparison",
+        "bound",
+    }
     # The bound filters the compared sets on the draws of the comparison, with noise of its own:
     draws = stream_of("budget", small_job.seed, "draws")
     assert budget["comparison"] & budget["bound"] == {draws}

@@ -19,8 +19,6 @@ from pfdist.search.probe import (
     judged,
     misordered,
     new_leaders,
-    unchecked_probe,
-    wrong_order,
 )
 from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible
@@ -59,31 +57,40 @@ def test_an_estimator_fails_that_lies_far_below_both_in_share_and_in_standard_er
     assert judged(*_pair(np.full(PROBE_DRAWS, estimate), error)).fails == fails
 
 
-def test_draws_in_which_a_filter_was_degenerate_say_nothing() -> None:
+def test_draws_in_which_a_filter_became_infinite_say_nothing() -> None:
     error, estimate = _with_moments(1.0, 0.01), np.full(PROBE_DRAWS, 0.5)
-    error[:-1], estimate[-1] = np.nan, 0.0
+    error[:-1], estimate[-1] = np.inf, 0.0
     assert not judged(*_pair(estimate, error)).fails
     error, estimate = _with_moments(1.0, 0.01), np.full(PROBE_DRAWS, 0.5)
-    error[::2] = np.nan
+    error[::2] = np.inf
     assert judged(*_pair(estimate, error)).fails
 
 
-@pytest.mark.parametrize("usable", [0, 1])
-def test_an_estimator_that_no_draws_can_check_is_said_to_be_unchecked(usable: int) -> None:
-    def error(candidate: Candidate) -> Array:
-        errors = _with_moments(1.0, 0.01)
-        if candidate.measurement_times == (4, 5, 6):
-            errors[usable:] = np.nan
-        return errors
+@pytest.mark.parametrize(("estimate", "fails"), [(0.5, True), (0.59, False)])
+def test_only_sets_near_the_best_are_judged(estimate: float, fails: bool) -> None:
+    """The estimate of regular times, and its error, is 0.5; that of another set is too small."""
+    regular = FEASIBLE.regular()
+    state, _ = _probe(
+        lambda candidate: 0.5 if candidate.measurement_times == regular else estimate,
+        lambda candidate: _with_moments(
+            0.5 if candidate.measurement_times == regular else 1.0, 0.001
+        ),
+    )
+    assert bool(state.failed and state.failed[0].end is None) == fails
 
-    assert not judged(*_pair(np.ones(PROBE_DRAWS), error(Candidate((4, 5, 6))))).is_known
-    state, _ = _probe(lambda candidate: 1.0, error)
-    pair = Probe(FEASIBLE).finalists(state)
-    assert not state.failed
-    assert [evaluation.measurement_times for evaluation in pair] == 2 * [(4, 5, 6)]
-    text = unchecked_probe(*pair, clock=Clock.counting(12))
-    assert f"in {{4, 5, 6}} only {usable} of {PROBE_DRAWS} draws" in text
-    assert "more particles" in text
+
+def test_an_estimator_fails_that_reverses_the_order_of_two_sets() -> None:
+    """All estimates are large enough; that of regular times, which are the best, is the largest."""
+    regular = FEASIBLE.regular()
+    state, _ = _probe(
+        lambda candidate: 1.05 if candidate.measurement_times == regular else 1.0,
+        lambda candidate: _with_moments(
+            0.9 if candidate.measurement_times == regular else 1.0, 0.001
+        ),
+    )
+    better, _ = state.failed
+    assert better.measurement_times == regular
+    assert "it prefers" in failed_probe(*state.failed, clock=Clock.counting(12))
 
 
 def test_sets_are_written_with_their_times_on_the_clock_and_their_sensors() -> None:
@@ -93,9 +100,8 @@ def test_sets_are_written_with_their_times_on_the_clock_and_their_sensors() -> N
     assert "gives 1 for {0 probe, 0.5 probe, 1.5 core} up to t = 1.5 d, " in failed_probe(
         *pair, clock=clock
     )
-    assert "in {0 probe, 0.5 probe, 1.5 core} only 4 of 4 " in unchecked_probe(*pair, clock=clock)
     other = Evaluation((1,), np.zeros(4))
-    text = wrong_order(other, pair[0], clock=clock)
+    text = failed_probe(other, pair[0], clock=clock)
     assert text.startswith("it prefers {0 probe, 0.5 probe, 1.5 core} to {0 core}, ")
 
 
@@ -219,7 +225,7 @@ def test_an_estimator_is_distrusted_that_changes_the_order_of_two_finalists(
         assert wrong[0].expected_mse < wrong[1].expected_mse
 
 
-def test_a_finalist_that_degenerate_draws_have_killed_contradicts_nobody() -> None:
-    squared = {A: np.array([1.0, np.nan, 1.0]), B: np.array([2.0, 2.0, 2.5])}
+def test_a_set_with_an_infinite_error_contradicts_nobody() -> None:
+    squared = {A: np.array([1.0, np.inf, 1.0]), B: np.array([2.0, 2.0, 2.5])}
     believed = {A: np.array([1.0, 1.0, 1.1]), B: np.array([3.0, 3.0, 3.1])}
     assert _misordered(believed, squared) is None

@@ -191,8 +191,7 @@ def test_a_plan_that_loses_more_draws_never_takes_the_place_of_another(
 
     def evaluated(outlook, draws, candidates, estimation):
         return [
-            Evaluation(each.measurement_times, costs[each.measurement_times], "leave_out")
-            for each in candidates
+            Evaluation(each.measurement_times, costs[each.measurement_times]) for each in candidates
         ]
 
     monkeypatch.setattr(_Outlook, "_evaluated", evaluated)
