@@ -5,11 +5,11 @@ Each check gives a state, "ok", "note" or "wrong", and a text.
 
 import ast
 import math
+import time
 import types
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
-from typing import Any, SupportsIndex
+from typing import Any, SupportsIndex, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,12 @@ from pfdist.models.seeing import names_in
 from pfdist.models.syntax import node_of
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
-PAIRS = 8  # of states, at each of a few instants
+_PAIRS = 8  # of states, at each of a few instants
 _FEW = 1000  # measurements by which the second state of a pair is chosen
 _MUCH, _LITTLE = 0.02, 0.001  # see `_shown`: normal noise reaches 0.037
-_SAME = 1e-9  # what differs by less is equal but for rounding
 _PROOF = 14.5  # exp(-14.5) * 2 = 1 in 10^6 of right models is blamed for each number
 
 
@@ -157,7 +157,28 @@ def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str
 # --- the log-likelihood against the measurement ---------------------------------------------------
 
 
-def likelihood(model: StateSpaceModel, draws: Draws, pairs: int = PAIRS) -> tuple[str, str]:
+class Within:
+    """Give the items of loops, the first of each at least, until some seconds are over.
+
+    `text` then says that items were left out.
+    """
+
+    def __init__(self, seconds: float = math.inf) -> None:
+        self.seconds, self.start, self.text = seconds, time.perf_counter(), ""
+
+    def __call__(self, items: Iterable[T]) -> Iterator[T]:
+        """Give items until the time is over."""
+        for number, item in enumerate(items):
+            if number and time.perf_counter() - self.start > self.seconds:
+                self.text = f" (shortened: all would take longer than {self.seconds:.0f} s)"
+                return
+            yield item
+
+
+ENDLESS = Within()
+
+
+def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -> tuple[str, str]:
     """State and text: the log-likelihood must fit what `measurement` gives.
 
     A fair coin chooses one of two states a and b, and y is measured there. Given y, the state is b
@@ -167,47 +188,43 @@ def likelihood(model: StateSpaceModel, draws: Draws, pairs: int = PAIRS) -> tupl
     states, also with heavy tails, jumps, and y that are impossible at one of them.
 
     "wrong" means that the likelihood is proved wrong; "note", that no pair of states can show a
-    mistake. A likelihood that uses only a part of y can be right. `pairs` is the number of pairs at
-    each of a few instants.
+    mistake. A likelihood that uses only a part of y can be right.
     """
     rng, compared, same = np.random.default_rng(0), 0, True
-    for t in instants_of(draws):
-        for pair in range(pairs):
-            i, other = rng.choice(len(draws.index), size=2, replace=False)
-            a, is_b = draws.x[i, t], rng.random(MEASUREMENTS) < 0.5
-            y = measured(model, a, t, 2 * pair, _FEW)
-            unlike = _most_unlike(model, draws, t, i, y)  # beyond a jump, even if few draws are
-            at = partial(_log_likelihood, model, y, t)
-            b = _telling(at, draws.x[:, t], a, draws.x[other, t], unlike)
-            y = measured(model, np.where(is_b, b[:, None], a[:, None]), t, 2 * pair + 1)
-            at_a, at_b = (_log_likelihood(model, y, t, x) for x in (a, b))
-            impossible = 1 - np.mean(np.isfinite(at_a[~is_b]))
-            if impossible:
+    for pair, t in within(product(range(_PAIRS), instants_of(draws))):
+        i, other = rng.choice(len(draws.index), size=2, replace=False)
+        a, is_b = draws.x[i, t], rng.random(MEASUREMENTS) < 0.5
+        b = _telling(model, draws.x[:, t], t, i, other, measured(model, a, t, 2 * pair, _FEW))
+        y = measured(model, np.where(is_b, b[:, None], a[:, None]), t, 2 * pair + 1)
+        at_a, at_b = (_log_likelihood(model, y, t, x) for x in (a, b))
+        impossible = 1 - np.mean(np.isfinite(at_a[~is_b]))
+        if impossible:
+            return "wrong", (
+                f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
+                f"{impossible:.2%} of y measured at x = {formatted_state(a)}, t = {t}"
+            )
+        r = _share(at_b, at_a)
+        variance = r * (1 - r)
+        compared += _shown(r) > _LITTLE
+        same &= np.allclose(r, 0.5)
+        for which, is_true, probability in (
+            ("second", is_b, r),
+            ("more likely", is_b == (r > 0.5), np.maximum(r, 1 - r)),
+        ):
+            got, implied, square = is_true.sum(), probability.sum(), variance.sum()
+            apart = abs(got - implied)
+            if apart**2 > 2 * _PROOF * (square + apart / 3):
+                states = f"x = {formatted_state(a)} and x = {formatted_state(b)} at t = {t}"
                 return "wrong", (
-                    f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
-                    f"{impossible:.2%} of y measured at x = {formatted_state(a)}, t = {t}"
+                    "log_likelihood must be the log-density of measurement, up to a term that "
+                    f"does not depend on x; but of {MEASUREMENTS:,} y, each measured at one of "
+                    f"{states}, {got:,} come from the {which} state, where log_likelihood "
+                    f"implies {implied:,.0f} ± {math.sqrt(square):,.0f} "
+                    "(a wrong deviation, or a term left out that depends on x?)"
                 )
-            r = _share(at_b, at_a)
-            variance = r * (1 - r)
-            compared += _shown(r) > _LITTLE
-            same &= bool((abs(r - 0.5) < _SAME).all())
-            for which, is_true, probability in (
-                ("second", is_b, r),
-                ("more likely", is_b == (r > 0.5), np.maximum(r, 1 - r)),
-            ):
-                got, implied, square = is_true.sum(), probability.sum(), variance.sum()
-                apart = abs(got - implied)
-                if apart**2 > 2 * _PROOF * (square + apart / 3):
-                    states = f"x = {formatted_state(a)} and x = {formatted_state(b)} at t = {t}"
-                    return "wrong", (
-                        "log_likelihood must be the log-density of measurement, up to a term that "
-                        f"does not depend on x; but of {MEASUREMENTS:,} y, each measured at one of "
-                        f"{states}, {got:,} come from the {which} state, where log_likelihood "
-                        f"implies {implied:,.0f} ± {math.sqrt(square):,.0f} "
-                        "(a wrong deviation, or a term left out that depends on x?)"
-                    )
     if compared:
-        return "ok", f"it agrees with measurement at {compared} pairs of states"
+        pairs = "1 pair" if compared == 1 else f"{compared} pairs"
+        return "ok", f"it agrees with measurement at {pairs} of states"
     if same:
         return "note", f"it does not depend on x: it is the same in all {len(draws.index)} draws"
     return "note", (
@@ -228,7 +245,8 @@ def measured(
 
 
 def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Array) -> Array:
-    (values,) = values_of(model, "log_likelihood", (y, tuple(x), t, model.p), len(y[0]))
+    size = max(np.size(x[0]), np.size(y[0]))
+    (values,) = values_of(model, "log_likelihood", (y, tuple(x), t, model.p), size)
     return np.asarray(values, np.float64)
 
 
@@ -239,33 +257,24 @@ def _share(log_p: Array, log_q: Array) -> Array:
     return share
 
 
-def _most_unlike(
-    model: StateSpaceModel, draws: Draws, t: int, i: int, y: tuple[Array, ...]
-) -> Array:
-    """The state of a draw whose log-likelihood of the first y differs most from draw i.
-
-    A state at which this y is impossible is the last choice.
-    """
-    states, first = draws.x[:, t], tuple(component[0] for component in y)
-    arguments = first, tuple(states.T), t, model.p
-    (values,) = values_of(model, "log_likelihood", arguments, len(states))
-    unlike = np.nan_to_num(np.abs(values - values[i]), posinf=np.finfo(float).tiny)
-    return np.array(states[unlike.argmax()])
-
-
 def _telling(
-    log_likelihood: Callable[[Array], Array], states: Array, a: Array, *others: Array
+    model: StateSpaceModel, states: Array, t: int, i: int, other: int, y: tuple[Array, ...]
 ) -> Array:
-    """A state from `a` towards another, at which the y of a log-likelihood show a mistake best.
+    """A state at which the y measured at state i show best whether the log-likelihood is right.
 
-    Components that are whole numbers in all states remain whole.
+    It lies towards another state, or towards that where the log-likelihood of the first y differs
+    most: it may jump, and few states may be beyond. Components that are whole numbers in all states
+    remain whole.
     """
-    whole, at_a = (states == np.round(states)).all(axis=0), log_likelihood(a)
-    best, chosen = (0.0, 0.0), others[0]
-    for other, step in product(others, 2.0 ** -np.arange(40)):
-        b = a + step * (other - a)
+    whole, a = (states == np.round(states)).all(axis=0), states[i]
+    at_first = _log_likelihood(model, tuple(part[:1] for part in y), t, states.T)
+    unlike = np.abs(at_first - at_first[i])
+    unlike = np.nan_to_num(unlike, posinf=np.finfo(float).tiny)  # an impossible y comes last
+    at_a, best, chosen = _log_likelihood(model, y, t, a), (0.0, 0.0), states[other]
+    for target, step in product((other, unlike.argmax()), 2.0 ** -np.arange(40)):
+        b = a + step * (states[target] - a)
         b = np.where(whole, np.round(b), b)
-        r = _share(log_likelihood(b), at_a)
+        r = _share(_log_likelihood(model, y, t, b), at_a)
         uncertain = float(np.mean(r * (1 - r)))  # of uniform noise r is 0, 1/2 or 1
         shown = round(_shown(r), 3), uncertain * (1 - 4 * uncertain)
         if shown > best:

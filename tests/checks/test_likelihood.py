@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pfdist import StateSpaceModel, densities, load_model, where
-from pfdist.checks.formulas import likelihood
+from pfdist.checks.formulas import Within, likelihood
 from pfdist.filters.draws import Draws
 from pfdist.filters.plain import simulate
 from pfdist.models import installed_models
@@ -233,8 +233,16 @@ def test_a_state_that_takes_whole_numbers_is_never_between_two() -> None:
     assert state == "note", text
 
 
-def test_the_result_does_not_depend_on_chance_or_on_how_many_pairs_follow() -> None:
+def test_the_result_does_not_depend_on_chance() -> None:
     model = WRONG["deviation 5 % too small"]
     draws = simulate(model, LAST, range(1000), 0)
     assert likelihood(model, draws) == likelihood(model, draws)
-    assert likelihood(RIGHT["clutter"], draws, pairs=2)[1].endswith("at 6 pairs of states")
+
+
+def test_without_time_one_pair_is_compared_and_the_rest_is_said_to_be_left_out() -> None:
+    model, none, enough = RIGHT["clutter"], Within(0.0), Within(1000.0)
+    draws = simulate(model, LAST, range(1000), 0)
+    assert likelihood(model, draws, none)[1].endswith("at 1 pair of states")
+    assert none.text == " (shortened: all would take longer than 0 s)"
+    assert likelihood(model, draws, enough)[1].endswith("at 24 pairs of states")
+    assert enough.text == ""
