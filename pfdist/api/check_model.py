@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeGuard
 
 import pandas as pd
 
-from pfdist.checks.model import Check, check_loaded
+from pfdist.checks.model import EVERY_INSTANT, Check, check_filter, check_loaded
 from pfdist.checks.model import check_model as check_named
 from pfdist.common.arguments import whole_argument
 from pfdist.errors import ArgumentError, ModelError, shown
@@ -15,7 +16,8 @@ from pfdist.job.job import Job
 from pfdist.job.problem import Problem
 from pfdist.job.source import JobSource, as_job
 from pfdist.models import PYTHON, CarriedModel, StateSpaceModel, carried
-from pfdist.runner.build import models_of
+from pfdist.runner.build import evaluator_of, models_of
+from pfdist.runner.searches import comparing_of
 
 HORIZON, PARTICLES = 60, 500
 MOST_INSTANTS, MOST_PARTICLES = 32_000, 10_000_000
@@ -29,11 +31,12 @@ def check_model(
     Parameters
     ----------
     model : StateSpaceModel, Problem, Job, str or Path
-        A model or the name of a model; or a problem, a job, or the path of a job file ``*.toml``,
-        whose models are checked with their parameters.
+        A model or the name of a model; or a problem, a job, or the path of a job file ``*.toml``.
+        Its models are checked with their parameters, and its filter with its own horizon, sensors,
+        scenarios and regular times.
     horizon : int, optional
-        T of the draws that are simulated; by default that of the problem, or 60. With a clock, T
-        is at most that of the clock.
+        T of the draws with which formulas are checked; by default that of the problem, or 60. With
+        a clock, T is at most that of the clock.
     particles : int, optional
         Number of particles of the filter that is timed; by default that of the problem, or 500.
 
@@ -42,7 +45,8 @@ def check_model(
     DataFrame
         A row for each check: check (its name), state and text. The state is "ok"; "note" for
         something worth knowing; or "wrong" for a mistake that makes all results wrong or ends a
-        run. If the filter has a model of its own, the names of its checks begin with "filter: ".
+        run. If the filter has another model, the names of the checks of its formulas begin with
+        "filter: ". Each check takes about 20 seconds at most: a slow model has fewer draws.
 
     Raises
     ------
@@ -103,23 +107,25 @@ def _is_job(model: StateSpaceModel | JobSource) -> TypeGuard[JobSource]:
 
 
 def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
-    """Check the models of a job, with its parameters."""
+    """Check the models of a job with its parameters, then its filter at its regular times."""
     try:
-        model, filter_model = models_of(job)
+        models = models_of(job)
     except ModelError as error:
         yield Check("load", "wrong", str(error))
         return
-    clock = job.problem.clock if job.problem.has_clock else None
+    clock, complete = job.problem.clock if job.problem.has_clock else None, True
     if clock is not None:
         horizon = min(horizon, clock.horizon)
+    prefixes = ("",) if models[0].key == models[1].key else ("", "filter: ")
+    for prefix, each in zip(prefixes, models, strict=False):
 
-    def checks(carried: CarriedModel) -> Iterator[Check]:
-        def load() -> StateSpaceModel:
-            return carried.model if clock is None else carried.model.on_clock(clock.times)
+        def load(each: CarriedModel = each) -> StateSpaceModel:
+            return each.model if clock is None else each.model.on_clock(clock.times)
 
-        return check_loaded(load, horizon, particles)
-
-    yield from checks(model)
-    if filter_model.key != model.key:
-        for check in checks(filter_model):
-            yield replace(check, name=f"filter: {check.name}")
+        for check in check_loaded(load, horizon, particles, filtered=False):
+            yield replace(check, name=f"{prefix}{check.name}")
+        complete &= check.name == EVERY_INSTANT
+    if complete:
+        estimation = replace(comparing_of(job), particles=particles)
+        made = partial(evaluator_of, job, *models)
+        yield from check_filter(made, job.problem.feasible.regular(), estimation)

@@ -5,16 +5,15 @@ Each check gives a state, "ok", "note" or "wrong", and a text.
 
 import ast
 import math
+import time
 import types
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
-from typing import Any, SupportsIndex
+from typing import Any, SupportsIndex, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.rounding import with_error
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
@@ -26,11 +25,13 @@ from pfdist.models.seeing import names_in
 from pfdist.models.syntax import node_of
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
 _PAIRS = 8  # of states, at each of a few instants
-_RARE = 0.005  # smallest share of measurements that is evidence: 100 of 20,000
-_LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
+_FEW = 1000  # measurements by which the second state of a pair is chosen
+_MUCH, _LITTLE = 0.02, 0.001  # see `_shown`: normal noise reaches 0.037
+_PROOF = 14.5  # exp(-14.5) * 2 = 1 in 10^6 of right models is blamed for each number
 
 
 # --- formulas as functions ----------------------------------------------------------------------
@@ -156,113 +157,136 @@ def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str
 # --- the log-likelihood against the measurement ---------------------------------------------------
 
 
-def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+class Within:
+    """Give the items of loops, the first of each at least, until some seconds are over.
+
+    `text` then says that items were left out.
+    """
+
+    def __init__(self, seconds: float = math.inf) -> None:
+        self.seconds, self.start, self.text = seconds, time.perf_counter(), ""
+
+    def __call__(self, items: Iterable[T]) -> Iterator[T]:
+        """Give items until the time is over."""
+        for number, item in enumerate(items):
+            if number and time.perf_counter() - self.start > self.seconds:
+                self.text = f" (shortened: all would take longer than {self.seconds:.0f} s)"
+                return
+            yield item
+
+
+ENDLESS = Within()
+
+
+def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -> tuple[str, str]:
     """State and text: the log-likelihood must fit what `measurement` gives.
 
-    For y drawn at a state a, and any other state b at which y is possible, the mean of p(y | b) /
-    p(y | a) is 1: the integral of p(y | b). A factor of the likelihood that depends on y alone
-    cancels. b lies so near to a that the ratio has a small variance.
+    A fair coin chooses one of two states a and b, and y is measured there. Given y, the state is b
+    with the probability r = p(y | b) / (p(y | a) + p(y | b)); a factor that depends on y alone
+    cancels. So the number of y from b, and the number of y from the more likely state, are sums of
+    independent choices with known probabilities. Bernstein's inequality bounds both for any two
+    states, also with heavy tails, jumps, and y that are impossible at one of them.
 
-    If the likelihood jumps, as that of a sign does, there is no such b. Then the ratio counts only
-    for y that are less likely at b. Its mean over y drawn at a is the share of such y among those
-    drawn at b.
+    "wrong" means that the likelihood is proved wrong; "note", that no pair of states can show a
+    mistake. A likelihood that uses only a part of y can be right.
     """
-    rng, compared, apart = np.random.default_rng(0), 0, 0
-    for t in instants_of(draws):
-        for pair in range(_PAIRS):
-            i, other = rng.choice(len(draws.index), size=2, replace=False)
-            a = draws.x[i, t]
-            y = measured(model, a, t, pair)
-            log_likelihood = partial(_log_likelihood, model, y, t)
-            impossible = 1 - np.mean(np.isfinite(log_likelihood(a)))
-            if impossible:
-                return "wrong", (
-                    f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
-                    f"{impossible:.2%} of y measured at x = {formatted_state(a)}, t = {t}"
-                )
-            unlike = _most_unlike(model, draws, t, i, y)  # beyond a jump, even if few draws are
-            b, jumps = _near(log_likelihood, a, draws.x[other, t], unlike)
-            if b is None:
-                continue
-            difference, share = log_likelihood(b) - log_likelihood(a), 1.0
-            ratio = np.exp(difference)
-            error, is_possible = float(np.std(ratio, ddof=1)), ratio.all()
-            if jumps:  # the few large ratios would decide, and few draws have them
-                at_b = partial(_log_likelihood, model, measured(model, b, t, _PAIRS + pair), t)
-                share = float(np.mean(at_b(b) < at_b(a)))
-                ratio *= difference < 0
-                error = math.sqrt(np.mean(ratio) + share)
-            if not is_possible or share < _RARE:  # what is possible at a is not at b
-                apart += 1
-                continue
-            compared += 1
-            mean, error = float(np.mean(ratio)), error / math.sqrt(MEASUREMENTS)
-            if not abs(mean - share) < _LARGEST_Z * error:
+    rng, compared, same = np.random.default_rng(0), 0, True
+    for pair, t in within(product(range(_PAIRS), instants_of(draws))):
+        i, other = rng.choice(len(draws.index), size=2, replace=False)
+        a, is_b = draws.x[i, t], rng.random(MEASUREMENTS) < 0.5
+        b = _telling(model, draws.x[:, t], t, i, other, measured(model, a, t, 2 * pair, _FEW))
+        y = measured(model, np.where(is_b, b[:, None], a[:, None]), t, 2 * pair + 1)
+        at_a, at_b = (_log_likelihood(model, y, t, x) for x in (a, b))
+        impossible = 1 - np.mean(np.isfinite(at_a[~is_b]))
+        if impossible:
+            return "wrong", (
+                f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
+                f"{impossible:.2%} of y measured at x = {formatted_state(a)}, t = {t}"
+            )
+        r = _share(at_b, at_a)
+        variance = r * (1 - r)
+        compared += _shown(r) > _LITTLE
+        same &= np.allclose(r, 0.5)
+        for which, is_true, probability in (
+            ("second", is_b, r),
+            ("more likely", is_b == (r > 0.5), np.maximum(r, 1 - r)),
+        ):
+            got, implied, square = is_true.sum(), probability.sum(), variance.sum()
+            apart = abs(got - implied)
+            if apart**2 > 2 * _PROOF * (square + apart / 3):
                 states = f"x = {formatted_state(a)} and x = {formatted_state(b)} at t = {t}"
-                ratio_text = with_error(mean / share, error / share)
                 return "wrong", (
-                    "log_likelihood must be the log-density of measurement, up to a term that does "
-                    f"not depend on x; but over y measured at the first of {states}, their "
-                    f"likelihoods' ratio has the mean {ratio_text}, not 1 "
+                    "log_likelihood must be the log-density of measurement, up to a term that "
+                    f"does not depend on x; but of {MEASUREMENTS:,} y, each measured at one of "
+                    f"{states}, {got:,} come from the {which} state, where log_likelihood "
+                    f"implies {implied:,.0f} ± {math.sqrt(square):,.0f} "
                     "(a wrong deviation, or a term left out that depends on x?)"
                 )
-    if apart and not compared:
-        return "note", "it cannot be checked: which y are possible depends on x"
-    if not compared:
+    if compared:
+        pairs = "1 pair" if compared == 1 else f"{compared} pairs"
+        return "ok", f"it agrees with measurement at {pairs} of states"
+    if same:
         return "note", f"it does not depend on x: it is the same in all {len(draws.index)} draws"
-    return "ok", f"it agrees with measurement at {compared} pairs of states"
+    return "note", (
+        "it cannot be checked: y says almost nothing about which of two states of the draws it was "
+        "measured at, or leaves almost no doubt"
+    )
 
 
-def measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Array, ...]:
-    """Simulated measurements at one state; another draw has other noise."""
+def measured(
+    model: StateSpaceModel, x: Array, t: int, draw: int, count: int = MEASUREMENTS
+) -> tuple[Array, ...]:
+    """Simulated measurements at one state, or at many, (n, count); another draw has other noise."""
     v = tuple(
-        variates(kind, MEASUREMENTS, 2, draw, t, TRUTH_MEASUREMENT, component)
+        variates(kind, count, 2, draw, t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(model.measurement_noise)
     )
-    y = values_of(model, "measurement", (tuple(x.tolist()), t, v, model.p), MEASUREMENTS)
-    return tuple(y)
+    return tuple(values_of(model, "measurement", (tuple(x), t, v, model.p), count))
 
 
 def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Array) -> Array:
-    values = values_of(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), MEASUREMENTS)
-    log_likelihood: Array = values[0]
-    return log_likelihood
+    size = max(np.size(x[0]), np.size(y[0]))
+    (values,) = values_of(model, "log_likelihood", (y, tuple(x), t, model.p), size)
+    return np.asarray(values, np.float64)
 
 
-def _most_unlike(
-    model: StateSpaceModel, draws: Draws, t: int, i: int, y: tuple[Array, ...]
+def _share(log_p: Array, log_q: Array) -> Array:
+    """The share p / (p + q); NaN where both are 0."""
+    with np.errstate(invalid="ignore"):
+        share: Array = (1 + np.tanh((log_p - log_q) / 2)) / 2
+    return share
+
+
+def _telling(
+    model: StateSpaceModel, states: Array, t: int, i: int, other: int, y: tuple[Array, ...]
 ) -> Array:
-    """The state of a draw whose log-likelihood of the first y differs most from draw i.
+    """A state at which the y measured at state i show best whether the log-likelihood is right.
 
-    A state at which this y is impossible is the last choice.
+    It lies towards another state, or towards that where the log-likelihood of the first y differs
+    most: it may jump, and few states may be beyond. Components that are whole numbers in all states
+    remain whole.
     """
-    states, first = draws.x[:, t], tuple(component[0] for component in y)
-    arguments = first, tuple(states.T), t, model.p
-    (values,) = values_of(model, "log_likelihood", arguments, len(states))
-    unlike = np.nan_to_num(np.abs(values - values[i]), posinf=np.finfo(float).tiny)
-    return np.array(states[unlike.argmax()])
-
-
-def _near(
-    log_likelihood: Callable[[Array], Array], a: Array, *others: Array
-) -> tuple[Array | None, bool]:
-    """A state towards another whose log-likelihoods differ by about 1/2; None if none differ.
-
-    If the log-likelihood jumps, the nearest state that was found beyond the jump, and True.
-    """
-    at_a, beyond = log_likelihood(a), None
-    for other, step in product(others, 2.0 ** (-np.arange(60) / 2)):
-        b: Array = a + step * (other - a)
-        difference = log_likelihood(b) - at_a
-        impossible = np.isneginf(difference)
-        spread = np.inf if np.mean(impossible) > 0.5 else np.std(difference[~impossible])
-        if spread >= 0.6:
-            beyond = b
-        elif spread > 1e-6 or impossible.any():
-            return b, False
-        elif beyond is not None:
+    whole, a = (states == np.round(states)).all(axis=0), states[i]
+    at_first = _log_likelihood(model, tuple(part[:1] for part in y), t, states.T)
+    unlike = np.abs(at_first - at_first[i])
+    unlike = np.nan_to_num(unlike, posinf=np.finfo(float).tiny)  # an impossible y comes last
+    at_a, best, chosen = _log_likelihood(model, y, t, a), (0.0, 0.0), states[other]
+    for target, step in product((other, unlike.argmax()), 2.0 ** -np.arange(40)):
+        b = a + step * (states[target] - a)
+        b = np.where(whole, np.round(b), b)
+        r = _share(_log_likelihood(model, y, t, b), at_a)
+        uncertain = float(np.mean(r * (1 - r)))  # of uniform noise r is 0, 1/2 or 1
+        shown = round(_shown(r), 3), uncertain * (1 - 4 * uncertain)
+        if shown > best:
+            best, chosen = shown, b
+        if shown[0] > _MUCH:
             break
-    return beyond, True
+    return np.asarray(chosen, np.float64)
+
+
+def _shown(r: Array) -> float:
+    """Variance of the difference that a mistake makes, such as another deviation; below 1/16."""
+    return float(np.mean(r * (1 - r) * (2 * r - 1) ** 2))
 
 
 def formatted_state(x: Array) -> str:

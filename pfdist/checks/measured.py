@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pfdist.checks.formulas import (
     MEASUREMENTS,
+    Within,
     formatted_state,
     instants_of,
     likelihood,
@@ -151,11 +152,12 @@ _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for eac
 _INTEGRATION = 1e-4  # error of the integration, which is not in the standard error
 
 
-def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+def normalised(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str, str]:
     """State and text: exp(log_likelihood) must have the integral 1 at a few simulated states."""
     rng, summed, states = np.random.default_rng(0), False, 0
     for t in instants_of(draws):
-        for number, x in enumerate(rng.choice(draws.x[:, t], size=_STATES, replace=False)):
+        some = rng.choice(draws.x[:, t], size=_STATES, replace=False)
+        for number, x in enumerate(within(some)):
             y = np.stack(measured(model, x, t, number))
 
             def density(points: Array, x: Array = x, t: int = t) -> Array:
@@ -181,7 +183,7 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", f"as it declares: the integral over y is 1 at {states} states{how}"
 
 
-def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+def proposal(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str, str]:
     """State and text: the proposal's density must be that of what it draws, at a few states.
 
     The text has the effective sample size of particles from one state, which the next measurement
@@ -189,7 +191,7 @@ def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """
     rng, worth = np.random.default_rng(0), list[float]()
     for t in instants_of(draws):
-        for draw in rng.choice(len(draws.index), size=_STATES, replace=False):
+        for draw in within(rng.choice(len(draws.index), size=_STATES, replace=False)):
             x, y = (tuple(part.tolist()) for part in (draws.x[draw, t], draws.y[draw, t + 1]))
             u = tuple(
                 variates(kind, MEASUREMENTS, 3, int(draw), t, FILTER_PROCESS, component)
@@ -228,15 +230,15 @@ def proposal(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     )
 
 
-def missing_components(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+def missing_components(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str, str]:
     """State and text: the log-likelihood must be right with each component of y missing."""
     count = model.components[1]
     if count == 1:
         return "note", "y has one component: a time without it is not measured"
     for component in range(count):
-        looks = [likelihood(_without(model, component), draws)]
+        looks = [likelihood(_without(model, component), draws, within)]
         if model.normalised:
-            looks.append(normalised(_rest(model, component), draws))
+            looks.append(normalised(_rest(model, component), draws, within))
         for state, text in looks:
             if state == "wrong":
                 return "wrong", f"where y[{component}] is missing (NaN): {text}"

@@ -10,33 +10,37 @@ from pathlib import Path
 import numpy as np
 
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
-from pfdist.checks.formulas import compiled_as_in_numpy, likelihood, speed
+from pfdist.checks.formulas import Within, compiled_as_in_numpy, likelihood, speed
 from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.particles import (
+    NUMBERS,
     enough_particles,
     has_particle_loss,
     mean_effective_sizes,
     measured_loss,
 )
 from pfdist.common.estimate import Estimate
+from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.rounding import rounded
-from pfdist.errors import CompileError, ModelError
+from pfdist.errors import CompileError, JobError, ModelError
 from pfdist.filters.draws import Draws
-from pfdist.filters.engines import ENGINES, NUMPY_TIMES_SLOWER
+from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import Estimation, Result, Work
 from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
 from pfdist.sequential.one_filter import formatted_instant
-from pfdist.times.measurement_times import regular
+from pfdist.times.measurement_times import Times, regular
 
+EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
 _FEW = 10  # draws, for checks that go from instant to instant in NumPy
 _FEW_PARTICLES = 50
+_TIMED = 100  # particles that show the speed
 _FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
-_LONGEST = 30.0  # seconds of the search for a number of particles that is enough
-_SECONDS = 4.0  # longest evaluation; a slow model has fewer draws than a thousand
+_LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
+_MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
 
 
 def _same_bytes(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
@@ -50,13 +54,11 @@ def _same_bytes(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     )
 
 
-_LOOKS: dict[str, Look] = {
+_COMPILED: dict[str, Look] = {
     "compiled as in NumPy": compiled_as_in_numpy,
     "same bytes": _same_bytes,
     "speed": speed,
-    "log_likelihood": likelihood,
 }
-_COMPILED = ("compiled as in NumPy", "same bytes", "speed")
 
 
 @dataclass(frozen=True)
@@ -96,28 +98,26 @@ def check_model(
 
 
 def check_loaded(
-    load: Callable[[], StateSpaceModel], horizon: int, particles: int, times: Sequence[float] = ()
+    load: Callable[[], StateSpaceModel],
+    horizon: int,
+    particles: int,
+    times: Sequence[float] = (),
+    *,
+    filtered: bool = True,
 ) -> Iterator[Check]:
-    """Yield the result of each check of the model that a function loads; see `check_model`."""
+    """Yield the result of each check of the model that a function loads; see `check_model`.
+
+    If not `filtered`, the checks of an evaluation are left out, and the last check of formulas that
+    can be filtered is `EVERY_INSTANT`.
+    """
     try:
         model = load()
     except ModelError as error:
         yield Check("load", "wrong", str(error))
-    else:
-        yield from check_object(model, horizon, particles, times)
-
-
-def check_object(
-    model: StateSpaceModel, horizon: int, particles: int, times: Sequence[float] = ()
-) -> Iterator[Check]:
-    """Yield the result of each check of a model that is loaded; arguments as of `check_model`."""
+        return
     states, measurements, quantities = model.components
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
-    for part in model.parts if model.sensors else ():  # the system with each sensor alone
-        yield from check_object(part.model, horizon, particles, times)
-    if model.sensors:
-        return
     if times or model.reads_clock:
         clock = tuple(times) or tuple(map(float, range(horizon + 1)))
         horizon = len(clock) - 1
@@ -133,48 +133,62 @@ def check_object(
         text = f"{error}; give them in the model, or in a job, and check the job"
         yield Check("simulate", "wrong", text)
         return
-    state = ""
+    for part in model.parts:  # the system with each sensor alone
+        if model.sensors:
+            yield Check("load", "ok", part.model.name)
+        for check in _computed(part.model, horizon, Estimation(particles)):
+            yield check
+        if check.name != EVERY_INSTANT:
+            return
+    if filtered:  # the sensors measure in turn
+        spread, sensors = regular(horizon, max(2, (horizon + 1) // 3)), len(model.parts)
+        in_turn = tuple(t * sensors + number % sensors for number, t in enumerate(spread))
+        yield from check_filter(partial(Evaluator, model, horizon), in_turn, Estimation(particles))
+
+
+def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
+    """The evaluator, which computes in NumPy if a formula cannot be compiled, and the result."""
     try:
-        for look, state, text in look_at_formulas(model, few_draws(model, horizon)):
-            yield Check(look, state, text)
-        if state != "wrong":
-            yield from _computed(model, horizon, Estimation(particles))
-    except ModelError as error:
-        yield Check("simulate", "wrong", str(error))
+        evaluator.compile(estimation)
+    except CompileError as error:
+        slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
+        return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
+    return evaluator, Check("compile", "ok", "Numba compiles every formula")
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
-    """Yield checks of a model whose formulas are right in NumPy, as an engine computes it.
-
-    Raises `ModelError` if a formula fails in a simulation.
-    """
-    engine = "compiled"
+    """Yield checks of formulas in NumPy and, if these are right, as an engine computes them."""
     try:
-        Evaluator(model, horizon).compile(estimation)
-        yield Check("compile", "ok", "Numba compiles every formula")
-    except CompileError as error:
-        engine = "numpy"
-        yield Check("compile", "note", f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower")
-    draws = ENGINES[engine].simulate(model, horizon, range(_DRAWS), 0)
-    yield Check(
-        "simulate", "ok", f"x, y and z are finite in {_DRAWS} draws of {horizon + 1} instants"
-    )
-    declared = (
-        ("linear_gaussian", model.linear_gaussian, _linear_gaussian),
+        for look, state, text in look_at_formulas(model, few_draws(model, horizon)):
+            yield Check(look, state, text)
+            if state == "wrong":
+                return
+        evaluator, check = _compiled(Evaluator(model, horizon), estimation)
+        yield check
+        count = min(_DRAWS, _MOST_STEPS // (horizon + 1))
+        draws = evaluator.draws(range(count), 0)
+    except ModelError as error:
+        yield Check("simulate", "wrong", str(error))
+        return
+    text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
+    yield Check("simulate", "ok", text)
+    looks = _COMPILED if evaluator.computed_by.compiled else {}
+    if model.linear_gaussian:
+        looks = looks | {"linear_gaussian": _linear_gaussian}
+    for look, function in looks.items():
+        yield Check(look, *looked(function, model, draws))
+    for look, is_declared, patient in (
+        ("log_likelihood", True, likelihood),
         ("normalised", model.normalised, normalised),
         ("missing components", model.missing_components, missing_components),
         ("proposal", model.guided, proposal),
-    )
-    looks = _LOOKS | {name: look for name, is_declared, look in declared if is_declared}
-    if engine == "numpy":
-        looks = {look: looks[look] for look in looks if look not in _COMPILED}
-    looks["every instant"] = partial(_every_instant, engine)
-    for look, function in looks.items():
-        yield Check(look, *looked(function, model, draws))
-    try:
-        yield from _filtered(Evaluator(model, horizon, engine=engine), estimation)
-    except ModelError as error:
-        yield Check("filter", "wrong", str(error))
+    ):
+        if is_declared:
+            within = Within(_LONGEST)
+            state, text = looked(partial(patient, within=within), model, draws)
+            yield Check(look, state, text + within.text)
+    every_instant = partial(_every_instant, evaluator.computed_by.name)
+    yield Check(EVERY_INSTANT, *looked(every_instant, model, draws))
 
 
 def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
@@ -186,11 +200,14 @@ def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
 
 def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """State and text: both engines call every formula at every instant, measured or not."""
-    few, instants = draws[:_FEW], range(draws.x.shape[1])
+    instants = range(draws.x.shape[1])
+    particles = max(1, min(_FEW * _FEW_PARTICLES, _MOST_STEPS // 10 // len(instants)))
+    few = draws[: max(1, particles // _FEW_PARTICLES)]
     for name in dict.fromkeys([engine, "numpy"]):
         ENGINES[name].simulate(model, instants[-1], few.index, 0)
         for times in ((), tuple(instants)):
-            ENGINES[name].filters.filter_draws(model, few, times, _FEW_PARTICLES, 0)
+            filter_draws = ENGINES[name].filters.filter_draws
+            filter_draws(model, few, times, min(particles, _FEW_PARTICLES), 0)
     return "ok", "no formula fails at any instant, measured or not"
 
 
@@ -204,14 +221,15 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     """State and text: how many particles count after the measurements of regular times."""
-    (times,), sizes = work.measurement_times, mean_effective_sizes(evaluator, work)
+    (times,), within = work.measurement_times, Within(_LONGEST)
+    sizes = mean_effective_sizes(evaluator, work, within)
     if sizes.isna().all():
         return "note", "all filters fail by their first measurement"
     least = sizes.min()
     at = formatted_instant(evaluator.model, times[int(np.nanargmin(sizes))])
     text = (
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
-        f"{work.estimation.particles} particles after {len(sizes)} measurements"
+        f"{work.estimation.particles} particles after {len(sizes)} measurements{within.text}"
     )
     if least < _FEW_EFFECTIVE:
         return "note", f"{text}: so few count that estimates are uncertain"
@@ -221,34 +239,69 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
 def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
     """State and text: the loss by the number of particles, and a number that is enough.
 
-    The work itself takes so many seconds.
+    A particle-step takes so many seconds.
     """
     loss, _ = measured_loss(evaluator, work)
     text = f"{loss.particles:,} particles lose {loss.text}"
     if not loss.warning:
         return "ok", text
     text += f". {loss.rare}".rstrip(". ")
-    (times,), steps = work.measurement_times, _LONGEST * work.steps / seconds
-    found = enough_particles(evaluator, times, 0, work.estimation, steps)
+    (times,), steps = work.measurement_times, _LONGEST / seconds
+    found = enough_particles(evaluator, times, 0, work.estimation, steps, loss)
+    if found is loss:
+        return "note", f"{text}; no more, up to {NUMBERS[-1]:,}, can be tried in {_LONGEST:.0f} s"
     if found.is_small:
         return "note", f"{text}; {found.particles:,} are enough"
     return "note", f"{text}; {found.particles:,} are still too few: they lose {found.text}"
 
 
-def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
-    """Yield checks of an evaluation: its time, its cost, and its degenerate draws."""
-    times = regular(evaluator.horizon, max(2, (evaluator.horizon + 1) // 3))
-    work = Work((times,), (evaluator.horizon,), (3,), 3, (0, 1), estimation)
-    seconds_a_draw = evaluator.seconds_a_step * work.steps_a_draw
-    draws = min(_DRAWS, max(1, int(_SECONDS / seconds_a_draw)))
+def _evaluated(evaluator: Evaluator, work: Work) -> tuple[Result, float]:
+    """The result of a work, and the seconds that it takes."""
     start = time.perf_counter()
-    with np.errstate(over="ignore", invalid="ignore"):  # the check below reports infinite errors
-        result = evaluator(replace(work, draws=(0, draws)))
-    seconds = (time.perf_counter() - start) * _DRAWS / draws
-    share = result.degenerate.mean()
-    text = (
-        f"{share:.2%} of draws with {len(times)} regular times and {estimation.particles} particles"
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # a check reports infinite errors
+        result = evaluator(work)
+    return result, time.perf_counter() - start
+
+
+def _seconds_a_step(evaluator: Evaluator, work: Work) -> float:
+    """The seconds of a particle-step of a work, from as many draws as take long enough."""
+    timed = replace(work, estimation=replace(work.estimation, particles=_TIMED))
+    _evaluated(evaluator, timed)  # what the first draw does once does not count
+    for draws in (1, 10, 100, _DRAWS):
+        _, seconds = _evaluated(evaluator, replace(timed, draws=(0, draws)))
+        if seconds > 0.1:  # is long enough
+            break
+    return seconds / draws / timed.steps_a_draw
+
+
+def check_filter(
+    make: Callable[[], Evaluator], times: Times, estimation: Estimation
+) -> Iterator[Check]:
+    """Yield checks of an evaluation with some times: its degenerate draws, its cost and its time.
+
+    A slow model has fewer draws than a thousand.
+    """
+    try:
+        evaluator, _ = _compiled(make(), estimation)
+        yield from _filtered(evaluator, evaluator.work((times,), 3, 3, (0, 1), estimation))
+    except (JobError, ModelError) as error:
+        yield Check("filter", "wrong", str(error))
+
+
+def _filtered(evaluator: Evaluator, work: Work) -> Iterator[Check]:
+    seconds_a_step = _seconds_a_step(evaluator, work)
+    seconds = seconds_a_step * work.steps_a_draw
+    draws = min(_DRAWS, int(_LONGEST / 4 / seconds))  # four filters of each give the loss
+    if draws < 2:
+        text = f"{rounded(seconds * _DRAWS, 2)} s for {_DRAWS:,} draws on one core"
+        yield Check("an evaluation", "note", f"{text}; so nothing else is filtered here")
+        return
+    fewer = f" (only {draws} draws: each takes {formatted_seconds(seconds)} s)" * (draws < _DRAWS)
+    work = replace(work, draws=(0, draws))
+    result, seconds = _evaluated(evaluator, work)
+    share, number = result.degenerate.mean(), len(work.measurement_times[0])
+    particles = "" if evaluator.exact else f" and {work.estimation.particles} particles"
+    text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
     yield Check("degenerate draws", "note" if share else "ok", text)
     mean = Estimate.of_mean(result.mse[:, 0])
     text = f"{mean.text} with these times"
@@ -256,8 +309,10 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
         yield Check("expected MSE", "ok", text)
     else:
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
-    work = replace(work, draws=(0, draws))
-    yield Check("effective sample size", *_effective_sizes(evaluator, work))
-    if has_particle_loss(evaluator):
-        yield Check("particles", *_particles(evaluator, work, seconds * draws / _DRAWS))
-    yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")
+    believed = evaluator.self_consistent
+    if not evaluator.exact:
+        yield Check("effective sample size", *_effective_sizes(believed, work))
+    if has_particle_loss(believed):
+        yield Check("particles", *_particles(believed, work, seconds_a_step))
+    text = f"{rounded(seconds / draws * _DRAWS, 2)} s for {_DRAWS:,} draws on one core"
+    yield Check("an evaluation", "ok", text)

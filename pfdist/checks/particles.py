@@ -13,6 +13,7 @@ import pandas as pd
 
 from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
+from pfdist.checks.formulas import Within
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work, with_truth
@@ -67,7 +68,7 @@ def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Momen
     return particle_loss(particles, whole, squared, distance, variance), whole
 
 
-def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]":
+def mean_effective_sizes(evaluator: Evaluator, work: Work, within: Within) -> "pd.Series[float]":
     """Mean effective sample size after each measurement of a work of one set, by its instant.
 
     A draw counts up to the measurement at which its filter fails. NaN if no draw counts.
@@ -79,7 +80,7 @@ def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]"
     at, model = sorted({time // work.sensors for time in times}), evaluator.model
     sizes = [
         effective_sample_sizes(replace(first, draw=draw), at, seen_at_instants(model, y, times))
-        for draw, y in zip(draws.index, draws.y, strict=True)
+        for draw, y in within(zip(draws.index, draws.y, strict=True))
     ]
     return pd.DataFrame(sizes, columns=at, dtype=np.float64).mean()
 
@@ -90,18 +91,20 @@ def enough_particles(
     seed: int,
     estimation: Estimation,
     most_steps: float = math.inf,
+    known: ParticleLoss | None = None,
 ) -> ParticleLoss:
     """The loss with the least of `NUMBERS` with which it is small.
 
     A loss must be small on all draws of `_DRAWS`. If it is small on few draws, and rare failures of
     the filter appear on more, this loss is the result: more particles make failures rarer, until no
     number of draws shows them. If the loss is small with no number, the result is that with the
-    largest number, or with the largest for which at most so many particle-steps are enough. The
-    result depends on the arguments alone, so the same job gets the same number.
+    largest number, or with the largest for which at most so many particle-steps are enough. If the
+    loss is known to be large with some number, only larger numbers are tried. The result depends on
+    the arguments alone, so the same job gets the same number.
     """
-    losses, steps = list[ParticleLoss](), 0
+    losses, steps = [known] if known else [], 0
     for number in NUMBERS:
-        for draws in _DRAWS:
+        for draws in _DRAWS if known is None or number > known.particles else ():
             chosen = replace(estimation, particles=number)
             work = work_of_loss(evaluator, times, seed, chosen, draws)
             steps += _FILTERS * work.steps

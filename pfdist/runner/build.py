@@ -105,22 +105,8 @@ def build(job: Job) -> Built:
     if job.filter.is_automatic:
         return build(_with_enough_particles(job))
     model, filter_model = models_of(job)
-    _check_sensors(job, model)
-    evaluator = carried_evaluator(
-        model,
-        filter_model,
-        horizon=job.problem.feasible.horizon,
-        engine=job.filter.engine,
-        estimations=(comparing_of(job), Settings.from_job(job).estimation),
-        clock=job.problem.clock.times if job.problem.has_clock else None,
-        weights=job.problem.weights,
-    )
-    if job.scenarios is not None:
-        told = job.scenarios.filter == "told"
-        try:
-            evaluator = replace(evaluator, scenarios=job.scenarios.each, told=told)
-        except ModelError as error:
-            raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
+    estimations = (comparing_of(job), Settings.from_job(job).estimation)
+    evaluator = replace(evaluator_of(job, model, filter_model), estimations=estimations)
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
@@ -143,6 +129,26 @@ def build(job: Job) -> Built:
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
     return built
+
+
+def evaluator_of(job: Job, model: CarriedModel, filter_model: CarriedModel) -> Evaluator:
+    """The evaluator of a job and its models, which is not compiled; errors as of `build`."""
+    _check_sensors(job, model)
+    evaluator = carried_evaluator(
+        model,
+        filter_model,
+        horizon=job.problem.feasible.horizon,
+        engine=job.filter.engine,
+        clock=job.problem.clock.times if job.problem.has_clock else None,
+        weights=job.problem.weights,
+    )
+    if job.scenarios is None:
+        return evaluator
+    told = job.scenarios.filter == "told"
+    try:
+        return replace(evaluator, scenarios=job.scenarios.each, told=told)
+    except ModelError as error:
+        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
 
 
 def _check_sensors(job: Job, model: CarriedModel) -> None:

@@ -12,8 +12,9 @@ import pytest
 from oracles.clocked import with_clock
 from oracles.guided import echoes, growth, sharp_walk
 from pfdist import StateSpaceModel, load_model
+from pfdist.checks.formulas import Within
 from pfdist.checks.measured import missing_components, normalised, proposal
-from pfdist.checks.model import check_model, check_object
+from pfdist.checks.model import check_loaded, check_model
 from pfdist.filters import plain
 from pfdist.models import installed_models
 
@@ -43,7 +44,7 @@ def _model(measurement: Any, log_likelihood: Any, *noise: str, **fields: Any) ->
 def _looked(look: Any, model: StateSpaceModel) -> tuple[str, str]:
     draws = plain.simulate(model, 12, range(200), 0)
     with np.errstate(all="ignore"):
-        found: tuple[str, str] = look(model, draws)
+        found: tuple[str, str] = look(model, draws, Within())
     assert "\n" not in found[1]
     return found
 
@@ -245,8 +246,8 @@ def test_a_density_that_is_not_that_of_the_proposal_is_found(name: str) -> None:
 
 
 def test_check_model_checks_every_formula_of_a_proposal() -> None:
-    checks = {each.name: each for each in check_object(growth, 8, 50)}
+    checks = {each.name: each for each in check_loaded(lambda: growth, 8, 50)}
     assert checks["proposal"].state == "ok", checks["proposal"].text
     failing = replace(growth, proposal=lambda x, y, t, u, p: (u[0] / (t < 3),))
-    found = [each.text for each in check_object(failing, 8, 50) if each.state == "wrong"]
+    found = [each.text for each in check_loaded(lambda: failing, 8, 50) if each.state == "wrong"]
     assert "from proposal" in found[0]

@@ -11,7 +11,7 @@ from oracles.systems import scalar
 from pfdist import Job, StateSpaceModel, linear_gaussian
 from pfdist.api.run_of_job import run_and_job
 from pfdist.checks import particles
-from pfdist.checks.model import check_object
+from pfdist.checks.model import check_loaded
 from pfdist.checks.particles import NUMBERS, enough_particles, measured_loss, work_of_loss
 from pfdist.common.estimate import Estimate
 from pfdist.errors import JobError
@@ -133,7 +133,7 @@ def _walk_in_four_dimensions(noise: float) -> StateSpaceModel:
 @pytest.mark.parametrize(("noise", "state"), [(0.001, "note"), (0.6, "ok")])
 def test_a_sensor_so_sharp_that_the_filter_collapses_is_never_ok(noise: float, state: str) -> None:
     model = replace(_walk_in_four_dimensions(noise), linear_gaussian=False)
-    checks = {check.name: check for check in check_object(model, HORIZON, 1000)}
+    checks = {check.name: check for check in check_loaded(lambda: model, HORIZON, 1000)}
     sizes, loss = checks["effective sample size"], checks["particles"]
     assert (sizes.state, loss.state) == (state, state), (sizes, loss)
     assert ("of 1000 particles after 4 measurements: so few" in sizes.text) == (state == "note")

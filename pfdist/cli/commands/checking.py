@@ -16,14 +16,14 @@ def _add_model(parser: ArgumentParser) -> None:
         "name",
         metavar="MODEL",
         help="name of a model as a job gives it, for instance path/file.py:object; or a job file, "
-        "whose models are checked",
+        "whose models and filter are checked",
     )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--horizon",
         type=count,
         metavar="T",
-        help="last instant of the draws (default: that of the job, or 60)",
+        help="last instant of the draws of formulas (default: that of the job, or 60)",
     )
     length.add_argument(
         "--times",
