@@ -223,7 +223,7 @@ def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -
                     "(a wrong deviation, or a term left out that depends on x?)"
                 )
     if compared:
-        pairs = "1 pair" if compared == 1 else f"{compared} pairs"
+        pairs = f"{compared} pair" + "s" * (compared > 1)
         return "ok", f"it agrees with measurement at {pairs} of states"
     if same:
         return "note", f"it does not depend on x: it is the same in all {len(draws.index)} draws"

@@ -35,9 +35,6 @@ from pfdist.times.measurement_times import Times, regular
 
 EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
-_FEW = 10  # draws, for checks that go from instant to instant in NumPy
-_FEW_PARTICLES = 50
-_TIMED = 100  # particles that show the speed
 _FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
@@ -201,13 +198,13 @@ def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
 def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """State and text: both engines call every formula at every instant, measured or not."""
     instants = range(draws.x.shape[1])
-    particles = max(1, min(_FEW * _FEW_PARTICLES, _MOST_STEPS // 10 // len(instants)))
-    few = draws[: max(1, particles // _FEW_PARTICLES)]
+    particles = max(1, min(500, _MOST_STEPS // 10 // len(instants)))  # ten draws have 50 each
+    few = draws[: max(1, particles // 50)]
     for name in dict.fromkeys([engine, "numpy"]):
         ENGINES[name].simulate(model, instants[-1], few.index, 0)
         for times in ((), tuple(instants)):
             filter_draws = ENGINES[name].filters.filter_draws
-            filter_draws(model, few, times, min(particles, _FEW_PARTICLES), 0)
+            filter_draws(model, few, times, min(particles, 50), 0)
     return "ok", "no formula fails at any instant, measured or not"
 
 
@@ -252,7 +249,8 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
         return "note", f"{text}; no more, up to {NUMBERS[-1]:,}, can be tried in {_LONGEST:.0f} s"
     if found.is_small:
         return "note", f"{text}; {found.particles:,} are enough"
-    return "note", f"{text}; {found.particles:,} are still too few: they lose {found.text}"
+    few = "may be enough" if found.may_be_small else "are still too few"
+    return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
 
 
 def _evaluated(evaluator: Evaluator, work: Work) -> tuple[Result, float]:
@@ -265,7 +263,8 @@ def _evaluated(evaluator: Evaluator, work: Work) -> tuple[Result, float]:
 
 def _seconds_a_step(evaluator: Evaluator, work: Work) -> float:
     """The seconds of a particle-step of a work, from as many draws as take long enough."""
-    timed = replace(work, estimation=replace(work.estimation, particles=_TIMED))
+    particles = max(1, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
+    timed = replace(work, estimation=replace(work.estimation, particles=particles))
     _evaluated(evaluator, timed)  # what the first draw does once does not count
     for draws in (1, 10, 100, _DRAWS):
         _, seconds = _evaluated(evaluator, replace(timed, draws=(0, draws)))
