@@ -5,7 +5,6 @@ import os
 from collections.abc import Iterable, Iterator
 from time import perf_counter
 
-from pfdist.api.options import Say
 from pfdist.errors import SilenceError
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.job.sections import Execution
@@ -13,6 +12,7 @@ from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
 from pfdist.runner.build import chosen_pool, make_pool
 from pfdist.runner.door import Session
+from pfdist.runner.progress import Say
 from pfdist.store import remove_file, write_file
 
 _BEGUN = ".begun"

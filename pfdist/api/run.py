@@ -10,7 +10,7 @@ from typing import Unpack
 from pfdist.analysis import Run, open_run, read_recorded
 from pfdist.answers.run import answer_in_a_line
 from pfdist.api.at_work import at_work, noted
-from pfdist.api.options import Chosen, Options, Say, following, with_options
+from pfdist.api.options import Chosen, Options, following, with_options
 from pfdist.api.report import remove_report, try_report
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import paths_argument
@@ -22,7 +22,7 @@ from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.driver import drive
 from pfdist.runner.identity import is_sealed, opened
-from pfdist.runner.progress import Show, heard
+from pfdist.runner.progress import Say, Show, heard
 from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
 from pfdist.store import add_to_provenance

@@ -289,8 +289,7 @@ def _seconds_a_step(built: Built) -> float:
         return evaluator.seconds_a_step
     while seconds < _MOMENT:
         draws, start = 2 * draws, perf_counter()
-        sets = [built.job.problem.feasible.regular()]
-        work = evaluator.work(sets, 0, 0, (0, draws), built.comparing)
+        work = evaluator.work([built.feasible.regular()], 0, 0, (0, draws), built.comparing)
         evaluator.filtered(work)
         seconds = perf_counter() - start
     return seconds / work.steps

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import Run, finite, open_run
 from pfdist.analysis.stored_run import check_one_number, found_sets
 from pfdist.answers.why import why_page
-from pfdist.api.options import MOST_DRAWS, Say, following, silent
+from pfdist.api.options import MOST_DRAWS, following
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import own_store, run_and_job
 from pfdist.common.arguments import whole_argument
@@ -28,7 +28,7 @@ from pfdist.job.source import JobSource
 from pfdist.models import StateSpaceModel
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
-from pfdist.runner.progress import Show
+from pfdist.runner.progress import Say, Show, silent
 from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
 from pfdist.sequential.work import seen_at_instants

@@ -16,7 +16,8 @@ class Shown:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        return f"<{' | '.join([(page := self._page()).subtitle, *page.warnings])}>"
+        page = self._page()
+        return f"<{' | '.join([page.subtitle, *page.warnings])}>"
 
     def _repr_html_(self) -> str:
         return as_fragment(self._page())

@@ -100,7 +100,7 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
             draws, seen = range(at.draw, at.draw + 1), tuple(np.full(len(own), v) for v in y)
             x, guide = step(model, tuple(cloud.x), seen, t - 1, len(own), at.stream, draws)
             cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
-        log_weight = guide + log_likelihood(model, cloud.x, t, y)
+        log_weight = guide + log_likelihood(model, cloud, y)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)

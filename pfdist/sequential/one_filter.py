@@ -104,7 +104,7 @@ class OneFilter:
 
     def _unexplained(self, t: int, y: Array) -> str:
         """Why no particle explains a measurement, by the log-likelihoods of predicted particles."""
-        values = log_likelihood(self.model, self.at(t)[0].settings.prior.x, t, y)
+        values = log_likelihood(self.model, cast(Cloud, self.at(t)[0].settings.prior), y)
         at = f"{shown(y.tolist())} at t = {formatted_instant(self.model, t)}"
         if not (values < np.inf).all():  # a log-density may be infinite
             got = "NaN" if np.isnan(values).any() else "infinity"
@@ -121,10 +121,10 @@ class OneFilter:
             at, _, _ = self.at(self.t)
             while at.t + 1 < t and np.isfinite(at._filtered(at.t + 1).mse[0]):
                 at, _, _ = at.at(at.t + 1)
-            model, first, x = self.model, at.t + 1, at.settings.prior.x
+            model, first, last = self.model, at.t + 1, cast(Cloud, at.settings.prior).x
             one = range(self.draw, self.draw + 1)
             with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-                x, _ = step(model, tuple(x), None, at.t, x.shape[1], self.stream, one)
+                x, _ = step(model, tuple(last), None, at.t, last.shape[1], self.stream, one)
                 z = model.quantity_of_interest(x, first, model.p)
             is_finite = all(np.isfinite(each).all() for each in x)
             name, values = ("quantity_of_interest", z) if is_finite else ("transition", x)
@@ -133,14 +133,14 @@ class OneFilter:
         return f"{name} must stay finite, got {got} at t = {instant} (model {self.model.name})"
 
 
-def log_likelihood(model: StateSpaceModel, states: Array, t: int, y: Array) -> Array:
-    """Log-likelihood of a measurement, (m,), by all sensors that measured, for states (n, P)."""
-    x, measured = tuple(states), tuple(np.full(states.shape[1], value) for value in y)
-    total = np.zeros(states.shape[1])
+def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
+    """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,)."""
+    x, measured = tuple(cloud.x), tuple(np.full(cloud.particles, value) for value in y)
+    total = np.zeros(cloud.particles)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         for _, sensor, of_sensor, _ in model.parts:
             if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
-                total += sensor.log_likelihood(measured[of_sensor], x, t, model.p)
+                total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)
     return total
 
 
