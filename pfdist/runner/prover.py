@@ -72,7 +72,7 @@ class Prover:
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
-        self._built, self._settings = built, settings
+        self._built, self.settings = built, settings
         self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
@@ -161,7 +161,7 @@ class Prover:
         steps = self._steps(feasible_times, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
         looks, before, groups = list[Look](), 0, GroupSums(self._counted(feasible_times))
-        within = self._settings.within
+        within = self.settings.within
         if self.particles:
             session.reporter.begin("lower bound")
         for blocks in self._blocks:
@@ -276,16 +276,16 @@ class Prover:
             known_sets=sets,
             gap=_GROWN if self.particles else _GROWN_EXACTLY,
             start=self.relaxation,
-            most_grown=self._settings.most_windows,
+            most_grown=self.settings.most_windows,
         )
-        most = self._most_steps, self._settings.most_cells
+        most = self._most_steps, self.settings.most_cells
         return (yield from grown(session, optimiser, self._growing, *most))
 
     @cached_property
     def _most_steps(self) -> float:
         """Particle-steps after which no window grows; by default twice those of the first."""
-        if self._settings.work is not None:
-            return self._settings.work
+        if self.settings.work is not None:
+            return self.settings.work
         return 2.0 * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
@@ -358,9 +358,9 @@ class Prover:
     def _columns(self, compared_draws: int) -> dict[str, Any]:
         """The columns that all rows of one proof share."""
         return {
-            "window": self._settings.window,
+            "window": self.settings.window,
             "work": self._most_steps,
-            "memory": self._settings.memory,
+            "memory": self.settings.memory,
             "particles": self.particles,
             "confidence": self.confidence,
             "compared_draws": compared_draws,

@@ -364,7 +364,7 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
         patched.setattr(Run, "table", slow)
         assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=said.append).tables
     (line,) = said  # no pool was started
-    says = r"Not proved: `pfdist bound JOB` takes about ([\d,]+) minutes of one core\."
+    says = r"Not proved: `pfdist bound JOB --draws 480` takes about ([\d,]+) minutes of one core\."
     told = re.fullmatch(says, line)
     assert told is not None
     assert int(told[1].replace(",", "")) > 4

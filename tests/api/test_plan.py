@@ -92,7 +92,7 @@ def test_a_job_has_only_the_search_that_it_is_planned_with(small_job: Job, tmp_p
 def test_few_particles_find_the_optimum_where_the_likelihood_has_bounded_support(
     seed: int, tmp_path: Path
 ) -> None:
-    """By brute force, t = 3 is best: the noise before it is large. Then many draws degenerate.
+    """The best t is 3, by brute force: the noise before it is large. Then many draws degenerate.
 
     If these draws killed a set, or did not count, a search would measure where it is of no use.
     """

@@ -144,7 +144,7 @@ def test_the_answer_says_how_many_sets_were_killed(small_job: Job, tmp_path: Pat
         "from pfdist.models.ungm import model\n"
         "import dataclasses\n"
         "rare = dataclasses.replace(model, log_likelihood=lambda y, x, t, p: where(\n"
-        "    y[0] > 27.0, -float('inf'), model.log_likelihood(y, x, t, p)))\n"
+        "    y[0] > 15.0, -float('inf'), -0.5 * (y[0] - x[0] ** 2 / 20) ** 2))\n"
     )
     changes = ['model.name="rare.py:rare"', "filter.engine=numpy", "evaluation.draws=3"]
     run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)

@@ -113,11 +113,27 @@ def test_what_is_infinite_is_null_in_json(tmp_path: Path, small_job: Job, call: 
     (tmp_path / "mine.py").write_text(
         "import dataclasses\nfrom pfdist.models.ungm import model\n"
         "model = dataclasses.replace(\n"
-        "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
+        "    model, error=lambda z, estimate, t, p: z[0] - z[0] + float('inf'))\n"
     )
     mine = "--set model.name=mine.py:model filter.engine=numpy"
     answer = json.loads(call(f"evaluate {small_job.path} --times 3 --json {mine}").out)
     assert answer["expected_mse"] is answer["standard_error"] is None
+    assert (answer["degenerate_draws"], answer["draws"]) == (0, 30)
+
+
+def test_evaluate_says_how_many_draws_are_degenerate(
+    tmp_path: Path, small_job: Job, call: Call
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import dataclasses\nfrom pfdist.models.ungm import model\n"
+        "model = dataclasses.replace(\n"
+        "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
+    )
+    mine = "--set model.name=mine.py:model filter.engine=numpy"
+    told = call(f"evaluate {small_job.path} --times 3 {mine}").out
+    assert re.match(r"expected MSE [\d.]+ ± [\d.]+, 30 draws\n", told)
+    assert "30 of 30 draws are degenerate" in " ".join(told.split())
+    answer = json.loads(call(f"evaluate {small_job.path} --times 3 --json {mine}").out)
     assert answer["degenerate_draws"] == answer["draws"] == 30
 
 

@@ -37,7 +37,8 @@ def _draws(evaluation: str, first: int, last: int) -> pa.Table:
 
 def _compared(first: int, last: int) -> pa.Table:
     draw = np.arange(first, last)
-    return pa.table({"draw": draw, "mse_a": draw / 2}, schema=comparison_schema(["a"]))
+    columns = {"draw": draw, "mse_a": draw / 2, "degenerate_a": draw < 0}
+    return pa.table(columns, schema=comparison_schema(["a"]))
 
 
 @pytest.fixture
