@@ -31,7 +31,7 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import flat_parameters, parameter_names
 from pfdist.times.measurement_times import Times
 
-KERNEL_VERSION = 4
+KERNEL_VERSION = 5
 """Number of changes after which the same keys give other figures; part of a run's identity."""
 
 
