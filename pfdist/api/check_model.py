@@ -126,6 +126,6 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
             yield replace(check, name=f"{prefix}{check.name}")
         complete &= check.name == EVERY_INSTANT
     if complete:
-        estimation = replace(comparing_of(job), particles=particles)
+        job = job.with_changes(settings={"filter": {"particles": particles}})
         made = partial(evaluator_of, job, *models)
-        yield from check_filter(made, job.problem.feasible.regular(), estimation)
+        yield from check_filter(made, job.problem.feasible.regular(), comparing_of(job))

@@ -105,8 +105,7 @@ def build(job: Job) -> Built:
     if job.filter.is_automatic:
         return build(_with_enough_particles(job))
     model, filter_model = models_of(job)
-    estimations = (comparing_of(job), Settings.from_job(job).estimation)
-    evaluator = replace(evaluator_of(job, model, filter_model), estimations=estimations)
+    evaluator = evaluator_of(job, model, filter_model)
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
@@ -139,6 +138,7 @@ def evaluator_of(job: Job, model: CarriedModel, filter_model: CarriedModel) -> E
         filter_model,
         horizon=job.problem.feasible.horizon,
         engine=job.filter.engine,
+        estimations=(comparing_of(job), Settings.from_job(job).estimation),
         clock=job.problem.clock.times if job.problem.has_clock else None,
         weights=job.problem.weights,
     )

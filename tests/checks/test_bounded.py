@@ -166,6 +166,20 @@ def test_a_wrong_formula_of_the_filters_model_ends_the_checks_of_a_job() -> None
     assert "expected MSE" not in by_name(problem)
 
 
+def test_what_only_the_job_shows_is_a_row_of_the_checks() -> None:
+    problem = Problem(
+        WALK, horizon=12, measurement_budget=4, scenarios={"parameters": [{"steps": 1.0}]}
+    )
+    state, text = by_name(problem)["filter"]
+    assert state == "wrong"
+    assert "scenarios.parameters: model random_walk: unknown parameter 'steps'" in text
+
+
+def test_a_job_that_finds_its_number_of_particles_is_checked_with_the_usual_number() -> None:
+    checks = by_name(Problem(WALK, horizon=12, measurement_budget=4, particles="auto"))
+    assert checks["particles"][1].startswith("500 particles lose ")
+
+
 def test_a_job_with_the_kalman_filter_has_no_particles() -> None:
     problem = Problem(WALK, horizon=12, measurement_budget=4, engine="kalman")
     checks = by_name(problem)
