@@ -286,7 +286,9 @@ def _unproved(run: StoredRun, results: Mapping[str, SetResult]) -> str:
     names = defaultdict[str, list[str]](list)
     for name, proof in proofs.items():
         names[proof["reason"] if proof else ""].append(name)
-    return " ".join(f"Not proved for {', '.join(of)}: {why}." for why, of in names.items() if why)
+    return " ".join(
+        f"Not proved for {', '.join(each)}: {why}." for why, each in names.items() if why
+    )
 
 
 def _rows(run: StoredRun, table: str) -> list[Any]:

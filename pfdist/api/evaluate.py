@@ -132,8 +132,9 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
         degenerate = np.empty((count, 0), np.bool_)
     else:
         evaluation = Settings.from_job(built.job)
-        draws, of, pieces = evaluation.draws, evaluation.estimation, list[Result]()
-        work = evaluator.work(times, stream, stream, (0, draws), of, ids=tuple(sets))
+        draws, pieces = evaluation.draws, list[Result]()
+        given = times, stream, stream, (0, draws), evaluation.estimation
+        work = evaluator.work(*given, ids=tuple(sets))
         scenarios = evaluator.scenarios_of(stream, range(draws))
         with following(None, silent) as (show, _):
             for piece in evaluator.pieces(work, MOST_SECONDS):

@@ -74,8 +74,8 @@ class Options(TypedDict, total=False):
         from the fifth second on.
     say : callable, optional
         Receives lines: which model files are run, when the pool is ready, which files were
-        damaged, why a search does not trust its estimator, and why there is no lower bound. By
-        default lines that concern the results become a `pfdist.errors.PfdistWarning`.
+        damaged, why a search does not trust its estimator, and why there is no lower bound. If
+        it is not given, lines that concern the results become a `pfdist.errors.PfdistWarning`.
     """
 
     pool: str | None

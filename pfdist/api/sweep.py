@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
 from typing import Unpack
 
 import pandas as pd
@@ -16,6 +15,7 @@ from pfdist.api.points_at_work import Points, PointsAtWork
 from pfdist.api.report import try_report
 from pfdist.api.run import bound_settings
 from pfdist.api.table import table
+from pfdist.checks.model import measured_seconds_a_step
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.job import Job
@@ -31,7 +31,6 @@ from pfdist.store import holds_run
 from pfdist.store.folder import has_report
 
 _SHOWN = 3  # failures in an error
-_MOMENT = 0.1  # seconds of the filters that measure the speed of a point
 _NOTHING: Mapping[str, object] = {}
 
 
@@ -284,15 +283,11 @@ def foreseen(
 
 def _seconds_a_step(built: Built) -> float:
     """Seconds of a particle-step, by filters that take a moment; an exact engine has a guess."""
-    evaluator, draws, seconds = built.evaluator, 1, 0.0
+    evaluator = built.evaluator
     if evaluator.exact:
         return evaluator.seconds_a_step
-    while seconds < _MOMENT:
-        draws, start = 2 * draws, perf_counter()
-        work = evaluator.work([built.feasible.regular()], 0, 0, (0, draws), built.comparing)
-        evaluator.filtered(work)
-        seconds = perf_counter() - start
-    return seconds / work.steps
+    times = [built.feasible.regular()]
+    return measured_seconds_a_step(evaluator, evaluator.work(times, 0, 0, (0, 1), built.comparing))
 
 
 def _state(folder: Path, job: Job) -> str:

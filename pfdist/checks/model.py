@@ -261,7 +261,7 @@ def _evaluated(evaluator: Evaluator, work: Work) -> tuple[Result, float]:
     return result, time.perf_counter() - start
 
 
-def _seconds_a_step(evaluator: Evaluator, work: Work) -> float:
+def measured_seconds_a_step(evaluator: Evaluator, work: Work) -> float:
     """The seconds of a particle-step of a work, from as many draws as take long enough."""
     particles = max(1, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
     timed = replace(work, estimation=replace(work.estimation, particles=particles))
@@ -288,7 +288,7 @@ def check_filter(
 
 
 def _filtered(evaluator: Evaluator, work: Work) -> Iterator[Check]:
-    seconds_a_step = _seconds_a_step(evaluator, work)
+    seconds_a_step = measured_seconds_a_step(evaluator, work)
     seconds = seconds_a_step * work.steps_a_draw
     draws = min(_DRAWS, int(_LONGEST / 4 / seconds))  # four filters of each give the loss
     if draws < 2:

@@ -83,7 +83,7 @@ class OneFilter:
         return after, filtered.estimate[0], filtered.variance[0]
 
     def _filtered(self, t: int, y: Array | None = None) -> Any:
-        """What the engine's `filter_checked_draws` gives up to t, for this one system."""
+        """The result of the engine's `filter_checked_draws` up to t, for this one system."""
         check_lengths(self.model.parameters, t + 1)
         measurements, quantities = self.model.components[1:]
         measured_y = np.zeros((1, t + 1 - self.t, measurements))
@@ -122,9 +122,9 @@ class OneFilter:
             while at.t + 1 < t and np.isfinite(at._filtered(at.t + 1).mse[0]):
                 at, _, _ = at.at(at.t + 1)
             model, first, last = self.model, at.t + 1, cast(Cloud, at.settings.prior).x
-            one = range(self.draw, self.draw + 1)
+            draws = range(self.draw, self.draw + 1)
             with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-                x, _ = step(model, tuple(last), None, at.t, last.shape[1], self.stream, one)
+                x, _ = step(model, tuple(last), None, at.t, last.shape[1], self.stream, draws)
                 z = model.quantity_of_interest(x, first, model.p)
             is_finite = all(np.isfinite(each).all() for each in x)
             name, values = ("quantity_of_interest", z) if is_finite else ("transition", x)

@@ -197,7 +197,8 @@ def test_each_set_of_a_comparison_gains_over_its_own_reference() -> None:
         (chosen, {"b": "a", "d": "c"}),
     ):
         expected = {
-            name: summarise_gain(columns[name], columns[of]) for name, of in references.items()
+            name: summarise_gain(columns[name], columns[other])
+            for name, other in references.items()
         }
         assert {name: each.summary() for name, each in statistics.gains.items()} == expected
     assert expected["b"].draws == 999

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -180,11 +180,11 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
     """Also of the sets that the search for the best mean found."""
     winners, costs_of = search_phase._winners, list[tuple[float, float]]()
 
-    def seen(session: Any, name: str, attempt: Any, raced: Any) -> Any:
-        for each in attempt.finalists:
+    def seen(session: Any, name: str, attempts: Any, raced: Any) -> Any:
+        for each in chain.from_iterable(attempt.finalists for attempt in attempts):
             means = [own.expected_mse for own in each.of_scenarios.values()]
             costs_of.append((each.cost, max(means)))
-        return winners(session, name, attempt, raced)
+        return winners(session, name, attempts, raced)
 
     monkeypatch.setattr(search_phase, "_winners", seen)
     changes = ["comparison.draws=48", "execution.pool=serial"]

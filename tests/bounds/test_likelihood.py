@@ -92,7 +92,7 @@ def test_sixty_proofs(name: str) -> None:
 
 @pytest.mark.parametrize("model", [RIGHT, MODES], ids=["continuous", "discrete"])
 def test_places_are_uniform_at_each_instant(model: StateSpaceModel) -> None:
-    """By Kolmogorov and Smirnov, with the ties of a discrete state broken by chance."""
+    """The test is that of Kolmogorov and Smirnov; chance breaks the ties of a discrete state."""
     draws = simulate(model, HORIZON, range(2000), 1)
     given = model, draws, TIMES, 7, with_truth(7)
     below, equal = particle_filter.filter_checked_draws(*given, trajectories=True).ranks

@@ -20,7 +20,7 @@ LAST = 9
 EITHER = pytest.mark.parametrize("draws", [10, pytest.param(1000, marks=pytest.mark.slow)])
 
 
-def of(measured: Formula, log_likelihood: Formula, *noise: str) -> StateSpaceModel:
+def model_of(measured: Formula, log_likelihood: Formula, *noise: str) -> StateSpaceModel:
     """A walk from N(0, 25), of which y = measured(x, v), with a log-likelihood of y and x."""
     return replace(
         load_model("random_walk"),
@@ -83,50 +83,50 @@ def rounded_density(y: Any, x: Any) -> Any:
 
 
 TWO, CLUTTER = ("uniform",) * 2, ("normal", "uniform", "normal")
-TOGETHER = of(
+TOGETHER = model_of(
     lambda x, v: (x + v[0], x + 0.8 * v[0] + 0.6 * v[1]),
     lambda y, x: -0.5 * ((y[0] - x) ** 2 + ((y[1] - x - 0.8 * (y[0] - x)) / 0.6) ** 2),
     *("normal", "normal"),
 )
-WIDTH = of(
+WIDTH = model_of(
     lambda x, v: (np.exp(x) * v[0],), lambda y, x: where(y[0] <= np.exp(x), -x, -np.inf), "uniform"
 )
 RIGHT = {
-    "counts near zero": of(counted(0.5), counts(0.5), *TWO),
-    "counts near zero, less spread": of(counted(5.0), counts(5.0), *TWO),
-    "binomial near both ends": of(
+    "counts near zero": model_of(counted(0.5), counts(0.5), *TWO),
+    "counts near zero, less spread": model_of(counted(5.0), counts(5.0), *TWO),
+    "binomial near both ends": model_of(
         lambda x, v: (densities.binomial_draw(v[0], 20.0, logistic(x)),),
         lambda y, x: densities.binomial_logpmf(y[0], 20.0, logistic(x)),
         "uniform",
     ),
-    "infinite variance": of(student(2.0), student_density(2.0), *TWO),
-    "no mean": of(
+    "infinite variance": model_of(student(2.0), student_density(2.0), *TWO),
+    "no mean": model_of(
         lambda x, v: (densities.student_t_draw(v[0], v[1], 1.0, 0.0, np.exp(x)),),
         lambda y, x: densities.student_t_logpdf(y[0], 1.0, 0.0, np.exp(x)),
         *TWO,
     ),
-    "lognormal": of(
+    "lognormal": model_of(
         lambda x, v: (np.exp(x + 0.3 * v[0]),),
         lambda y, x: -0.5 * ((np.log(y[0]) - x) / 0.3) ** 2,
     ),
     "support that depends on x": WIDTH,
-    "clutter": of(cluttered(0.1), clutter(0.1), *CLUTTER),
-    "dropouts": of(
+    "clutter": model_of(cluttered(0.1), clutter(0.1), *CLUTTER),
+    "dropouts": model_of(
         lambda x, v: (where(v[1] < 0.3, 0.0, x + v[0]),),
         lambda y, x: where(y[0] == 0.0, 0.0, -0.5 * (y[0] - x) ** 2),
         *("normal", "uniform"),
     ),
-    "heard or not": of(
+    "heard or not": model_of(
         lambda x, v: (where(v[0] < logistic(x), 1.0, 0.0),),
         lambda y, x: np.log(where(y[0] > 0.5, logistic(x), logistic(-x))),
         "uniform",
     ),
-    "whole numbers": of(lambda x, v: (np.floor(x + v[0]),), rounded_density),
-    "very sharp": of(with_noise(1e-6), normal(1e-6)),
-    "volatility": of(
+    "whole numbers": model_of(lambda x, v: (np.floor(x + v[0]),), rounded_density),
+    "very sharp": model_of(with_noise(1e-6), normal(1e-6)),
+    "volatility": model_of(
         lambda x, v: (np.exp(x / 2) * v[0],), lambda y, x: -0.5 * (x + y[0] ** 2 * np.exp(-x))
     ),
-    "an angle that winds with x": of(
+    "an angle that winds with x": model_of(
         lambda x, v: (densities.von_mises_draw(v[0], x, 4.0),),
         lambda y, x: densities.von_mises_logpdf(y[0], x, 4.0),
         "uniform",
@@ -135,24 +135,24 @@ RIGHT = {
     "a part of y": replace(TOGETHER, log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2),
 }
 WRONG = {
-    "deviation 20 % too small": of(with_noise(1.0), normal(0.8)),
-    "deviation 20 % too large": of(with_noise(0.5), normal(0.6)),
-    "deviation 5 % too small": of(with_noise(1.0), normal(0.95)),
-    "no normaliser": of(
+    "deviation 20 % too small": model_of(with_noise(1.0), normal(0.8)),
+    "deviation 20 % too large": model_of(with_noise(0.5), normal(0.6)),
+    "deviation 5 % too small": model_of(with_noise(1.0), normal(0.95)),
+    "no normaliser": model_of(
         lambda x, v: (np.exp(x / 2) * v[0],), lambda y, x: -0.5 * y[0] ** 2 * np.exp(-x)
     ),
     "no normaliser of bounded support": replace(
         WIDTH, log_likelihood=lambda y, x, t, p: np.log(y[0] <= np.exp(x[0]))
     ),
-    "the measurement's sign": of(with_noise(1.0, lambda x: -x), normal(1.0)),
-    "the sign of the logarithm": of(with_noise(1.0), lambda y, x: 0.5 * (y[0] - x) ** 2),
-    "degrees of freedom": of(student(3.0), student_density(10.0), *TWO),
-    "normal for Laplace of the same deviation": of(
+    "the measurement's sign": model_of(with_noise(1.0, lambda x: -x), normal(1.0)),
+    "the sign of the logarithm": model_of(with_noise(1.0), lambda y, x: 0.5 * (y[0] - x) ** 2),
+    "degrees of freedom": model_of(student(3.0), student_density(10.0), *TWO),
+    "normal for Laplace of the same deviation": model_of(
         lambda x, v: (densities.laplace_draw(v[0], x, math.sqrt(0.5)),), normal(1.0), "uniform"
     ),
-    "a tenth of a deviation aside": of(with_noise(1.0, lambda x: x + 0.1), normal(1.0)),
-    "variance for deviation": of(with_noise(0.5), normal(math.sqrt(0.5))),
-    "Poisson for overdispersed counts": of(
+    "a tenth of a deviation aside": model_of(with_noise(1.0, lambda x: x + 0.1), normal(1.0)),
+    "variance for deviation": model_of(with_noise(0.5), normal(math.sqrt(0.5))),
+    "Poisson for overdispersed counts": model_of(
         counted(5.0), lambda y, x: densities.poisson_logpmf(y[0], 5 * np.exp(x)), *TWO
     ),
     "noise in common forgotten": replace(
@@ -160,22 +160,26 @@ WRONG = {
         log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) ** 2 + (y[1] - x[0]) ** 2),
     ),
 }
-# What 24 pairs of 20,000 y cannot show. Of uniform noise, y excludes a state or says nothing.
+# 24 pairs of 20,000 y cannot show these. With uniform noise, y excludes a state or says nothing.
 CANNOT_TELL = {
     "uniform, right": (
-        of(lambda x, v: (x + 2 * v[0] - 1,), lambda y, x: np.log(abs(y[0] - x) <= 1), "uniform"),
+        model_of(
+            lambda x, v: (x + 2 * v[0] - 1,), lambda y, x: np.log(abs(y[0] - x) <= 1), "uniform"
+        ),
         "note",
     ),
     "uniform, too wide": (
-        of(lambda x, v: (x + 2 * v[0] - 1,), lambda y, x: np.log(abs(y[0] - x) <= 1.1), "uniform"),
+        model_of(
+            lambda x, v: (x + 2 * v[0] - 1,), lambda y, x: np.log(abs(y[0] - x) <= 1.1), "uniform"
+        ),
         "note",
     ),
     "levels 20 deviations apart": (
-        of(with_noise(0.05, np.floor), normal(0.04, np.floor)),
+        model_of(with_noise(0.05, np.floor), normal(0.04, np.floor)),
         "note",
     ),
-    "deviation 2 % too small": (of(with_noise(1.0), normal(0.98)), "ok"),
-    "1 % clutter forgotten": (of(cluttered(0.01), normal(1.0), *CLUTTER), "ok"),
+    "deviation 2 % too small": (model_of(with_noise(1.0), normal(0.98)), "ok"),
+    "1 % clutter forgotten": (model_of(cluttered(0.01), normal(1.0), *CLUTTER), "ok"),
 }
 
 
@@ -215,7 +219,7 @@ def test_each_model_that_ships_agrees_at_24_pairs(name: str) -> None:
 @pytest.mark.parametrize("size", [0.5, 2.0, 20.0])
 def test_counts_of_almost_nothing_and_of_many_agree(size: float) -> None:
     """At x = -6.5 nearly all counts are 0, and the ratio of likelihoods has a rare heavy tail."""
-    model = of(counted(size), counts(size), *TWO)
+    model = model_of(counted(size), counts(size), *TWO)
     draws = simulate(model, LAST, range(1000), 0)
     x = np.broadcast_to(np.where(np.arange(1000) % 2, -6.5, 2.2)[:, None, None], draws.x.shape)
     state, text = likelihood(model, Draws(model, draws.index, x, draws.y, draws.z))
@@ -225,7 +229,7 @@ def test_counts_of_almost_nothing_and_of_many_agree(size: float) -> None:
 def test_a_state_that_takes_whole_numbers_is_never_between_two() -> None:
     """A regime is 0 or 1: there the log-likelihood is right, and between them it is not."""
     model = replace(
-        of(with_noise(0.01, lambda x: where(x > 0.5, 1.0, 0.0)), normal(0.01)),
+        model_of(with_noise(0.01, lambda x: where(x > 0.5, 1.0, 0.0)), normal(0.01)),
         initial=lambda w, p: (where(w[0] > 0, 1.0, 0.0),),
         transition=lambda x, t, w, p: x,
     )

@@ -111,7 +111,7 @@ def test_a_pair_is_crossed_with_its_probability_and_by_default_always(
 ) -> None:
     """The paper, section 2.4: "Crossover probability is 1".
 
-    Of 1,000 pairs, half have different parents. They share no time, so one to five elements are
+    Half of 1,000 pairs have different parents. They share no time, so one to five elements are
     swapped, and only a swap of all five looks like none.
     """
     genetic = GeneticAlgorithm(Feasible(20, 5), population=2000, mutation_probability=0.0, **given)
