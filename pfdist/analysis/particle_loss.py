@@ -31,6 +31,8 @@ _QUANTILE = NormalDist().inv_cdf(0.95)
 class ParticleLoss:
     """The loss by a finite number of particles, as a fraction of the expected MSE.
 
+    If a filter is infinite, the loss and its limit are 1.
+
     Parameters
     ----------
     particles : int
@@ -82,7 +84,7 @@ class ParticleLoss:
 
     @property
     def limit(self) -> float:
-        """The upper 95 % limit of the loss, at most 1; 1 if a filter is infinite."""
+        """The upper 95 % limit of the loss, at most 1."""
         return min(1.0, self.at_most.value + _QUANTILE * self.at_most.standard_error)
 
     @property
@@ -119,6 +121,8 @@ def particle_loss(
         Squared error, half the squared distance of two filters, and variance beside the truth, of
         the same draws.
     """
+    if not np.isfinite(squared + distance + variance).all():
+        return ParticleLoss(particles, Estimate(1.0), Estimate(1.0))
     scale = 1 / whole.mean if whole.mean > 0 else 0.0
     apart = Moments()
     apart.add(distance)
@@ -137,7 +141,7 @@ def _top_share(squared: Array, variance: Array) -> float:
     A small excess is mostly chance. So it counts only if these draws alone add a tenth to the rest
     of the error.
     """
-    if squared.size < 100 or not np.isfinite(squared + variance).all():
+    if squared.size < 100:
         return 0.0
     excess, draws = squared - variance, squared.size
     mean = float(np.mean(excess))

@@ -97,7 +97,7 @@ class Run(StoredRun, Shown):
     def _page(self) -> Page:
         try:
             summary = self.summary()
-        except StoreError:
+        except PfdistError:
             return Page("", _title(self), [])
         warnings = list(filter(None, [summary.unproved]))
         head = ("times", "measurements", "expected MSE ± standard error", "below the reference")

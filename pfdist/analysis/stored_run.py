@@ -241,8 +241,10 @@ def copies_of(run: StoredRun) -> dict[str, list[int]]:
 
 def killed_of(run: StoredRun) -> dict[str, int]:
     """How many evaluated sets of each phase degenerate draws have killed, if they killed any."""
-    rows = run.table("evaluations")
-    killed = rows[(rows["degenerate_draws"] > 0) & (rows["expected_mse"] == math.inf)]
+    rows, policy = run.table("evaluations"), run.job["evaluation"]["degenerate_draws"]
+    searches = {each["name"]: each["evaluation"] for each in run.job.get("search", ())}
+    kills = [n for n, own in searches.items() if own.get("degenerate_draws", policy) == "kill"]
+    killed = rows[rows["phase"].isin(kills) & (rows["degenerate_draws"] > 0)]
     return {str(phase): int(n) for phase, n in killed.groupby("phase")["copies"].sum().items() if n}
 
 

@@ -46,8 +46,7 @@ def proof(subject: Subject) -> Section | None:
         return None
     shares = next(iter(proofs.values())).get("shares") or ()
     texts = _scenarios(shares) if subject.summary.scenarios else []
-    reasons = map(Text, _reasons(proofs))
-    blocks = [*_meaning(proofs), *_table(proofs), *texts, *reasons]
+    blocks = [*_meaning(proofs), *_table(proofs), *texts]
     title = "How much better can other times be?"
     return Section(title, [*blocks, Figures(["bound"])])
 

@@ -66,10 +66,10 @@ _WHY_GAINS_DISAGREE = (
     " A mean relative gain weighs all draws alike and has no lower limit, while the gain in the "
     'column "lower by" weighs each draw by its error.'
 )
-# Model, problem, reference, particles, draws, population and generations of the paper's experiment.
-_PAPERS: tuple[Any, ...] = (
-    "ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular", 500, 1000, 50, 25,
-)  # fmt: skip
+_PAPERS: tuple[Any, ...] = "ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular"
+_PAPER_PRINTS = (
+    " The paper prints 27.7 % and 87.5 % (500 particles, 1,000 draws, 25 generations of 50 sets)."
+)
 _SEARCHES_HEAD = (
     "search", "method", "sets evaluated", "error it believed ± standard error",
     "against fresh draws", "why",
@@ -265,27 +265,24 @@ def gains(subject: Subject) -> Section | None:
 def _relative_gains(subject: Subject) -> Iterator[Text]:
     """The paper's figures of its search, and why they contradict the gain of means of any set."""
     job, noise = subject.run.job, next(iter(subject.results.values())).gain_over_itself
-    papers = {each["name"]: each for each in job.get("search", ()) if each["method"] == "genetic"}
+    model, papers = (
+        job["model"],
+        {e["name"] for e in job.get("search", ()) if e["method"] == "genetic"},
+    )
+    experiment = model["name"], model["parameters"], job["problem"], job["comparison"]["reference"]
     for name, result in subject.results.items():
         if name not in papers and not result.gains_disagree:
             continue
         gain = percent_with_interval(result.mean_relative_gain, result.mean_relative_gain_interval)
         share = percent(result.positive_fraction, 1)
         text = f"The mean relative gain of {name} is {gain}, and {share} of the draws gain."
-        if name in papers and _experiment(job, papers[name]) == _PAPERS:
-            text += " The paper prints 27.7 % and 87.5 %."
+        if name in papers and experiment == _PAPERS:
+            text += _PAPER_PRINTS
         if result.gains_disagree:
             text += _WHY_GAINS_DISAGREE
             if noise:
                 text += f" The noise of the filters alone gives a mean of {percent(noise)}."
         yield Text(text)
-
-
-def _experiment(job: Mapping[str, Any], search: Mapping[str, Any]) -> tuple[Any, ...]:
-    model, reference = job["model"], job["comparison"]["reference"]
-    sizes = job["filter"]["particles"], job["evaluation"]["draws"]
-    search_sizes = search["population"], search["generations"]
-    return model["name"], model["parameters"], job["problem"], reference, *sizes, *search_sizes
 
 
 def _gains_row(name: str, result: SetResult) -> list[Cell]:

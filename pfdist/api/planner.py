@@ -21,7 +21,7 @@ from pfdist.runner.searches import planning_of
 from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.measurements import instant_on
-from pfdist.sequential.one_filter import TruthsFilter, made
+from pfdist.sequential.one_filter import filter_of_truths, made, with_truths
 from pfdist.sequential.planning import Now, Replanner
 from pfdist.sequential.user_prior import as_prior
 from pfdist.times.clock import Clock, Time
@@ -91,7 +91,7 @@ class Planner:
         feasible = _feasible(built, planned)
         self._replanner = Replanner(built.evaluator, feasible, planning, stream)
         self._filter = filter_of(built, start, draw)
-        self._truths = TruthsFilter.beside(self._filter.unmeasured)
+        self._truths = filter_of_truths(self._filter.unmeasured)
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(start), ()
         if planned is None:
@@ -249,7 +249,7 @@ class Planner:
 
     def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
         """Plan what is left after a time, which was measured if y is given."""
-        self._truths, prior = self._truths.at(time, y, self._filter.cloud)
+        prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
         self._now = Now(prior, measured=True)
         left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
         taken = (*self._before, *self._taken)

@@ -146,16 +146,16 @@ class PointsAtWork:
         self._say(f"{name}: finished ({self._finished} of {len(self._sweep.points)})")
 
     def _tell(self) -> None:
-        total = len(self._sweep.points)
+        number = len(self._sweep.points)
         ended = self._finished + len(self._failed)
-        begun = [each for each in self._progress.values() if each.total]
+        points = ((each.done, each.total - each.optional) for each in self._progress.values())
         phases = [f"{name}: {each.phase}" for name, each in self._progress.items()]
         doing = f"; {', '.join(phases)}" if phases else ""
         self._show(
             Progress(
                 phase="sweep",
-                done=ended + sum(min(each.done / each.total, 1.0) for each in begun),
-                total=total,
-                doing=f"{self._finished} of {total} points finished{doing}",
+                done=ended + sum(min(done / total, 1.0) for done, total in points if total > 0),
+                total=number,
+                doing=f"{self._finished} of {number} points finished{doing}",
             )
         )

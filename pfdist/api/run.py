@@ -216,7 +216,7 @@ def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
 def _is_long(session: Session, prover: Prover) -> bool:
     """Whether a bound takes longer than somebody waits who did not ask for it; if so, say it."""
     minutes = prover.steps * _seconds_a_step(session.built, session.store.path) / 60
-    if minutes > _PATIENCE:
+    if minutes > _PATIENCE and "bound" not in open_run(session.store.path).tables:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
     return minutes > _PATIENCE

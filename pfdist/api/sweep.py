@@ -15,7 +15,7 @@ from pfdist.api.points_at_work import Points, PointsAtWork
 from pfdist.api.report import try_report
 from pfdist.api.run import bound_settings
 from pfdist.api.table import table
-from pfdist.checks.model import measured_seconds_a_step
+from pfdist.checks.model import seconds_a_step
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.job import Job
@@ -283,11 +283,9 @@ def foreseen(
 
 def _seconds_a_step(built: Built) -> float:
     """Seconds of a particle-step, by filters that take a moment; an exact engine has a guess."""
-    evaluator = built.evaluator
-    if evaluator.exact:
-        return evaluator.seconds_a_step
-    times = [built.feasible.regular()]
-    return measured_seconds_a_step(evaluator, evaluator.work(times, 0, 0, (0, 1), built.comparing))
+    if built.evaluator.exact:
+        return built.evaluator.seconds_a_step
+    return seconds_a_step(built.evaluator, built.feasible.regular(), built.comparing)
 
 
 def _state(folder: Path, job: Job) -> str:

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.scenarios import stretches
-from pfdist.filters.work import Result, Work, joined
+from pfdist.filters.work import Result, Work
 from pfdist.kernels.noise import TRUTH_RANK, variates
 
 Array = NDArray[np.float64]
@@ -43,11 +42,8 @@ class RankWork(Work):
 
     def result(self, evaluator: Evaluator) -> Result:
         """Sums over the draws, (4,): of both statistics, and of their squares."""
-        numbers = evaluator.scenarios_of(self.draws_stream, range(*self.draws))
-        if numbers is not None:
-            parts = stretches(numbers, self.draws[0])
-            each = [self.part(draws).result(evaluator.of_scenarios[n]) for n, draws in parts]
-            return joined(each)
+        if evaluator.of_scenarios:
+            return evaluator.filtered(self)  # gives each scenario its draws
         statistics = self._statistics(evaluator)
         sums = np.concatenate([statistics.sum(axis=1), (statistics**2).sum(axis=1)])
         return Result(np.empty(0), sums=sums)

@@ -137,6 +137,11 @@ class Gap:
     estimate: Estimate = UNKNOWN  # part of the gap: number of particles and bias of the estimate
     filter_model: Estimate = UNKNOWN  # part of the gap: wrong model of the filter
 
+    def refused(self, reason: str) -> "Gap":
+        """The gap without a bound, for the reason that it has already or for this one, if any."""
+        reason = self.reason or reason
+        return Gap(self.name, self.measurement_times, self.expected_mse, reason) if reason else self
+
     def columns(self) -> dict[str, Any]:
         """The gap as values of a table's row; an estimate becomes two values."""
         row = dict[str, Any]()
@@ -185,13 +190,7 @@ def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
 
     `pfdist.bounds.likelihood` tests the likelihood.
     """
-    checked = {}
-    for name, gap in gaps.items():
-        reason = gap.reason or _contradicted(gap, gaps)
-        checked[name] = (
-            Gap(name, gap.measurement_times, gap.expected_mse, reason) if reason else gap
-        )
-    return checked
+    return {name: gap.refused(_contradicted(gap, gaps)) for name, gap in gaps.items()}
 
 
 def _contradicted(gap: Gap, gaps: Mapping[str, Gap]) -> str:

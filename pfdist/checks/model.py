@@ -27,7 +27,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
-from pfdist.filters.work import Estimation, Result, Work
+from pfdist.filters.work import Estimation, Work
 from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
 from pfdist.sequential.one_filter import formatted_instant
@@ -249,28 +249,26 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
         return "note", f"{text}; no more, up to {NUMBERS[-1]:,}, can be tried in {_LONGEST:.0f} s"
     if found.is_small:
         return "note", f"{text}; {found.particles:,} are enough"
-    few = "may be enough" if found.may_be_small else "are still too few"
+    few = "may be enough" if found.may_be_small and not found.rare else "are still too few"
     return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
 
 
-def _evaluated(evaluator: Evaluator, work: Work) -> tuple[Result, float]:
-    """The result of a work, and the seconds that it takes."""
-    start = time.perf_counter()
-    with np.errstate(over="ignore", invalid="ignore"):  # a check reports infinite errors
-        result = evaluator(work)
-    return result, time.perf_counter() - start
+@np.errstate(over="ignore", invalid="ignore")  # a check reports infinite errors
+def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
+    """The seconds of a particle-step, from as many draws as take long enough.
 
-
-def measured_seconds_a_step(evaluator: Evaluator, work: Work) -> float:
-    """The seconds of a particle-step of a work, from as many draws as take long enough."""
+    What the first draw does once does not count.
+    """
     particles = max(1, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
-    timed = replace(work, estimation=replace(work.estimation, particles=particles))
-    _evaluated(evaluator, timed)  # what the first draw does once does not count
+    work = evaluator.work((times,), 3, 3, (0, 1), replace(estimation, particles=particles))
+    evaluator(work)
     for draws in (1, 10, 100, _DRAWS):
-        _, seconds = _evaluated(evaluator, replace(timed, draws=(0, draws)))
+        start = time.perf_counter()
+        evaluator(replace(work, draws=(0, draws)))
+        seconds = time.perf_counter() - start
         if seconds > 0.1:  # is long enough
             break
-    return seconds / draws / timed.steps_a_draw
+    return seconds / draws / work.steps_a_draw
 
 
 def check_filter(
@@ -282,23 +280,25 @@ def check_filter(
     """
     try:
         evaluator, _ = _compiled(make(), estimation)
-        yield from _filtered(evaluator, evaluator.work((times,), 3, 3, (0, 1), estimation))
+        yield from _filtered(evaluator, times, estimation)
     except (JobError, ModelError) as error:
         yield Check("filter", "wrong", str(error))
 
 
-def _filtered(evaluator: Evaluator, work: Work) -> Iterator[Check]:
-    seconds_a_step = measured_seconds_a_step(evaluator, work)
-    seconds = seconds_a_step * work.steps_a_draw
+def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Iterator[Check]:
+    seconds_of_a_step = seconds_a_step(evaluator, times, estimation)
+    work = evaluator.work((times,), 3, 3, (0, 1), estimation)
+    seconds = seconds_of_a_step * work.steps_a_draw
     draws = min(_DRAWS, int(_LONGEST / 4 / seconds))  # four filters of each give the loss
+    an_evaluation = f"{rounded(seconds * _DRAWS, 2)} s for {_DRAWS:,} draws on one core"
     if draws < 2:
-        text = f"{rounded(seconds * _DRAWS, 2)} s for {_DRAWS:,} draws on one core"
-        yield Check("an evaluation", "note", f"{text}; so nothing else is filtered here")
+        yield Check("an evaluation", "note", f"{an_evaluation}; so nothing else is filtered here")
         return
     fewer = f" (only {draws} draws: each takes {formatted_seconds(seconds)} s)" * (draws < _DRAWS)
     work = replace(work, draws=(0, draws))
-    result, seconds = _evaluated(evaluator, work)
-    share, number = result.degenerate.mean(), len(work.measurement_times[0])
+    with np.errstate(over="ignore", invalid="ignore"):  # a check reports infinite errors
+        result = evaluator(work)
+    share, number = result.degenerate.mean(), len(times)
     particles = "" if evaluator.exact else f" and {work.estimation.particles} particles"
     text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
     yield Check("degenerate draws", "note" if share else "ok", text)
@@ -312,6 +312,5 @@ def _filtered(evaluator: Evaluator, work: Work) -> Iterator[Check]:
     if not evaluator.exact:
         yield Check("effective sample size", *_effective_sizes(believed, work))
     if has_particle_loss(believed):
-        yield Check("particles", *_particles(believed, work, seconds_a_step))
-    text = f"{rounded(seconds / draws * _DRAWS, 2)} s for {_DRAWS:,} draws on one core"
-    yield Check("an evaluation", "ok", text)
+        yield Check("particles", *_particles(believed, work, seconds_of_a_step))
+    yield Check("an evaluation", "ok", an_evaluation)

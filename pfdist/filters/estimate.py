@@ -66,11 +66,6 @@ class Evaluation(Shown):
         """Number of degenerate draws."""
         return 0 if self.degenerate is None else int(self.degenerate.sum())
 
-    @property
-    def is_killed(self) -> bool:
-        """Whether the cost is infinite because a draw is degenerate."""
-        return self.degenerate_policy == "kill" and self.degenerate_draws > 0
-
     @cached_property
     def expected_mse(self) -> float:
         """Mean of the per-draw MSE, or that of the worst scenario; infinite if it is killed."""
@@ -78,7 +73,8 @@ class Evaluation(Shown):
             return self.exact
         if self.is_worst:
             return self.worst.expected_mse
-        mean = float(np.mean(self.mse)) if self.draws and not self.is_killed else math.inf
+        is_killed = self.degenerate_policy == "kill" and self.degenerate_draws
+        mean = float(np.mean(self.mse)) if self.draws and not is_killed else math.inf
         return math.inf if math.isnan(mean) else mean
 
     @cached_property

@@ -384,19 +384,16 @@ class Evaluator:
         ends: Sequence[int],
         stream: int,
         estimation: Estimation,
-        degenerate: NDArray[np.bool_] | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """The MSE of draws with several checked sets under the same noise, (D, S).
 
-        `degenerate`, (D, S), receives which of them are degenerate. The MSE is the sum of the
-        errors up to each set's end, divided by the number of instants. A `ModelError` says that a
-        formula failed.
+        It is the sum of the errors up to each set's end, divided by the number of instants. The
+        second array, (D, S), says which draws are degenerate. A `ModelError` says that a formula
+        failed.
         """
-        settings = self.settings(estimation)
-        mse: NDArray[np.float64] = self.computed_by.filters.filter_checked_sets(
-            self.believed, draws, sets, ends, stream, settings, degenerate
-        )
-        return mse
+        given = draws, sets, ends, stream, self.settings(estimation)
+        mse, degenerate = self.computed_by.filters.filter_checked_sets(self.believed, *given)
+        return mse, degenerate
 
     def results(self, works: Iterable[Work]) -> list[Result]:
         """Results of works whose settings and times the caller has checked: what a task computes.
@@ -420,7 +417,7 @@ class Evaluator:
         numbers = self.scenarios_of(work.draws_stream, range(*work.draws))
         if numbers is not None:
             parts = stretches(numbers, work.draws[0])
-            return joined([self.of_scenarios[n].filtered(work.part(draws)) for n, draws in parts])
+            return joined([work.part(draws).result(self.of_scenarios[n]) for n, draws in parts])
         if work.summed:
             first, ends = np.array([work.since, work.ends])[:, :, None]
             t = np.arange(self.start, self.horizon + 1)
@@ -443,10 +440,8 @@ class Evaluator:
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
-            flags = degenerate[:, same_noise]  # a copy
-            given = draws, sets, ends, stream, work.estimation, flags
-            values[:, same_noise] = self.mse_of_sets(*given)
-            degenerate[:, same_noise] = flags
+            found = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
+            values[:, same_noise], degenerate[:, same_noise] = found
         return Result(values, degenerate=degenerate)
 
     def settings(self, estimation: Estimation) -> Estimation:

@@ -29,7 +29,7 @@ Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (con
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,7 @@ def weighed(errors: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
 
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 EachSet = Iterator[tuple[Draws, list[Filtered]]]
@@ -142,7 +143,7 @@ EachSet = Iterator[tuple[Draws, list[Filtered]]]
 
 
 def one_by_one(
-    result: Callable[[EachSet, Draws, Estimator], Array],
+    result: Callable[[EachSet, Draws, Estimator], T],
     filter_checked_draws: Callable[..., Filtered],
     model: StateSpaceModel,
     draws: Draws,
@@ -150,32 +151,29 @@ def one_by_one(
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
-    degenerate: NDArray[np.bool_] | None = None,
-) -> Array:
+) -> T:
     """The result of a filter of one set that is called for each set.
 
     `result` is `mse_of_sets` or `sums_of_sets`. The other arguments are those of functions of
     `pfdist.filters.particle_filter`.
     """
     keys = filter_streams(stream, settings.estimator)
-
-    def each_set() -> EachSet:
-        for place, (times, some) in enumerate(zip(sets, map(draws.upto, ends), strict=True)):
-            filters = [filter_checked_draws(model, some, times, k, settings, True) for k in keys]
-            if degenerate is not None:
-                degenerate[:, place] = np.any([each.degenerate for each in filters], axis=0)
-            yield some, filters
-
-    return result(each_set(), draws, ALL_ESTIMATORS[settings.estimator])
+    each_set = (
+        (some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys])
+        for times, some in zip(sets, map(draws.upto, ends), strict=True)
+    )
+    return result(each_set, draws, ALL_ESTIMATORS[settings.estimator])
 
 
-def mse_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array:
+def mse_of_sets(
+    each_set: EachSet, draws: Draws, estimator: Estimator
+) -> tuple[Array, NDArray[np.bool_]]:
     """The result of `pfdist.filters.particle_filter.filter_checked_sets`."""
-    instants = draws.z.shape[1]
-    columns = [
-        _mse(filters, some, estimator) * (some.z.shape[1] / instants) for some, filters in each_set
-    ]
-    return np.stack(columns, axis=1)
+    mse, degenerate = list[Array](), list[Any]()
+    for some, filters in each_set:
+        mse.append(_mse(filters, some, estimator) * (some.z.shape[1] / draws.z.shape[1]))
+        degenerate.append(np.any([each.degenerate for each in filters], axis=0))
+    return np.stack(mse, axis=1), np.stack(degenerate, axis=1)
 
 
 def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array:

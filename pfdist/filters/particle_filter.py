@@ -91,11 +91,10 @@ def filter_checked_sets(
     ends: Sequence[int],
     stream: int,
     settings: Estimation,
-    degenerate: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The MSE of draws with several checked sets under the same noise, (D, S).
 
-    `degenerate`, (D, S), receives which of them are degenerate.
+    The second array, (D, S), says which of them are degenerate.
 
     A prefix that two sets share is filtered once. This is faster than filtering the sets one by
     one, and gives the same bits. `ends` are the last instants whose errors count; their sum is
@@ -103,10 +102,8 @@ def filter_checked_sets(
     `check_filter` has accepted the settings for this model and the draws' model.
     """
     planned, columns, _ = _planned(draws, sets, ends)
-    mse, is_degenerate = _filter(model, draws, planned, stream, settings)
-    if degenerate is not None:
-        degenerate[:] = is_degenerate[:, columns]
-    return mse[:, columns]
+    mse, degenerate = _filter(model, draws, planned, stream, settings)
+    return mse[:, columns], degenerate[:, columns]
 
 
 def sum_errors(

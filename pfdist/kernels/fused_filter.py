@@ -431,7 +431,7 @@ def _filter_draw(
                 error += squared
                 _add(results.errors, s, t, squared)
                 if not error < np.inf:
-                    return _end(saved, slots[k - 1 : behind], is_degenerate)
+                    return _mean(np.inf, 1, saved, slots[k - 1 : behind], is_degenerate)
                 if weighs and (goes_on or t + 1 < ends[s]):
                     here, row, total = resample(scratch, here, request, total, at, t)
             # Inside the loop over t this costs 3 %.
@@ -488,7 +488,7 @@ def _put_nothing(cloud, here, x, d, t):
 
 @melted
 def _rank_nothing(scratch, here, request, p, total, ranks, d, t, measured):
-    """Do nothing: stands for `rank_truth` in schemes without the truth."""
+    """Do nothing, in schemes without the truth."""
 
 
 @melted
@@ -525,17 +525,13 @@ def _keep(cloud, here, weight, row, results, d):
 
 
 @melted
-def _end(saved, slots, is_degenerate):
-    """End a set with an infinite MSE, and with it the sets that would resume from it."""
-    for slot in slots:
-        if slot >= 0:
-            saved.errors[slot], saved.degenerate[slot] = np.inf, is_degenerate
-    return np.inf, is_degenerate
-
-
-@melted
 def _mean(error, instants, saved, slots, is_degenerate):
-    """The sum of errors over the number of instants, or inf if a shared prefix ended so."""
-    if error < np.inf:
-        return error / instants, is_degenerate
-    return _end(saved, slots, is_degenerate)
+    """The sum of errors over the number of instants.
+
+    An infinite sum also ends the sets that would resume from this one.
+    """
+    if not error < np.inf:
+        for slot in slots:
+            if slot >= 0:
+                saved.errors[slot], saved.degenerate[slot] = np.inf, is_degenerate
+    return error / instants, is_degenerate

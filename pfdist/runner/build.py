@@ -189,11 +189,12 @@ def _with_enough_particles(job: Job) -> Job:
         )
     loss = enough_particles(evaluator, times, job.seed, built.comparing)
     if not loss.is_small:
-        rare = f". {loss.rare}" * bool(loss.rare)
+        if loss.rare:
+            raise JobError(f"{must}: {loss.rare} ({job.path})")
         raise JobError(
             f"{must}: no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters "
             f"and less than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
-            f"{rare} ({job.path})"
+            f" ({job.path})"
         )
     return with_number(loss.particles)
 

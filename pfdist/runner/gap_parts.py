@@ -31,8 +31,6 @@ _FOR_EACH = 12  # draws of a set alone for each draw of the bound
 
 Array = NDArray[np.float64]
 
-_DEGENERATE = GapParts(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
-
 
 def _draws(built: Built, compared: int, of_bound: int) -> int:
     """Number of draws of a set alone.
@@ -156,7 +154,7 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
     squared errors of all draws, the first of which are `squared`.
     """
     if not (math.isfinite(whole.mean) and np.isfinite(squared + by_truth + variance).all()):
-        return _DEGENERATE
+        return GapParts(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
     if by_truth is squared:
         both = less(whole, squared, variance)
         return GapParts(whole.estimate, both, ZERO, both)

@@ -135,15 +135,16 @@ class Prover:
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets))
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
-        if feasible and self._built.is_worst:
+        wrong = self._fails_check()
+        if feasible and self._built.is_worst and not wrong:
             yield from self._weigh_scenarios(session, feasible.values())
         parts = yield from self._parts(session, run, sets)
-        if wrong := self._fails_check():
-            every = {name: Gap(name, sets[name], parts[name].expected_mse) for name in sets}
-            return [Look(self._blocks[-1] * BLOCK, 0.0, _refused(every.values(), wrong))]
+        if wrong:
+            gaps = [Gap(name, sets[name], parts[name].expected_mse, wrong) for name in sets]
+            return [Look(self._blocks[-1] * BLOCK, 0.0, gaps)]
         looks = yield from self._looks_of(session, sets, feasible, parts)
         if wrong := (yield from self._misplaces_truth(session, feasible.values(), looks[-1])):
-            looks = [replace(look, gaps=_refused(look.gaps, wrong)) for look in looks]
+            looks = [replace(each, gaps=[g.refused(wrong) for g in each.gaps]) for each in looks]
         return looks
 
     def _looks_of(
@@ -381,13 +382,6 @@ class Prover:
             for position, gap in enumerate(look.gaps)
         ]
         return pa.Table.from_pylist(rows, schema=schema("bound", *shares))
-
-
-def _refused(gaps: Iterable[Gap], reason: str) -> list[Gap]:
-    """Gaps without bounds, for the reasons that they have already or for this one."""
-    return [
-        Gap(gap.name, gap.measurement_times, gap.expected_mse, gap.reason or reason) for gap in gaps
-    ]
 
 
 def _doubled(blocks: int) -> list[int]:

@@ -118,7 +118,7 @@ def _rows(
     streams = stream_of("why", seed, "filter", name), stream_of("why", seed, "draws")
     work = evaluator.work(sets, *streams, (0, draws), session.built.comparing)
     if evaluator.exact:
-        (costs,) = (yield from mse_of_sets(session, [work])).tolist()
+        (costs,), _ = yield from mse_of_sets(session, [work])
         cost_unmoved, *_ = costs
         return [
             _exact_row((cost - cost_unmoved) / cost_unmoved if cost_unmoved > 0.0 else math.nan)
@@ -126,7 +126,7 @@ def _rows(
         ]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
-        mse = yield from mse_of_sets(session, [piece])
+        mse, _ = yield from mse_of_sets(session, [piece])
         for loss, changed in zip(losses, mse.T, strict=True):
             loss.add(changed, mse[:, 0])
         _, last = piece.draws
@@ -249,7 +249,7 @@ class _Jittering:
                 self._work((draw, draw + 1), of_a_draw)
                 for draw, of_a_draw in zip(draws, sets, strict=True)
             ]
-            return (yield from mse_of_sets(self.session, works))
+            return (yield from mse_of_sets(self.session, works))[0]
         different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
         cost_of_set = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
         return np.array([[cost_of_set[times] for times in of_a_draw] for of_a_draw in sets])

@@ -125,13 +125,12 @@ def _means(
     columns = [Moments() for _ in range(1 + len(work.ends))]
     degenerate = np.zeros(instants, np.int64)
     for piece in pieces:
-        flags = np.zeros((piece.draws[1] - piece.draws[0], len(piece.ends)), np.bool_)
-        mse = yield from mse_of_sets(session, [piece], flags)
+        mse, flags = yield from mse_of_sets(session, [piece])
         prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
         if evaluator.weights is None:
             unweighted = mse[:, :instants]
         else:
-            unweighted = yield from mse_of_sets(session, [prefixes])
+            unweighted, _ = yield from mse_of_sets(session, [prefixes])
         degenerate += flags[:, :instants].sum(axis=0)
         for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
@@ -143,28 +142,27 @@ def _means(
 
 
 def mse_of_sets(
-    session: Session, works: list[Work], degenerate: NDArray[np.bool_] | None = None
-) -> Generator[Batch, None, Array]:
-    """MSE of each set for each draw, (D, S); for an exact engine (1, S).
+    session: Session, works: list[Work]
+) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
+    """MSE of each set for each draw, and which are degenerate, (D, S); for an exact engine (1, S).
 
-    The draws of the works follow each other. An exact engine takes one work. `degenerate`, (D, S),
-    receives which of the draws are degenerate.
+    The draws of the works follow each other. An exact engine takes one work.
     """
     (first, _), (_, last) = works[0].draws, works[-1].draws
     evaluator, (work, *_) = session.built.evaluator, works
     if evaluator.exact:
         exact = evaluator if work.weighted else replace(evaluator, weights=None)
-        return exact.expected_mse(work.measurement_times, work.ends)[None]
+        costs = exact.expected_mse(work.measurement_times, work.ends)[None]
+        return costs, np.zeros(costs.shape, np.bool_)
     mse = np.empty((last - first, len(work.ends)))
+    degenerate = np.empty(mse.shape, np.bool_)
 
     def learn(piece: Work, result: Result) -> None:
         here = slice(piece.draws[0] - first, piece.draws[1] - first)
-        mse[here] = result.mse
-        if degenerate is not None:
-            degenerate[here] = result.degenerate
+        mse[here], degenerate[here] = result.mse, result.degenerate
 
     yield Batch(session, "why", works, None, learn)
-    return mse
+    return mse, degenerate
 
 
 def _columns(mse: Array, unweighted: Array) -> Array:

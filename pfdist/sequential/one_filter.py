@@ -144,41 +144,33 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
     return total
 
 
-@dataclass(frozen=True)
-class TruthsFilter:
+def filter_of_truths(first: OneFilter) -> OneFilter:
     """A second filter of the same system, whose particles are the truths of simulated systems.
 
     Simulated filters start from the particles of the first filter. Their truths must not depend on
     these particles: a filter that contains its truth looks too good, and one that excludes it too
     bad, in a finite state space even wrong for certain. Given the measurements, the particles of a
-    filter with noise of its own are independent of those of the first.
+    filter with independent noise are independent of those of the first.
     """
+    return replace(first, stream=stream_key(first.stream, "truths"))
 
-    second: OneFilter
 
-    @classmethod
-    def beside(cls, first: OneFilter) -> "TruthsFilter":
-        """The second filter, which starts where the first does."""
-        return cls(replace(first, stream=stream_key(first.stream, "truths")))
+def with_truths(
+    first: Prior | None, second: OneFilter, t: int, y: Array | None
+) -> tuple[Prior | None, OneFilter]:
+    """The prior of the first filter at t with its truths, and the filter of the truths there.
 
-    def at(
-        self, t: int, y: Array | None, first: Prior | None
-    ) -> tuple["TruthsFilter", Prior | None]:
-        """The second filter at t, and the prior of the first there with its truths.
-
-        `y` is as for `OneFilter.at`. A normal distribution needs no second filter. If no particle
-        of the second filter explains y, it starts again from those of the first.
-        """
-        if not isinstance(first, Cloud):
-            return self, first
-        try:
-            second, *_ = self.second.at(t, y)
-        except MeasurementsError:
-            settings = replace(self.second.settings, prior=first)
-            second = replace(self.second, settings=settings, measured=y is not None)
-        return replace(self, second=second), replace(
-            first, truths=cast(Cloud, second.settings.prior)
-        )
+    `y` is as for `OneFilter.at`. A normal distribution needs no second filter. If no particle of
+    the second filter explains y, it starts again from those of the first.
+    """
+    if not isinstance(first, Cloud):
+        return first, second
+    try:
+        second, *_ = second.at(t, y)
+    except MeasurementsError:
+        settings = replace(second.settings, prior=first)
+        second = replace(second, settings=settings, measured=y is not None)
+    return replace(first, truths=cast(Cloud, second.settings.prior)), second
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:

@@ -246,9 +246,8 @@ class _Outlook:
             costs = self.evaluator.expected_mse(sets, ends).tolist()
             each_set = zip(sets, costs, strict=True)
             return [Evaluation(times, np.empty(0), exact=cost) for times, cost in each_set]
-        noise, shape = stream_key(self.stream, "filter"), (len(draws.index), len(sets))
-        flags = np.zeros(shape, np.bool_)
-        mse = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation, flags)
+        noise = stream_key(self.stream, "filter")
+        mse, flags = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
         rows = zip(sets, mse.T.copy(), flags.T, strict=True)
         return [Evaluation(times, row, degenerate=of_set) for times, row, of_set in rows]
 

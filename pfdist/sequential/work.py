@@ -11,7 +11,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
 from pfdist.models import StateSpaceModel
-from pfdist.sequential.one_filter import OneFilter, TruthsFilter
+from pfdist.sequential.one_filter import OneFilter, filter_of_truths, with_truths
 from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -67,7 +67,7 @@ class OnlineWork(Work):
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]
         filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
-        truths = TruthsFilter.beside(filtering)
+        truths = filter_of_truths(filtering)
         taken, (plan,) = Times(), self.measurement_times
         while plan:
             t = plan[0] // self.sensors
@@ -79,7 +79,7 @@ class OnlineWork(Work):
                     filtering, *_ = filtering.at(t, measured)
                 except MeasurementsError:  # the draw is degenerate: the last plan stays
                     return (*taken, *plan)
-                truths, prior = truths.at(t, measured, filtering.settings.prior)
+                prior, truths = with_truths(filtering.settings.prior, truths, t, measured)
                 plan = replanner.plan(Now(prior, measured=True), taken, plan, draw)
         return taken
 

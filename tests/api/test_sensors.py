@@ -47,7 +47,7 @@ def test_the_compiled_filter_is_its_plain_twin(resampling: str) -> None:
     sets = [(0, 1, 2, 10), (0, 1, 2, 11, 12, 14), (5,), (36, 38)]
     compiled = particle_filter.filter_checked_sets(
         model, draws, sets, [HORIZON] * len(sets), 3, Estimation(64, resampling)
-    )
+    )[0]
     for column, times in enumerate(sets):
         filtered = plain.filter_draws(model, draws, times, 64, 3, resampling)
         np.testing.assert_allclose(compiled[:, column], filtered.mse, rtol=1e-5)

@@ -169,7 +169,7 @@ def test_the_papers_search_shows_its_figures_and_its_own_experiment_those_of_the
     assert told is not None
     assert float(told[1]) == pytest.approx(100 * genetic.mean_relative_gain, abs=0.5)
     assert told[2].startswith(f"{share:.1f} % of the draws gain.")
-    assert ("The paper prints 27.7 % and 87.5 %." in text) == is_papers
+    assert ("The paper prints 27.7 % and 87.5 %" in text) == is_papers
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ POINTS = replace(  # an angle between two components that are none
 def _mse(draws: int, particles: int, estimator: str, times: Sequence[int] = TIMES) -> Array:
     drawn = simulate(HEADING, HORIZON, range(draws), 3)
     estimation = Estimation(particles, estimator=estimator)
-    return filter_checked_sets(HEADING, drawn, [tuple(times)], [HORIZON], 5, estimation)[:, 0]
+    return filter_checked_sets(HEADING, drawn, [tuple(times)], [HORIZON], 5, estimation)[0][:, 0]
 
 
 def _angular(difference: Array) -> Array:
@@ -88,7 +88,7 @@ def test_the_compiled_filter_is_its_plain_twin(model: StateSpaceModel, estimator
     settings = Estimation(70, estimator=estimator)
     sets, ends = [TIMES, (1, 4), ()], [HORIZON, 6, HORIZON]
     fast, slow = (
-        f(model, draws, sets, ends, 9, settings)
+        f(model, draws, sets, ends, 9, settings)[0]
         for f in (filter_checked_sets, plain.filter_checked_sets)
     )
     np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-12)
@@ -167,7 +167,7 @@ def test_beside_the_truth_the_error_is_one_minus_r_and_at_most_the_exact_error(
         filter_checked_sets(
             HEADING, draws, [TIMES], [HORIZON], 7,
             Estimation(particles, "conditional", estimator=estimator),
-        )[:, 0]
+        )[0][:, 0]
         for estimator in ("filter_variance", "squared_error")
     )  # fmt: skip
     assert_mean(squared - variance)

@@ -75,9 +75,9 @@ def test_several_sets_share_prefixes_as_without_a_prior(ungm: StateSpaceModel) -
     prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 300)))
     evaluator, estimation = Evaluator(ungm, HORIZON, prior=prior), Estimation(64, "systematic")
     draws, sets = evaluator.draws(range(20), 3), [(8, 11), (9, 11, 17), (9, 12, 17), ()]
-    together = evaluator.mse_of_sets(draws, sets, [20, 20, 19, 14], 5, estimation)
+    together = evaluator.mse_of_sets(draws, sets, [20, 20, 19, 14], 5, estimation)[0]
     for column, times, end in zip(together.T, sets, [20, 20, 19, 14], strict=True):
-        alone = evaluator.mse_of_sets(draws, [times], [end], 5, estimation)[:, 0]
+        alone = evaluator.mse_of_sets(draws, [times], [end], 5, estimation)[0][:, 0]
         np.testing.assert_array_equal(column, alone)
 
 
@@ -90,7 +90,7 @@ def test_the_two_filters_of_an_estimator_start_from_particles_of_their_own(
     for engine in ENGINES:
         evaluator = Evaluator(ungm, HORIZON, engine=engine, prior=prior)
         draws = evaluator.draws(range(20), 3)
-        found.append(evaluator.mse_of_sets(draws, [(11,)], [HORIZON], 5, estimation))
+        found.append(evaluator.mse_of_sets(draws, [(11,)], [HORIZON], 5, estimation)[0])
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
@@ -113,7 +113,7 @@ def test_particles_that_are_given_are_the_distribution_itself(
     coin = oracles.modes.model(switch=0.0, sd=1.0)
     evaluator = Evaluator(coin, 1, engine=engine, prior=Cloud(0, np.array([[0.0, 1.0]]), weight))
     draws, settings = evaluator.draws(range(4000), 3), Estimation(400, "systematic")
-    mse = evaluator.mse_of_sets(draws, [()], [1], 5, settings)[:, 0]
+    mse = evaluator.mse_of_sets(draws, [()], [1], 5, settings)[0][:, 0]
     q = 0.5 if weight is None else 0.25
     assert abs(mse.mean() - q * (1 - q)) < 4 * max(mse.std() / np.sqrt(mse.size), 1e-12)
 

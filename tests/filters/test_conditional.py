@@ -57,7 +57,7 @@ def test_the_variance_is_the_squared_error_on_average_and_at_most_that_of_the_ex
     count = max(1000, 100_000 // particles)
     draws = simulate(model, HORIZON, range(count), 1)
     variance, squared = (
-        filter_checked_sets(model, draws, [TIMES], [HORIZON], 7, settings(particles, estimator))
+        filter_checked_sets(model, draws, [TIMES], [HORIZON], 7, settings(particles, estimator))[0]
         for estimator in ("filter_variance", "squared_error")
     )
     assert abs(standard_errors(squared - variance)) < 4
@@ -83,7 +83,7 @@ def test_it_has_the_expectation_of_an_independent_program(
     assert expected_mse(model, HORIZON, [TIMES])[0] == pytest.approx(exact, abs=5e-5)
     given = zip((2, 10, 50, 300), expected, (0.002, 0.002, 0.001, 0.001), strict=True)
     for particles, mean, error in given:
-        found = filter_checked_sets(model, draws, [TIMES], [HORIZON], 7, settings(particles))
+        found = filter_checked_sets(model, draws, [TIMES], [HORIZON], 7, settings(particles))[0]
         tolerance = 4 * math.hypot(error, found.std() / math.sqrt(found.size))
         assert found.mean() == pytest.approx(mean, abs=tolerance)
 
@@ -94,7 +94,7 @@ def test_the_plain_twin_agrees(particles: int) -> None:
     model = system(0.1)
     draws, sets, ends = simulate(model, HORIZON, range(20), 3), [TIMES, ()], [HORIZON] * 2
     compiled, twin = (
-        function(model, draws, sets, ends, 7, settings(particles))
+        function(model, draws, sets, ends, 7, settings(particles))[0]
         for function in (filter_checked_sets, plain.filter_checked_sets)
     )
     np.testing.assert_allclose(compiled, twin, rtol=1e-12, atol=1e-15)

@@ -84,8 +84,8 @@ def test_sets_that_share_prefixes_have_the_bits_of_each_alone(threshold: float) 
     draws = simulate(growth, HORIZON, range(4), 3)
     sets = [(0, 3, 4, 9), (0, 3, 4, 10), (0, 3, 5), (0, 3, 4), (1, 3), ()]
     settings = Estimation(100, "systematic", threshold=threshold)
-    together = filter_checked_sets(growth, draws, sets, [HORIZON] * 6, 5, settings)
-    alone = [filter_checked_sets(growth, draws, [s], [HORIZON], 5, settings)[:, 0] for s in sets]
+    together = filter_checked_sets(growth, draws, sets, [HORIZON] * 6, 5, settings)[0]
+    alone = [filter_checked_sets(growth, draws, [s], [HORIZON], 5, settings)[0][:, 0] for s in sets]
     np.testing.assert_array_equal(together, np.stack(alone, axis=1))
 
 
@@ -266,7 +266,7 @@ def test_the_filter_of_the_bound_ignores_the_proposal_and_bounds_the_guided_filt
 
     def errors(believed: StateSpaceModel, resampling: str, estimator: str) -> Array:
         settings = Estimation(300, resampling, estimator)
-        return filter_checked_sets(believed, draws, sets, [HORIZON], 7, settings)[:, 0]
+        return filter_checked_sets(believed, draws, sets, [HORIZON], 7, settings)[0][:, 0]
 
     variance = errors(model, "conditional", "filter_variance")
     np.testing.assert_array_equal(

@@ -40,10 +40,8 @@ def relative_bias(estimator: str, times: Times, particles: int, draws: int) -> t
     """Mean of the paired difference to the squared error, of whose mean; and its standard error."""
     drawn = simulate(UNGM, 60, range(draws), 11)
     error, estimate = (
-        filter_checked_sets(UNGM, drawn, [times], [60], 12, Estimation(particles, estimator=name))[
-            :, 0
-        ]
-        for name in ("squared_error", estimator)
+        filter_checked_sets(UNGM, drawn, [times], [60], 12, each)[0][:, 0]
+        for each in (Estimation(particles), Estimation(particles, estimator=estimator))
     )
     apart = (estimate - error) / error.mean()
     return float(apart.mean()), float(apart.std() / math.sqrt(draws))
@@ -82,7 +80,7 @@ def test_of_a_linear_gaussian_model_the_mean_is_the_riccati_cost(estimator: str)
     found, fewer = (
         filter_checked_sets(
             model, drawn, sets, [horizon] * 4, 2, Estimation(count, "systematic", estimator)
-        )
+        )[0]
         for count in (particles, particles // 2)
     )
     limit = 4 * found.std(axis=0) / math.sqrt(draws)
@@ -113,7 +111,7 @@ def by_hand(draws: Draws, times: Times, end: int, estimator: str) -> Array:
 @others
 def test_only_instants_up_to_the_end_count(estimator: str) -> None:
     draws = simulate(UNGM, HORIZON, range(5), 3)
-    found = filter_checked_sets(UNGM, draws, SETS, ENDS, 9, Estimation(70, estimator=estimator))
+    found = filter_checked_sets(UNGM, draws, SETS, ENDS, 9, Estimation(70, estimator=estimator))[0]
     # A later measurement changes nothing before.
     expected = [
         by_hand(draws, times, end, estimator) for times, end in zip(SETS, ENDS, strict=True)
@@ -136,13 +134,15 @@ def test_together_they_are_bit_for_bit_as_one_by_one_and_plain_ones_agree(
     draws = simulate(UNGM, HORIZON, range(40), 3)
     draws = Draws(model, draws.index, draws.x, draws.y, draws.z)
     estimation = Estimation(70, estimator=estimator)
-    together = filter_checked_sets(model, draws, SETS, ENDS, 9, estimation)
+    together = filter_checked_sets(model, draws, SETS, ENDS, 9, estimation)[0]
     alone = [
-        filter_checked_sets(model, draws, [times], [end], 9, estimation)
+        filter_checked_sets(model, draws, [times], [end], 9, estimation)[0]
         for times, end in zip(SETS, ENDS, strict=True)
     ]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
-    plainly = ENGINES["numpy"].filters.filter_checked_sets(model, draws, SETS, ENDS, 9, estimation)
+    plainly = ENGINES["numpy"].filters.filter_checked_sets(model, draws, SETS, ENDS, 9, estimation)[
+        0
+    ]
     np.testing.assert_allclose(together, plainly, rtol=1e-9)
     assert np.isnan(together).any() == (model is DEGENERATE)
     assert np.isinf(together).any() == (model is INFINITE)
@@ -156,7 +156,9 @@ def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None
     sets = [good, tuple(15 if t == 16 else t for t in good)]
     draws = simulate(UNGM, 60, range(6000), 1)
     plain, in_line = (
-        np.diff(filter_checked_sets(UNGM, draws, sets, [60] * 2, 2, Estimation(100, scheme)))[:, 0]
+        np.diff(filter_checked_sets(UNGM, draws, sets, [60] * 2, 2, Estimation(100, scheme))[0])[
+            :, 0
+        ]
         for scheme in ("systematic", "sorted_systematic")
     )
     rng = np.random.default_rng(1)

@@ -54,9 +54,8 @@ def test_together_they_are_bit_for_bit_as_one_by_one(
     ends = believed is not model  # a draw that ended has ended for all that share it
     draws = simulate(model, HORIZON, range(60 if ends else 5), 3)
     settings = Estimation(70, resampling)
-    degenerate = np.zeros((len(draws.index), len(SETS)), np.bool_)
-    given = [HORIZON] * len(SETS), 9, settings, degenerate
-    together = filter_checked_sets(believed, draws, SETS, *given)
+    given = [HORIZON] * len(SETS), 9, settings
+    together, degenerate = filter_checked_sets(believed, draws, SETS, *given)
     alone = [filter_draws(believed, draws, times, 70, 9, resampling) for times in SETS]
     np.testing.assert_array_equal(together, np.stack([each.mse for each in alone], axis=1))
     np.testing.assert_array_equal(degenerate, np.stack([each.degenerate for each in alone], axis=1))
@@ -105,7 +104,7 @@ def test_what_is_wanted_up_to_an_end_is_the_sum_of_the_errors_up_to_there() -> N
     assert estimate is not None
     errors = np.cumsum((draws.z - estimate)[:, :, 0] ** 2, axis=1) / (HORIZON + 1)
     sets, ends = ((), (0,), (0,), (0, 3), (0, 3), times, times), (0, 0, 2, 3, 6, 7, 12)
-    upto = filter_checked_sets(model, draws, sets, ends, 9, Estimation(70))
+    upto = filter_checked_sets(model, draws, sets, ends, 9, Estimation(70))[0]
     blind = filter_draws(model, draws, (), 70, 9, trajectories=True).estimate
     assert blind is not None
     nothing = (draws.z - blind)[:, 0, 0] ** 2 / (HORIZON + 1)

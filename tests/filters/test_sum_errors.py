@@ -39,7 +39,7 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, est
     found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
     for row, times, end in zip(found, SETS, ENDS, strict=True):
         prefixes = [tuple(time for time in times if time <= t) for t in range(end + 1)]
-        upto = filter_checked_sets(model, draws, prefixes, range(end + 1), STREAM, settings)
+        upto = filter_checked_sets(model, draws, prefixes, range(end + 1), STREAM, settings)[0]
         expected = np.diff(upto.sum(axis=0), prepend=0.0) * (HORIZON + 1)
         np.testing.assert_allclose(row[: end + 1], expected, rtol=1e-9, atol=1e-9)
 

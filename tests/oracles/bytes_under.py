@@ -65,7 +65,7 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
         found[f"{name} simulation"] = _hash(draws.x, draws.y, draws.z)
         for estimator in ESTIMATORS if model.error is squared_error else list(ESTIMATORS)[:1]:
             estimation = Estimation(_PARTICLES, resampling, estimator)
-            mse = filter_checked_sets(model, draws, _SETS, [_HORIZON] * 2, 5, estimation)
+            mse = filter_checked_sets(model, draws, _SETS, [_HORIZON] * 2, 5, estimation)[0]
             found[f"{what} {estimator}"] = _hash(mse)
         kept = filter_draws(model, draws, _SETS[0], _PARTICLES, 5, resampling, True)
         found[f"{what} estimates"] = _hash(kept.mse, kept.estimate, kept.variance)

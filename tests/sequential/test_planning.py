@@ -18,7 +18,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.job.online_section import PLANNING
 from pfdist.search.methods import METHODS
-from pfdist.sequential.one_filter import OneFilter, TruthsFilter
+from pfdist.sequential.one_filter import OneFilter, filter_of_truths, with_truths
 from pfdist.sequential.planning import Now, Planning, Replanner, _Outlook
 from pfdist.sequential.work import OnlineWork
 from pfdist.times.feasible import Feasible
@@ -117,10 +117,10 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state(
     planned = np.empty(systems)
     for d in range(systems):
         filtering = OneFilter(model, settings, 3, d)
-        truths, prior = TruthsFilter.beside(filtering), None
+        truths, prior = filter_of_truths(filtering), None
         for t in range(3):
             filtering, *_ = filtering.at(t, draws.y[d, t])
-            truths, prior = truths.at(t, draws.y[d, t], filtering.settings.prior)
+            prior, truths = with_truths(filtering.settings.prior, truths, t, draws.y[d, t])
         (expected,) = replanner.expected(Now(prior, measured=True), [times], 100, settings, d)
         planned[d] = expected.expected_mse
     many = evaluator.draws(range(20_000), 8)
@@ -155,12 +155,12 @@ def test_a_second_filter_that_no_particle_explains_starts_again_from_the_first()
     model = SYSTEMS["static"]
     first = OneFilter(model, Estimation(50, prior=Cloud(0, np.zeros((1, 50)))), 3)
     hopeless = replace(first.settings, prior=Cloud(0, np.full((1, 50), 1e200)))
-    truths = TruthsFilter(replace(first, settings=hopeless))
     known, *_ = first.at(1, np.zeros(1))
-    truths, prior = truths.at(1, np.zeros(1), known.settings.prior)
+    failing = replace(first, settings=hopeless)
+    prior, truths = with_truths(known.settings.prior, failing, 1, np.zeros(1))
     assert prior.truths is known.settings.prior
-    assert truths.second.measured
-    truths.at(2, np.zeros(1), known.at(2)[0].settings.prior)
+    assert truths.measured
+    with_truths(known.at(2)[0].settings.prior, truths, 2, np.zeros(1))
 
 
 @pytest.mark.parametrize("name", EXACT)
