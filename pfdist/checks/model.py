@@ -257,7 +257,7 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
 def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
     """The seconds of a particle-step, from as many draws as take long enough.
 
-    What the first draw does once does not count.
+    A first draw, whose code may still be loaded, does not count.
     """
     particles = max(1, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
     work = evaluator.work((times,), 3, 3, (0, 1), replace(estimation, particles=particles))

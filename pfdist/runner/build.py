@@ -189,13 +189,12 @@ def _with_enough_particles(job: Job) -> Job:
         )
     loss = enough_particles(evaluator, times, job.seed, built.comparing)
     if not loss.is_small:
-        if loss.rare:
-            raise JobError(f"{must}: {loss.rare} ({job.path})")
-        raise JobError(
-            f"{must}: no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters "
-            f"and less than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
-            f" ({job.path})"
-        )
+        none = (
+            f"no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters and less "
+            f"than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
+        ) * (loss.particles == NUMBERS[-1])  # else rare failures have ended the search
+        found = ". ".join(filter(None, (none, loss.rare)))
+        raise JobError(f"{must}: {found} ({job.path})")
     return with_number(loss.particles)
 
 
