@@ -40,7 +40,7 @@ def test_one_degenerate_draw_kills_an_individual() -> None:
 def test_otherwise_a_degenerate_draw_counts_with_its_error() -> None:
     """A set must not look better because its worst draws are left out."""
     counted = _evaluation([9.0, 1.0, 2.0], "continue", 1)
-    assert (counted.cost, counted.degenerate_draws, counted.is_killed) == (4.0, 1, False)
+    assert (counted.cost, counted.degenerate_draws) == (4.0, 1)
     assert counted.first(1).degenerate_draws == 1
     assert "1 of 3 draws are degenerate" in counted.degenerate_text
     assert not _evaluation([1.0, 2.0], "kill").degenerate_text
