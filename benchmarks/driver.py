@@ -246,9 +246,9 @@ def run(cores: int, wanted: float | str) -> dict[str, float]:
             stack.enter_context(patch.object(Pace, "size", fixed))
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="driver-"))
         path = Path(folder, "run")
-        with opened(path, few, lambda line: None) as store:  # the search
+        with opened(path, few) as store:  # the search
             complete(drive(Session(few, store)), contextlib.nullcontext(SerialPool()))
-        store = stack.enter_context(opened(path, built, lambda line: None))
+        store = stack.enter_context(opened(path, built))
         guess = Pace(nodes.seconds_a_step, cores, learnt=True)
         stack.enter_context(patch.object(Session, "pace", lambda *_, **__: guess))
         pool = stack.enter_context(simulated(nodes))
@@ -299,7 +299,7 @@ def run_search(search: str, measurements: int, draws: int, cores: int) -> dict[s
         guess = Pace(nodes.seconds_a_step, cores, learnt=True)
         stack.enter_context(patch.object(Session, "pace", lambda *_, **__: guess))
         pool = stack.enter_context(simulated(nodes))
-        store = stack.enter_context(opened(Path(folder, "run"), built, lambda line: None))
+        store = stack.enter_context(opened(Path(folder, "run"), built))
         begin = nodes.clock.now()
         complete(drive(Session(built, store)), contextlib.nullcontext(pool))
         seconds = nodes.last - begin

@@ -25,7 +25,7 @@ from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.scenarios_section import Scenarios
 from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.store import QUESTIONS, Store, check_entries, check_key, read_run, unreadable
+from pfdist.store import QUESTIONS, Store, check_entries, read_run, unreadable
 from pfdist.store.schema import KEYS
 from pfdist.times.measurement_times import Times
 
@@ -122,20 +122,20 @@ class StoredRun:
     @property
     def draws_compared(self) -> int:
         """Number of draws that every set has filtered."""
-        return int(self._store.present("comparison", "draw").sum())
+        return self._store.numbers("comparison", "draw").size
 
     @property
     def state(self) -> str:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
             return "searching"
-        if self._store.has_parts(without=QUESTIONS) or self._store.lost():
+        if self._store.has_parts(without=QUESTIONS):
             return "comparing"
         half_width = self.job["comparison"]["until"]["half_width"]
         enough = self.draws_compared == self.job["comparison"]["draws"] or (
             half_width > 0 and statistics_of(self).half_width() <= half_width
         )
-        online = self._store.present("online", "draw").size if self._store.has("online") else 0
+        online = self._store.numbers("online", "draw").size
         wanted = self.job.get("online", {}).get("draws", 0)
         return "finished" if enough and online >= wanted else "comparing"
 
@@ -158,15 +158,13 @@ def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     Raises
     ------
     StoreError
-        The folder holds no run, a file cannot be read, or the files are another run's than the
-        tables.
+        The folder holds no run, or a file cannot be read or is damaged.
     """
     run, job = read_run(path)
     try:
         identity = Job(**job).identity()  # with every key, even if the file lacks some
     except JobError as error:
         raise unreadable(path, "job.toml", str(error)) from error
-    check_key(path, run, job)
     return run, identity
 
 

@@ -10,7 +10,7 @@ from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
 from pfdist.runner.progress import Say, heard, silent
-from pfdist.store import holds_run, is_held, remove_file, write_file
+from pfdist.store import holds_run, is_held, record_pages, remove_file, write_file
 from pfdist.store.folder import REPORT, check_page_replaceable, has_report, runs_below
 
 SECONDS = 5.0
@@ -73,7 +73,9 @@ def write_report(run: Run, seconds: int = 0, target: float | None = None) -> Pat
     """
     from pfdist.answers.pictures import with_pictures  # noqa: PLC0415  Matplotlib loads if a page is made
 
-    return _write(lambda: with_pictures(page_of(run, seconds, target), run), run.path)
+    file = _write(lambda: with_pictures(page_of(run, seconds, target), run), run.path)
+    record_pages(run.path)
+    return file
 
 
 def write_sweep_report(path: Path) -> Path:

@@ -135,7 +135,7 @@ def run_built(
 
     # Figures are drawn in a thread, beside the proof, and while the pool is left. One that fails
     # beside the proof is still missing at the end: it is drawn again, and raises its error.
-    with opened(path, built, say) as store, ThreadPoolExecutor(1) as beside:
+    with opened(path, built) as store, ThreadPoolExecutor(1) as beside:
 
         def driver() -> Generator[Batch, None, Future[Run]]:
             if (chosen.figures or chosen.has_report) and open_run(path).state != "finished":

@@ -159,7 +159,7 @@ def own_store(
     """
     with contextlib.ExitStack() as stack:
         try:
-            store = stack.enter_context(opened(run.path, built, say))
+            store = stack.enter_context(opened(run.path, built))
             note_processor(run.path, built, say)
         except RunMismatchError as error:
             difference, *_ = error.differences

@@ -23,7 +23,7 @@ from pfdist.common.registry import Registry
 from pfdist.errors import StoreError
 from pfdist.plots.panel import scaled
 from pfdist.plots.style import styled
-from pfdist.store import write_file
+from pfdist.store import record_pages, write_file
 from pfdist.store.folder import FIGURES_FOLDER, FORMATS
 
 Applies = Callable[[Run], bool]
@@ -225,6 +225,7 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
             for file in files:
                 write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
             saved += files
+    record_pages(run.path)
     return saved
 
 

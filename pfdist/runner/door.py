@@ -175,9 +175,8 @@ class Batch:
     def keep(self, work: Work, result: Result) -> None:
         """Let the rows of a result wait for a commit."""
         if self.row_format is not None:
-            key = f"{stream_key((work.ids, work.draws)):016x}"
             rows = self.row_format.rows(work, result)
-            self.session.keep(self.phase, self.row_format.table, key, rows)
+            self.session.keep(self.phase, self.row_format.table, rows)
 
     def end(self) -> None:
         """Commit the rows that wait, unless more follows."""
@@ -221,17 +220,17 @@ class Session:
         self._pace: Pace | None = None
         self._held = dict[str, bool]()  # by table; see `held`
         # Names of sessions sort in the order in which they started.
-        self._name, self._commits = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}", 0
-        # Rows that wait for the next commit, with the key of their work, by phase and table
-        self.rows: dict[tuple[str, str], list[tuple[str, pa.Table]]] = {}
+        self._name = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}"
+        # Rows that wait for the next commit, by phase and table
+        self.rows: dict[tuple[str, str], list[pa.Table]] = {}
         self._outcomes: dict[str, list[Outcome]] = {}
         self._later: list[Callable[[], None]] = []
         self._began = self._last_commit = time.monotonic()
         self._waiting = 0
 
-    def keep(self, phase: str, table: str, key: str, rows: pa.Table) -> None:
-        """Let rows wait for the next commit; the key names the work that they come from."""
-        self.rows.setdefault((phase, table), []).append((key, rows))
+    def keep(self, phase: str, table: str, rows: pa.Table) -> None:
+        """Let rows wait for the next commit."""
+        self.rows.setdefault((phase, table), []).append(rows)
         self._waiting += rows.num_rows
 
     def note(self, phase: str, outcome: Outcome) -> None:
@@ -293,14 +292,9 @@ class Session:
         rows, self.rows, self._waiting = self.rows, {}, 0
         outcomes, self._outcomes = self._outcomes, {}
         for phase, table in sorted(rows, key=lambda each: each[1] == EVALUATIONS):
-            waiting = rows[phase, table]
-            key = f"{stream_key([key for key, _ in waiting]):016x}"
-            self.store.commit(table, phase, key, pa.concat_tables([rows for _, rows in waiting]))
+            self.store.commit(table, phase, pa.concat_tables(rows[phase, table]))
         for phase, done in outcomes.items():
-            self._commits += 1  # a task that fails again has the same key and other timings
-            key = f"{stream_key([outcome.task.key for outcome in done]):016x}"
-            name = f"{key}-{self._name}-{self._commits}"
-            self.store.commit("timings", phase, name, self._timings(phase, done))
+            self.store.commit("timings", phase, self._timings(phase, done))
         for write in later:
             write()
         self._last_commit = time.monotonic()

@@ -39,11 +39,10 @@ def drive(session: Session) -> Generator[Batch, None, None]:
     built, store, reporter = session.built, session.store, session.reporter
     reporter.foresee(foreseen_steps(built))
     try:
-        lost = store.lost()  # they are computed again
         # The table of compared sets is published last of all that searches write. If it is whole,
         # the searches need not be replayed.
         has = store.has("compared") and not store.has_parts("compared")
-        if lost or not has or unpublished(store, built.phases):
+        if not has or unpublished(store, built.phases):
             sets = yield from _search(session)
         else:
             sets = built.instants(store.compared_sets())
@@ -51,10 +50,6 @@ def drive(session: Session) -> Generator[Batch, None, None]:
         yield from run_comparison(session, sets)
         if built.job.online is not None:
             yield from run_online(session, sets)
-        # First everything is written again, then the lost files are forgotten. A kill before leaves
-        # them expected, and the next start computes what is still missing.
-        session.commit()
-        store.manifest.forget(store.lost())  # answers to questions are not made again
     finally:  # also if the driver is closed early: rows that still wait are committed
         session.commit()
         for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
@@ -117,7 +112,7 @@ def _given_rows(built: Built) -> list[dict[str, Any]]:
 
 
 def _publish_compared(store: Store, table: pa.Table) -> None:
-    store.commit("compared", COMPARED, "sets", table)  # a part shows that publishing was cut short
+    store.commit("compared", COMPARED, table)  # a part shows that publishing was cut short
     store.publish("compared", COMPARED, [table])
 
 

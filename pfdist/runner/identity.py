@@ -4,7 +4,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,20 +17,20 @@ from pfdist.job.job import Job, job_toml
 from pfdist.runner.build import Built
 from pfdist.runner.provenance import provenance
 from pfdist.store import (
-    ABOUT,
     SCHEMA_VERSION,
     ClockColumns,
-    Damage,
     Store,
     check_entries,
-    confirm,
-    has_key,
     held,
     holds_run,
     key_of,
-    write_job,
-    write_run,
+    record_pages,
+    run_key,
+    run_text,
+    write_about,
 )
+from pfdist.store.about import check_version_of, recorded_key
+from pfdist.store.folder import ABOUT, FILES
 
 _HASH = re.compile("[0-9a-f]{16,64}")
 _LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
@@ -38,44 +38,37 @@ _LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
 
 
 @contextlib.contextmanager
-def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Store]:
+def opened(path: Path, built: Built) -> Iterator[Store]:
     """Hold a run's folder for computing: make the folder, or check that it holds this run.
 
-    Damaged files are moved to quarantine, and their content is computed again; `say` receives a
-    line for each. Raises `RunMismatchError` if the folder holds another run. Raises `StoreError` if
-    another process computes the run, if the folder cannot be read or written, or if it holds other
-    things than a run.
+    Raises `RunMismatchError` if the folder holds another run. Raises `StoreError` if another
+    process computes the run, if a file is damaged, if the folder cannot be read or written, or if
+    it holds other things than a run.
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
-    is_same_run = has_key(path, key)
-    # Another run is read with its own key.
-    store = store_of(built, path, key if is_same_run else None)
-    if not is_same_run and not holds_run(path):
-        _check_free(path)
+    lacks = [name for name in ABOUT if not (path / name).exists()]
+    if lacks:
+        _check_free(path, key)
     with held(path):
         check_entries(path)
-        damages = list(store.manifest.damages()) if store.manifest.exists() else []
-        about = [damage for damage in damages if str(damage.path) in ABOUT]
-        if about and not is_same_run:
-            raise StoreError(
-                f"{path / about[0].path} {about[0].what}, and this job is not the one that the "
-                "run was started with: nothing was touched; that job, run again, makes it anew"
-            )
-        # Until the folder is known to hold this run, no file is touched, and no damaged table is
-        # read. Quarantine and the writing of job.toml and run.json come last for the same reason.
-        committed = _committed(store, damages)
-        if all((path / name).exists() for name in ABOUT) and not about:
-            _check_same(store, built, identity, committed)
-        elif is_same_run and built.job.comparison.draws < committed:
+        check_version_of(path)
+        store = store_of(built, path, key)
+        # Until the folder is known to hold this run, nothing in it is changed.
+        if not lacks and (run_key(path) or recorded_key(path)) != key:
+            _check_same(path, built, identity, 0)
+        store.recover()
+        committed = _committed(store)
+        if not lacks:
+            _check_same(path, built, identity, committed)
+        elif built.job.comparison.draws < committed:
             raise _too_few(path, built.job, committed)
-        store.remove_unfinished()
-        for damage in damages:
-            place = store.manifest.quarantine(damage)
-            moved = f"it is now {place}, and " if place else ""
-            say(f"{path / damage.path} {damage.what}: {moved}what is lacking is made again")
+        store.check_published()
         _write_about(path, built, identity, key)
-        yield store_of(built, path, key)
+        try:
+            yield store
+        finally:
+            record_pages(path, is_held=True)
 
 
 def is_sealed(path: Path, built: Built) -> bool:
@@ -86,8 +79,7 @@ def is_sealed(path: Path, built: Built) -> bool:
     if not holds_run(path) or os.access(path, os.W_OK):
         return False
     check_entries(path)
-    store = store_of(built, path)
-    _check_same(store, built, _identity(built), _committed(store, []))
+    _check_same(path, built, _identity(built), _committed(store_of(built, path)))
     run = open_run(path)
     return run.job == built.job.identity() and run.state == "finished"
 
@@ -102,20 +94,17 @@ def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
     return Store(path, run_key, columns)
 
 
-def _committed(store: Store, damages: list[Damage]) -> int:
-    damaged = {store.path / damage.path for damage in damages}
-    return store.present("comparison", "draw", without=damaged).size
+def _committed(store: Store) -> int:
+    return 1 + int(store.numbers("comparison", "draw").max(initial=-1))
 
 
 def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -> None:
     """Write job.toml and run.json if they are missing, and job.toml if the job has more draws."""
-    job = built.job
+    job, texts = built.job.identity(), dict[str, str]()
     if not holds_run(path):
-        write_job(path, job_toml(job.identity()))
-        write_run(path, {**identity, "provenance": provenance(built)}, key)
-    elif not (path / "job.toml").exists() or read_recorded(path)[1] != job.identity():
-        write_job(path, job_toml(job.identity()))
-    confirm(path, key)
+        texts["run.json"] = run_text({**identity, "provenance": provenance(built)})
+    if texts or not (path / "job.toml").exists() or read_recorded(path)[1] != job:
+        write_about(path, key, {**texts, "job.toml": job_toml(job)})
 
 
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
@@ -183,13 +172,17 @@ def changed_fingerprints(run: Mapping[str, Any], built: Built) -> dict[str, str]
     return {key: f"{_short(was)} -> {_short(is_now)}" for key, was, is_now in _changes(old, new)}
 
 
-def _check_free(path: Path) -> None:
+def _check_free(path: Path, key: str) -> None:
+    """Raise a `StoreError` if a folder that lacks job.toml or run.json holds no run of this key."""
     if path.exists() and not path.is_dir():
         raise StoreError(f"results must be a folder, got the file {path}", argument="results")
+    check_version_of(path)
     # A start that was killed before it wrote run.json leaves these entries.
-    strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", "manifest"}
-    if not any(path.glob("[pt]a*/*/*")):  # `repair` has moved all files of several runs
-        strange -= {"parts", "tables", "quarantine"}
+    strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", FILES}
+    if run_key(path) == key:
+        strange = set()
+    elif not any(path.glob("[pt]a*/*/*")):
+        strange -= {"parts", "tables"}
     if strange:
         raise StoreError(
             f"results must be a new folder, an empty one or a run's, got {path} "
@@ -198,8 +191,8 @@ def _check_free(path: Path) -> None:
         )
 
 
-def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, old_job), job = read_recorded(store.path), built.job
+def _check_same(path: Path, built: Built, identity: dict[str, Any], committed: int) -> None:
+    (run, old_job), job = read_recorded(path), built.job
     models = fingerprints(built)
     old = {"job": old_job, **{name: run.get(name) for name in identity if name not in models}}
     new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
@@ -213,9 +206,9 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
     # The estimations of searches follow from the job; name them only if nothing else differs.
     causes = [line for line in differences if not line.startswith("estimations.")] or differences
     if causes and all(line.startswith("comparison.draws: ") for line in causes):
-        raise _too_few(store.path, job, committed)
+        raise _too_few(path, job, committed)
     if causes:
-        raise _mismatch(store.path, causes)
+        raise _mismatch(path, causes)
 
 
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:

@@ -258,7 +258,7 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
         evaluations = record.evaluations
         if requests and generation not in committed:
             rows = evaluation_rows(name, generation, candidates, requests, evaluations)
-            session.keep(name, EVALUATIONS, f"{generation:06d}", rows)
+            session.keep(name, EVALUATIONS, rows)
         in_order = [evaluations[candidate] for candidate in candidates]
         if phase.keep_leaders:
             no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]

@@ -111,11 +111,7 @@ def lender(path: Path, built: Built | None = None) -> Store:
             f"evaluations cannot be reused: {differs}"
         )
     store = Store(path)
-    for damage in store.manifest.damages():
-        raise StoreError(
-            f"{path / damage.path} {damage.what}, so its evaluations cannot be reused: "
-            f"`pfdist repair {path}` sets damaged files aside"
-        )
+    store.check_published()  # before the run that takes them begins
     return store
 
 

@@ -116,8 +116,6 @@ class Prover:
                 for phase in session.store.phases_of(table, BOUND_PHASE):
                     session.store.settle(table, phase)
         session.store.renew("bound", BOUND_PHASE, self._rows(looks, run.draws_compared))
-        manifest = session.store.manifest  # every file of a bound was written again
-        manifest.forget(path for path in manifest.lost() if path.name.startswith(BOUND_PHASE))
         return looks[-1]
 
     def has_proved(self, run: Run) -> bool:

@@ -124,8 +124,8 @@ class RowsByDraw:
         on where it ended.
         """
         most = max((work.draws[1] for work in works), default=0)
-        present, committed = np.zeros(most, np.bool_), store.present(self.table, "draw")[:most]
-        present[: committed.size] = committed
+        present, committed = np.zeros(most, np.bool_), store.numbers(self.table, "draw")
+        present[committed[committed < most]] = True
         lacking = list[Work]()
         for work in works:
             first, last = work.draws

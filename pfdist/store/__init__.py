@@ -6,29 +6,24 @@ they mean for a search.
 
 from pfdist.store.about import (
     add_to_provenance,
-    check_key,
-    confirm,
-    has_key,
     key_of,
-    own_key,
     read_run,
     run_key,
+    run_text,
     unreadable,
-    write_job,
-    write_run,
+    write_about,
 )
 from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
     ABOUT,
-    Damage,
     check_entries,
     folder_of_run,
     holds_run,
     is_job_of_run,
 )
+from pfdist.store.listing import record_pages
 from pfdist.store.lock import held, is_held
-from pfdist.store.manifest import Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import (
     BOUND_PHASE,

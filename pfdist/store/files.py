@@ -6,21 +6,24 @@ cut the new name never stands for an empty file, because its content was flushed
 """
 
 import contextlib
+import errno
 import hashlib
 import os
 import re
 import socket
+import stat
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-import pyarrow as pa
+from pfdist.errors import PfdistWarning, StoreError
 
-from pfdist.errors import StoreError
-from pfdist.store.tables import write_table
-
+_NOT_PLAIN = {errno.ELOOP, errno.EISDIR, errno.ENXIO}
+_UNSUPPORTED = {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTTY}  # of fsync
 _TEMPORARY = re.compile(r"\.(?P<host>.+)-(?P<process>\d+)\.[0-9a-f]{32}\.tmp")
 
 
@@ -70,16 +73,6 @@ def prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
         return Prepared(temporary, digest(temporary))
 
 
-def prepare_table(folder: Path, table: pa.Table) -> Prepared:
-    """Write a table as a Parquet file into a folder, under a temporary name."""
-
-    def write(path: Path) -> None:
-        write_table(table, path)
-        pa.default_memory_pool().release_unused()  # otherwise memory grows with each file
-
-    return prepare(folder, write)
-
-
 def give_name(prepared: Prepared, path: Path) -> None:
     """Rename a file to its final name, in one atomic step; it replaces a file that is there."""
     with writing("write", path, prepared.temporary):
@@ -90,27 +83,6 @@ def give_name(prepared: Prepared, path: Path) -> None:
 def write_file(path: Path, write: Callable[[Path], Any]) -> None:
     """Write a file atomically; it replaces an earlier file of this name."""
     give_name(prepare(path.parent, write), path)
-
-
-def add_lines(path: Path, lines: list[str]) -> None:
-    """Append lines to a text file, and flush it.
-
-    A kill may cut the last line short. The next call begins a new line, so only this line is lost.
-    """
-    with writing("write", path):
-        is_new = not path.exists()
-        _make_folder(path.parent)
-        # The first line break ends a line that a kill cut short.
-        append_text(path, "\n" + "".join(f"{line}\n" for line in lines))
-        _flush(path, os.O_RDWR)
-        if is_new:
-            _flush(path.parent, os.O_RDONLY)
-
-
-def append_text(path: Path, text: str) -> None:
-    """Append text to a file."""
-    with path.open("a", encoding="utf-8") as file:
-        file.write(text)
 
 
 def make_folder(folder: Path) -> None:
@@ -125,16 +97,47 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def move(path: Path, other: Path) -> None:
-    """Move a file out of the way."""
-    with writing("move", path):
-        _make_folder(other.parent)
-        path.replace(other)
+def open_plain(path: Path, flags: int = os.O_RDONLY) -> int:
+    """Descriptor of a plain file; a link, a pipe or a device is never opened.
+
+    Raises `FileNotFoundError` if there is nothing, `StoreError` if it is not a plain file, and
+    `OSError` if it cannot be opened.
+    """
+    try:
+        handle = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno in _NOT_PLAIN:
+            raise _not_plain(path) from error
+        raise
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise _not_plain(path)
+    return handle
+
+
+def _not_plain(path: Path) -> StoreError:
+    return StoreError(f"{path} must be a plain file, got a link, a pipe or a folder: remove it")
+
+
+def read_if_hashed(path: Path, wanted: str) -> bytes | None:
+    """Content of a file whose hash begins so; None if it has another hash, or is not a plain file.
+
+    Nothing is kept in memory before the hash is compared. Errors are those of `open_plain`.
+    """
+    try:
+        handle = open_plain(path)
+    except StoreError:
+        return None
+    with open(handle, "rb") as file:
+        if not hashlib.file_digest(file, "sha256").hexdigest().startswith(wanted):
+            return None
+        file.seek(0)
+        return file.read()
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file; raises `OSError` if it is not there, or cannot be read."""
-    with path.open("rb") as file:
+    """SHA-256 of a plain file; errors are those of `open_plain`."""
+    with open(open_plain(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -204,5 +207,20 @@ def _flush(path: Path, mode: int) -> None:
     handle = os.open(path, mode)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
+        _warn_of_no_flush(str(error.strerror))
     finally:
         os.close(handle)
+
+
+@cache
+def _warn_of_no_flush(reason: str) -> None:
+    """Warn once: the content of the files is right, and only a power cut could lose it."""
+    warnings.warn(
+        f"the file system cannot flush files to disk (fsync: {reason}): "
+        "a power cut may lose finished work",
+        PfdistWarning,
+        stacklevel=2,
+    )

@@ -1,15 +1,15 @@
 """The entries of a run's folder, and which folders hold a run; no file of a run is read here.
 
 A run's folder may come from anywhere, for instance from an archive, which keeps links. A link would
-lead out of the folder, and opening a pipe would wait for ever: neither is ever opened. So a caller
-checks the entries (`check_entries`, `strange_entries`) before it opens the first file.
+lead out of the folder, and opening a pipe would wait for ever. So a caller checks the entries
+(`check_entries`) before it opens the first file, and files of tables are opened if they are plain.
 """
 
+import contextlib
 import os
 import re
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -17,18 +17,13 @@ from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
 from pfdist.store.files import begins_with, check_replaceable, reading
 from pfdist.store.files import remove as remove_file
+from pfdist.store.schema import TABLES
 
 ABOUT = ("job.toml", "run.json")
-MANIFEST, QUARANTINE, FIGURES_FOLDER, REPORT = "manifest", "quarantine", "figures", "report.html"
+FILES, FIGURES_FOLDER, REPORT = "files.json", "figures", "report.html"
 FORMATS = ("png", "svg")
 """Endings of the files of figures."""
 
-MISSING = "is missing"
-_FILES = (*ABOUT, ".lock", MANIFEST, REPORT)
-_FOLDERS = ("parts", "tables", QUARANTINE, FIGURES_FOLDER)  # entries of other names are the user's
-_TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold only files
-# A start that was cut short, and a run that has lost its run.json, have these.
-_TRACES = ({"job.toml", MANIFEST}, {"tables", MANIFEST})
 _MARK = b'<meta name="generator" content="pfdist">'
 _START = 1024  # bytes of a report in which the mark stands
 
@@ -71,14 +66,6 @@ def _has_run_json(path: Path) -> bool:
     return (path / "run.json").is_file()
 
 
-def is_plain_file(path: Path) -> bool:
-    """Whether a path is a plain file; nothing else is ever opened."""
-    try:
-        return stat.S_ISREG(os.lstat(path).st_mode)
-    except OSError:
-        return False
-
-
 def check_page_replaceable(path: Path) -> None:
     """Raise a `StoreError` unless a file is missing, or is an earlier report."""
     check_replaceable(path, partial(begins_with, mark=_MARK, most=_START))
@@ -106,74 +93,34 @@ def remove_figures(path: Path) -> None:
         remove_file(file)
 
 
-@dataclass(frozen=True)
-class Damage:
-    """A file that is not what was committed."""
-
-    path: Path  # relative to the run's folder
-    what: str  # the damage
-
-    @property
-    def is_missing(self) -> bool:
-        """Whether the file is not there: nothing has to be moved, and the job makes it again."""
-        return self.what == MISSING
-
-
-def strange_entries(folder: Path) -> Iterator[Damage]:
-    """Links, pipes, devices, and folders in place of files. Links are not followed.
-
-    Each folder is looked at before its entries are listed. Raises `StoreError` if one cannot be
-    listed.
-    """
-    for name in (*_FILES, *_FOLDERS):
-        path = folder / name
-        with reading(path):
-            try:
-                mode = path.lstat().st_mode
-            except (FileNotFoundError, NotADirectoryError):
-                continue
-        if wrong := _wrong(mode, file=name in _FILES, folder=name in _FOLDERS):
-            yield Damage(Path(name), wrong)
-        elif stat.S_ISDIR(mode) and name != QUARANTINE:  # files in quarantine are never opened
-            yield from _strange_below(folder, Path(name))
+def pages_in(path: Path) -> list[Path]:
+    """Files of the figures and the report in the folder of a run."""
+    return [*sorted(figures_in(path)), *([path / REPORT] if has_report(path) else [])]
 
 
 def check_entries(folder: Path) -> None:
-    """Raise a `StoreError` that names the first strange entry of a run's folder."""
-    for damage in strange_entries(folder):
-        moves = f"`pfdist repair {folder}` moves it to quarantine"
-        raise StoreError(
-            f"{folder / damage.path} {damage.what}; a run holds plain files and folders alone: "
-            f"{'remove it' if damage.path.parts[0] == MANIFEST else moves}"
-        )
+    """Raise a `StoreError` if a link, a pipe or another entry is in the place of a file or folder.
+
+    Entries with other names belong to the user.
+    """
+    below = [f"{place}/{table}" for place in ("tables", "parts") for table in TABLES]
+    for is_right, what, names in (
+        (stat.S_ISREG, "file", (*ABOUT, FILES, REPORT)),
+        (stat.S_ISDIR, "folder", ("tables", "parts", FIGURES_FOLDER, *below)),
+    ):
+        for name in names:
+            path = folder / name
+            with reading(path), contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                if not is_right(path.lstat().st_mode):
+                    raise StoreError(
+                        f"{path} must be a plain {what}, got {_kind(path.lstat().st_mode)}: remove "
+                        "it, and run the same command again"
+                    )
 
 
-def _strange_below(folder: Path, relative: Path) -> Iterator[Damage]:
-    with reading(folder / relative):
-        try:
-            entries = sorted(os.scandir(folder / relative), key=lambda entry: entry.name)
-            modes = [entry.stat(follow_symlinks=False).st_mode for entry in entries]
-        except FileNotFoundError:  # a driver published meanwhile: it works on this folder now
-            return
-    holds_files = relative.parts[0] in ("parts", "tables") and len(relative.parts) == _TABLES_DEEP
-    for entry, mode in zip(entries, modes, strict=True):
-        if wrong := _wrong(mode, file=holds_files):
-            yield Damage(relative / entry.name, wrong)
-        elif stat.S_ISDIR(mode):
-            yield from _strange_below(folder, relative / entry.name)
-
-
-def _wrong(mode: int, *, file: bool = False, folder: bool = False) -> str:
-    """The fault of an entry; empty if nothing is wrong."""
-    if stat.S_ISLNK(mode):
-        return "is a link"
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        return "is neither a file nor a folder"
-    if file and stat.S_ISDIR(mode):
-        return "is a folder where a file belongs"
-    if folder and stat.S_ISREG(mode):
-        return "is a file where a folder belongs"
-    return ""
+def _kind(mode: int) -> str:
+    kinds = {stat.S_IFLNK: "a link", stat.S_IFDIR: "a folder", stat.S_IFREG: "a file"}
+    return kinds.get(stat.S_IFMT(mode), "a pipe or a device")
 
 
 def runs_below(folder: Path, depth: int) -> Iterator[Path]:
@@ -190,7 +137,7 @@ def runs_below(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def _runs_in(folder: Path, entries: dict[str, bool], depth: int) -> Iterator[Path]:
-    if "run.json" in entries or any(traces <= entries.keys() for traces in _TRACES):
+    if entries.keys() & {"run.json", FILES}:
         yield folder
     elif depth:
         for name in sorted(entries, key=natural_key):

@@ -1,7 +1,7 @@
 """The lock of a run's folder, so that one driver at a time computes the run.
 
 The lock is our own, because it does more than libraries' locks: its file says who holds it, a link
-or a pipe in its place is never opened, and a file system without locks refuses nobody.
+or a pipe in its place is never opened, and a file system without locks costs a warning.
 """
 
 import contextlib
@@ -10,32 +10,35 @@ import fcntl
 import json
 import os
 import socket
-import stat
+import time
+import warnings
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pfdist.errors import BusyError, StoreError
+from pfdist.errors import BusyError, PfdistWarning, StoreError
 from pfdist.store import files
 
 _LOCK = ".lock"
-_NO_FILE = {errno.ELOOP, errno.EISDIR, errno.ENXIO}
+_PAUSE_SECONDS = 0.05
 _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 
 @contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
+def held(folder: Path, patience: float = 1.0) -> Iterator[None]:
     """Hold the lock of a run's folder; the lock ends with this process, however it ends.
 
-    If the file system has no locks, every driver may go on. Two drivers then commit the same bytes
-    under the same names, and only do everything twice. Raises `BusyError` if another driver holds
-    the lock; the error says who, and since when.
+    Another command may hold it for a moment, to list the pages that it wrote: this one waits so
+    many seconds.
+
+    If the file system has no locks, a warning says so, and the driver goes on. Raises `BusyError`
+    if another driver holds the lock; the error says who, and since when.
     """
     files.make_folder(folder)
     with files.writing("lock", folder):
-        lock = _opened(folder, os.O_RDWR | os.O_CREAT)
+        lock = files.open_plain(folder / _LOCK, os.O_RDWR | os.O_CREAT)
     try:
-        _take(lock, fcntl.LOCK_EX, folder)
+        _take(lock, fcntl.LOCK_EX, folder, patience)
         _sign(lock, folder)
         yield
     finally:
@@ -45,7 +48,7 @@ def held(folder: Path) -> Iterator[None]:
 def check_not_held(folder: Path) -> None:
     """Raise the `BusyError` of `held` if a driver holds a run's folder; lock nothing."""
     try:
-        lock = _opened(folder, os.O_RDONLY)
+        lock = files.open_plain(folder / _LOCK)
     except OSError:  # there was no driver yet, or the run belongs to another user
         return
     try:
@@ -69,42 +72,31 @@ def try_lock(path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _opened(folder: Path, mode: int) -> int:
-    """Descriptor of the lock's file; neither a link's target nor a pipe is opened.
-
-    Raises `StoreError` if it is not a plain file, and `OSError` if it cannot be opened.
-    """
-    path = folder / _LOCK
-    try:
-        lock = os.open(path, mode | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        if error.errno in _NO_FILE:
-            raise _no_file(path) from error
-        raise
-    if not stat.S_ISREG(os.fstat(lock).st_mode):
-        os.close(lock)
-        raise _no_file(path)
-    return lock
-
-
-def _no_file(path: Path) -> StoreError:
-    return StoreError(
-        f"{path} must be a plain file of this folder, got a link, a pipe or a folder: remove it"
-    )
-
-
-def _take(lock: int, kind: int, folder: Path) -> None:
+def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> None:
+    deadline = time.monotonic() + patience
     with files.writing("lock", folder):
-        try:
-            fcntl.flock(lock, kind | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise BusyError(
-                f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
-                "give results another folder"
-            ) from error
-        except OSError as error:
-            if error.errno not in _NO_LOCKS:
-                raise
+        while True:
+            try:
+                fcntl.flock(lock, kind | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                if time.monotonic() > deadline:
+                    raise BusyError(
+                        f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
+                        "give results another folder"
+                    ) from error
+                time.sleep(_PAUSE_SECONDS)
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+                warnings.warn(
+                    f"the file system of {folder} has no locks (flock: {error.strerror}): only one "
+                    "command at a time may write to this run",
+                    PfdistWarning,
+                    stacklevel=2,
+                )
+                return
+            else:
+                return
 
 
 def _sign(lock: int, folder: Path) -> None:

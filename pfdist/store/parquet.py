@@ -2,20 +2,21 @@
 
 ::
 
-    parts/<table>/<phase>-<key>.<SHA-256>.parquet   committed one by one, gone when their phase ends
-    tables/<table>/<phase>-00000.parquet            published: sorted, cut at fixed counts
-    manifest                                        what published files must hold
+    parts/<table>/<phase>-<hash>.parquet            committed one by one, gone when their phase ends
+    tables/<table>/<phase>-<number>-<hash>.parquet  published: sorted, cut at fixed counts
+    files.json                                      the published files; see `pfdist.store.listing`
 
-A reader sees both as one. A phase may be published again and again with the same outcome, so a
-process may die at any instant of it. A commit reads and lists nothing, so it costs the same however
-much was committed before.
+A reader sees both as one. It reads the files in ``tables/`` that are listed, and those in
+``parts/`` whose content has the hash in their name. A phase may be published again and again with
+the same outcome, so a process may die at any instant of it. A commit reads and lists nothing, so it
+costs the same however much was committed before.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -28,14 +29,17 @@ from numpy.typing import NDArray
 from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import run_key as folder_key
-from pfdist.store.manifest import Manifest
+from pfdist.store.listing import change_listing, read_listing
 from pfdist.store.schema import KEYS, QUESTIONS, ClockColumns, frame_of, keys_of, schema
 from pfdist.store.tables import (
+    HASH_DIGITS,
+    NAME,
+    REMEDY,
     check_names,
     cut_rows,
     first_occurrences,
+    prepare_table,
     read_file,
-    rows_and_run,
     signed,
     unique,
 )
@@ -55,8 +59,8 @@ class Store:
     Every file must belong to the run with this key, or to that of the folder if no key is given.
     With a clock, callers hand over instants, and the tables hold times on the clock.
 
-    Every reading raises a `StoreError` if a file cannot be read, has another schema version,
-    belongs to another run, or is a published file without rows.
+    Every reading raises a `StoreError` if a file is damaged, cannot be read, has another schema
+    version, or belongs to another run.
     """
 
     def __init__(
@@ -65,7 +69,6 @@ class Store:
         self.path = path
         self._run_key = run_key or folder_key(path)
         self._clock = clock
-        self.manifest = Manifest(path, self._run_key)
         # Files of the draws table by evaluation; None until they are needed.
         self._holders: dict[str, set[Path]] | None = None
 
@@ -77,19 +80,43 @@ class Store:
         """Schema that a table has in this store: with a clock, times are numbers."""
         return schema if self._clock is None else self._clock.schema(schema)
 
-    def remove_unfinished(self) -> None:
-        """Remove unfinished files of killed processes."""
-        files.remove_unfinished(self.path)
+    def recover(self) -> None:
+        """Remove what killed processes left, and make a run that has lost a file unfinished again.
 
-    def commit(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
+        Its published files become parts, which the driver publishes once it has computed what is
+        missing. So do the files of a run that has lost its files.json. Answers to questions stay
+        published, because a run is finished without them. A kill at any point is harmless: the next
+        start does the rest.
+        """
+        files.remove_unfinished(self.path)
+        listing, there = read_listing(self.path), self._published()
+        known = there if listing is None else {self.path / name for name in listing.files}
+        lost = {path for path in known - there if not path.name.startswith(QUESTIONS)}
+        stays = known & there
+        if lost or listing is None:
+            # First the files, then the list: after a kill in between, the list lacks a file again.
+            for path in [path for path in stays if not path.name.startswith(QUESTIONS)]:
+                phase, hash_ = NAME.fullmatch(path.name).groups()  # type: ignore[union-attr]
+                part = self.path / "parts" / path.parent.name / f"{phase}-{hash_}.parquet"
+                files.make_folder(part.parent)
+                files.give_name(files.Prepared(path, hash_), part)
+                stays.remove(path)
+        if stays != known or listing is None:
+            self._list(stays)
+        for path in there - known:
+            files.remove(path)
+        for path in self._parts("*", "*"):  # lost parts are no damage: they are computed again
+            if not self._read(path, []):
+                files.remove(path)
+
+    def commit(self, table: str, phase: str, rows: pa.Table) -> None:
         """Commit rows of a phase; committing the same rows again changes nothing.
 
-        The key identifies the rows. The file gets its name in one step: before it nothing is
-        committed, and after it all rows are.
+        The file gets its name in one step: before it nothing is committed, and after it all rows
+        are.
         """
-        folder = self.path / "parts" / table
-        prepared = files.prepare_table(folder, self._prepared(rows))
-        path = folder / f"{phase}-{key}.{prepared.sha256}.parquet"
+        prepared = self._prepared(self.path / "parts" / table, rows)
+        path = self.path / "parts" / table / f"{phase}-{prepared.sha256[:HASH_DIGITS]}.parquet"
         files.give_name(prepared, path)  # a file with this name has the same content
         if table == "draws":
             self._note_holder(path, rows)
@@ -100,23 +127,28 @@ class Store:
         The pieces have all rows of the phase in their order, in any sizes. If the process dies
         meanwhile, parts remain, and the next call writes the same files.
         """
+        folder, written = self.path / "tables" / table, set[Path]()
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
-            path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-            prepared = files.prepare_table(path.parent, self._prepared(rows.combine_chunks()))
-            self.manifest.give_name(prepared, path)
+            prepared = self._prepared(folder, rows.combine_chunks())
+            path = folder / f"{phase}-{number:05d}-{prepared.sha256[:HASH_DIGITS]}.parquet"
+            files.give_name(prepared, path)
+            written.add(path)
             if table == "draws":
                 self._note_holder(path, rows)
-        # All files are there before the first part goes: every row is in a file at any instant.
-        parts = self._parts(table, phase)
-        for path in parts:
+        # The list comes after all files and before the first part goes: at any instant every row is
+        # in a part or in a file that is listed.
+        old = {path for path in self._published(table) if path.name.startswith(f"{phase}-")}
+        self._list(self._listed() - old | written)
+        gone = [*self._parts(table, phase), *(old - written)]
+        for path in gone:
             files.remove(path)
-        holders, gone = self._holders or {}, {*parts}
+        holders = self._holders or {}
         for id_ in holders:
-            holders[id_] -= gone.intersection(holders[id_])  # of all parts, few are holders
+            holders[id_] -= holders[id_].intersection(gone)  # of all parts, few are holders
 
-    def _prepared(self, rows: pa.Table) -> pa.Table:
-        """Rows in the form in which files hold them."""
-        return signed(self.timed(rows), self._run_key)
+    def _prepared(self, folder: Path, rows: pa.Table) -> files.Prepared:
+        """A file with rows in the form in which files hold them, which has no name yet."""
+        return prepare_table(folder, signed(self.timed(rows), self._run_key))
 
     def settle(self, table: str, phase: str) -> None:
         """Publish all committed rows of a phase, sorted by key, if it has parts."""
@@ -169,9 +201,25 @@ class Store:
         parts = self._parts(table, phase)
         return any(not path.name.startswith(without) for path in parts)
 
-    def lost(self) -> list[Path]:
-        """Missing files that a run needs to be finished; those of `QUESTIONS` are left out."""
-        return [path for path in self.manifest.lost() if not path.name.startswith(QUESTIONS)]
+    def check_published(self) -> None:
+        """Read every published file; raises a `StoreError` that names the first damaged one."""
+        for path in sorted(self._listed()):
+            self._read(path, [])
+
+    def damages(self) -> Iterator[str]:
+        """The faults of published files, a line each; every byte is read."""
+        listed = self._listed()
+        for path in sorted(listed):
+            try:
+                self._read(path, [])
+            except FileNotFoundError:
+                yield f"{path} is missing: run the same command again to compute its rows"
+            except StoreError as error:
+                yield str(error)
+        for path in sorted((self.path / "tables").glob("*/[!.]*")):
+            is_left = self.has_parts(path.parent.name, path.name.partition("-")[0])  # by a kill
+            if path not in listed and not is_left:
+                yield f"{path} is not a file of this run, as files.json lists them: remove it"
 
     def phases_of(self, table: str, start: str) -> list[str]:
         """Phases with parts of a table whose names begin so; these names have no hyphen."""
@@ -186,43 +234,35 @@ class Store:
         The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
         reach into a block are read, so memory does not grow with the table.
         """
-        spans: list[tuple[Path, int, int]] | None = None
-        if last is None:
-            spans = self._again(partial(self._spans, table, column))
-            last = 1 + max((most for _, _, most in spans), default=-1)
+        places = self._places(table, column, rows)
 
-        def look(first: int) -> pa.Table | None:
-            nonlocal spans
-            spans = self._spans(table, column) if spans is None else spans
+        def look(number: int) -> pa.Table:
+            nonlocal places
+            first, end = number * rows, (number + 1) * rows
+            bounds = (pc.field(column) >= first) & (
+                pc.field(column) < (end if last is None else min(end, last))
+            )
             try:
-                return self._between(spans, column, first, min(first + rows, last))
+                return self._sorted([p for p in places if number in places[p]], column, bounds)
             except FileNotFoundError:
-                spans = None
+                places = self._places(table, column, rows)
                 raise
 
-        for first in range(0, last, rows):
-            block = self._again(partial(look, first))
-            if block is not None:
-                yield block
+        for number in sorted(set[int]().union(*(numbers.tolist() for numbers in places.values()))):
+            if last is None or number * rows < last:
+                yield self._again(partial(look, number))
 
     def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
         """Yield some columns of a table, a file at a time; rows may come twice."""
         for path in self._files(table):
-            yield self._read(path, columns)
+            yield from self._read(path, columns)
 
-    def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
-        """Whether each value 0..largest occurs in a column of counts, in all files but some."""
+    def numbers(self, table: str, column: str) -> NDArray[np.int64]:
+        """The different values of a column of whole numbers, sorted."""
 
-        def look() -> NDArray[np.bool_]:
-            occurs = np.zeros(0, np.bool_)
-            for path in self._files(table):
-                if path not in without:
-                    values = self._read(path, [column])[column].to_numpy()
-                    occurs = np.pad(
-                        occurs, (0, max(0, int(values.max(initial=-1)) + 1 - occurs.size))
-                    )
-                    occurs[values] = True
-            return occurs
+        def look() -> NDArray[np.int64]:
+            pieces = [piece[column].to_numpy() for piece in self.pieces(table, [column])]
+            return np.unique(np.concatenate([np.empty(0, np.int64), *pieces]))
 
         return self._again(look)
 
@@ -235,7 +275,7 @@ class Store:
             paths = sorted(
                 set[Path]().union(*(self._files_by_evaluation().get(id_, ()) for id_ in ids))
             )
-            return [self._read(path, filters=condition) for path in paths]
+            return [piece for path in paths for piece in self._read(path, filters=condition)]
 
         pieces = self._again(look)
         if not pieces:
@@ -271,70 +311,90 @@ class Store:
     def _parts(self, table: str, phase: str) -> list[Path]:
         return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
 
+    def _published(self, table: str = "*") -> set[Path]:
+        """Files with names of published files, whether they are listed or not."""
+        found = (self.path / "tables").glob(f"{table}/*-?????-*.parquet")
+        return {path for path in found if NAME.fullmatch(path.name)}
+
+    def _listed(self) -> set[Path]:
+        """Published files, as files.json lists them."""
+        listing = read_listing(self.path)
+        return set() if listing is None else {self.path / name for name in listing.files}
+
+    def _list(self, paths: Iterable[Path]) -> None:
+        names = sorted(path.relative_to(self.path).as_posix() for path in paths)
+        change_listing(self.path, self._run_key, files=tuple(names))
+
     def _files(self, table: str, phase: str = "") -> list[Path]:
-        pattern = f"{phase}-*.parquet" if phase else "[!.]*.parquet"
         # Parts are listed first: a row that is published meanwhile is read twice, never missed.
-        parts = sorted((self.path / "parts" / table).glob(pattern))
-        tables = sorted((self.path / "tables" / table).glob(pattern))
-        return tables + parts
+        parts = self._parts(table, phase or "*")
+        listed = (path for path in self._listed() if path.parent.name == table)
+        return [
+            *sorted(path for path in listed if path.name.startswith(f"{phase}-" if phase else "")),
+            *parts,
+        ]
 
     def _load(
         self, table: str, phase: str = "", filters: pc.Expression | None = None
     ) -> list[pa.Table]:
         """Contents of all files of a table, or of those of one phase."""
         return self._again(
-            lambda: [self._read(path, filters=filters) for path in self._files(table, phase)]
+            lambda: [
+                piece
+                for path in self._files(table, phase)
+                for piece in self._read(path, filters=filters)
+            ]
         )
 
-    def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
-        """Files of a table, and the smallest and largest value of a column in each."""
-        spans = []
-        for path in self._files(table):
-            values = self._read(path, [column])[column].to_numpy()
-            if values.size:
-                spans.append((path, int(values.min()), int(values.max())))
-        return spans
+    def _places(self, table: str, column: str, rows: int) -> dict[Path, NDArray[np.int64]]:
+        """For each file of a table, the blocks of so many values of a column that it reaches."""
+
+        def look() -> dict[Path, NDArray[np.int64]]:
+            return {
+                path: np.unique(piece[column].to_numpy() // rows)
+                for path in self._files(table)
+                for piece in self._read(path, [column])
+            }
+
+        return self._again(look)
 
     def _again(self, look: Callable[[], Value]) -> Value:
         """The value of a function that reads files; it starts again if a file was published."""
         for _ in range(_ATTEMPTS):
             try:
                 return look()
-            except FileNotFoundError:
+            except FileNotFoundError as error:
+                path = Path(str(error.filename))
+                if path in self._listed():
+                    raise StoreError(
+                        f"{path} is missing: run the same command again to compute its rows"
+                    ) from error
                 self._holders = None
                 time.sleep(_PAUSE_SECONDS)
         raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
 
-    def _between(
-        self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int
-    ) -> pa.Table | None:
-        """Sorted rows whose column lies in first..last-1, each once; None if there are none."""
-        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
-        pieces = [
-            # A file within the block is read as it is, which takes a third of the time.
-            self._read(path, filters=None if first <= least and most < last else bounds)
-            for path, least, most in spans
-            if least < last and most >= first
-        ]
-        if not pieces:
-            return None
+    def _sorted(self, paths: Iterable[Path], column: str, filters: pc.Expression) -> pa.Table:
+        """Some rows of files, sorted by a column, each once."""
+        pieces = [piece for path in paths for piece in self._read(path, filters=filters)]
         rows = pa.concat_tables(pieces).sort_by(column)
         return rows.filter(pa.array(first_occurrences(rows[column].to_numpy())))
 
     def _read(
         self, path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None
-    ) -> pa.Table:
-        rows = read_file(path, columns, filters, self._run_key)
-        if not rows.num_rows and path.parts[-3] == "tables" and not rows_and_run(path)[0]:
-            raise StoreError(f"{path} has no rows; the job, run again, makes it anew")
-        return rows
+    ) -> list[pa.Table]:
+        """Rows of a file in a list, which is empty for a part with another hash than its name's."""
+        rows = read_file(path, self._run_key, columns, filters)
+        if rows is None and path.parent.parent.name == "tables":
+            raise StoreError(f"{path} is damaged: its name has another hash; {REMEDY}")
+        return [] if rows is None else [rows]
 
     def _files_by_evaluation(self) -> dict[str, set[Path]]:
         """Files of the draws table by evaluation, which are read when they are first needed."""
         if self._holders is None:
             self._holders = defaultdict(set)
             for path in self._files("draws"):
-                self._note_holder(path, self._read(path, ["evaluation"]))
+                for rows in self._read(path, ["evaluation"]):
+                    self._note_holder(path, rows)
         return self._holders
 
     def _note_holder(self, path: Path, rows: pa.Table) -> None:

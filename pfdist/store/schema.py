@@ -254,6 +254,11 @@ _OPTIONAL = {
 """Columns that a table has only for some jobs: if it names sets, or has scenarios."""
 
 
+_BY_DRAW = [_column("draw", pa.int64(), "", ""), _column("t", pa.int32(), "", "")]
+_KINDS = {"degenerate": pa.bool_(), "sensor": pa.string()}  # of columns that sets or sensors name
+_CLOCK_TYPES = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
+
+
 def check_schema_version(path: Path, version: object) -> None:
     """Raise a `StoreError` if a run or a file has a former or newer schema version.
 
@@ -277,6 +282,22 @@ def check_schema_version(path: Path, version: object) -> None:
 def schema(table: str, *optional: str) -> pa.Schema:
     """Schema of a table whose columns have fixed names, with some of its optional columns."""
     return _schema(table, [*_SCHEMAS[table], *(_OPTIONAL[name] for name in optional)])
+
+
+def wrong_columns(columns: pa.Schema, table: str) -> str:
+    """The fault of the columns of a file of a table; empty if there is none."""
+    declared = {column.name: column.type for column in _SCHEMAS.get(table, _BY_DRAW)}
+    for name in declared if table in _SCHEMAS else KEYS[table]:
+        if name not in columns.names:
+            return f"lacks the column {name}"
+    known = declared | {name: column.type for name, column in _OPTIONAL.items()}
+    for column in columns:
+        start = column.name.partition("_")[0]
+        wanted = known.get(column.name, _KINDS.get(start, pa.float64()))
+        is_timed = column.name in (*_INSTANTS, *_MEASUREMENTS) and column.type in _CLOCK_TYPES
+        if column.type != wanted and not is_timed:
+            return f"must have {wanted} in the column {column.name}, got {column.type}"
+    return ""
 
 
 def with_sensors(schema: pa.Schema) -> pa.Schema:

@@ -18,7 +18,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
-from pfdist.store.schema import RUN_KEY, check_schema_version
+from pfdist.store.files import Prepared, prepare, read_if_hashed
+from pfdist.store.schema import RUN_KEY, check_schema_version, wrong_columns
+
+NAME = re.compile(r"([a-z][a-z0-9_.]*)-(?:\d{5}-)?([0-9a-f]{16})\.parquet")
+"""The name of a file of a table: the phase, a number if it is published, and the hash."""
+
+HASH_DIGITS = 16  # of the SHA-256 in a name
+REMEDY = "remove it, and run the same command again"
 
 _LONGEST_NAME = 64  # a search's name and a number of measurements
 _NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
@@ -30,6 +37,16 @@ def write_table(table: pa.Table, path: Path) -> None:
         pq.write_table(table, file, compression="zstd", write_page_checksum=True)
 
 
+def prepare_table(folder: Path, table: pa.Table) -> Prepared:
+    """Write a table as a Parquet file into a folder, under a temporary name."""
+
+    def write(path: Path) -> None:
+        write_table(table, path)
+        pa.default_memory_pool().release_unused()  # otherwise memory grows with each file
+
+    return prepare(folder, write)
+
+
 def holds_table(path: Path, name: bytes) -> bool:
     """Whether a file is a Parquet file whose metadata give its table this name."""
     try:
@@ -39,49 +56,43 @@ def holds_table(path: Path, name: bytes) -> bool:
         return False
 
 
-def rows_and_run(path: Path) -> tuple[int, str | None]:
-    """Number of rows of a file, and the key of the run that wrote it, if the file names one.
-
-    Raises `FileNotFoundError` if there is no such file, and `StoreError` if it is no readable
-    Parquet file.
-    """
-    with _reading(path) as file:
-        about = pq.read_metadata(file)
-    key = (about.metadata or {}).get(RUN_KEY)
-    return about.num_rows, None if key is None else key.decode(errors="replace")
-
-
 def read_file(
     path: Path,
+    run_key: str | None,
     columns: list[str] | None = None,
     filters: pc.Expression | None = None,
-    run_key: str | None = None,
-) -> pa.Table:
-    """Columns and rows of a file of this schema version, all of them by default.
+) -> pa.Table | None:
+    """Columns and rows of a file, all of them by default; None if its name has another hash.
 
-    The file must belong to the run with this key; None: it must carry no key. Raises
-    `FileNotFoundError` if there is no such file. Raises `StoreError` if it cannot be read, has
-    another schema version, or belongs to another run.
+    The one function that reads files of tables. Nothing of a file is looked at before its hash is
+    compared with that in its name. The table is that of the file's folder, and the file must belong
+    to the run with this key; None: it must carry no key. Raises `FileNotFoundError` if there is no
+    such file. Raises `StoreError` if it cannot be read, has another schema version, or belongs to
+    another run or table.
     """
-    with _reading(path) as file:
-        table = pq.read_table(
-            file,
+    named = NAME.fullmatch(path.name)
+    with _reading(path):
+        content = read_if_hashed(path, named[2]) if named else None
+        if content is None:
+            return None
+        about = pq.read_schema(pa.BufferReader(content))
+        metadata, table = about.metadata or {}, path.parent.name
+        check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
+        for name, wanted in ((b"table", table), (RUN_KEY, run_key or "none")):
+            if (got := metadata.get(name, b"none").decode(errors="replace")) != wanted:
+                what = "table" if name == b"table" else "run"
+                raise StoreError(
+                    f"{path} belongs to another {what}: {wanted} was expected, got {got}; {REMEDY}"
+                )
+        if wrong := wrong_columns(about, table):
+            raise StoreError(f"{path} {wrong}; {REMEDY}")
+        return pq.read_table(
+            pa.BufferReader(content),
             columns=columns,
             filters=filters,
             partitioning=None,
             use_threads=False,  # each thread would keep its own memory
-            page_checksum_verification=True,
         )
-    metadata = table.schema.metadata or {}
-    if metadata.get(RUN_KEY) != (run_key.encode() if run_key else None):
-        carries = f"the run's key {run_key}" if run_key else "no key"
-        raise StoreError(
-            f"{path} belongs to another run: every file here must carry {carries}, "
-            f"got {metadata.get(RUN_KEY, b'none').decode(errors='replace')}; `pfdist repair` moves "
-            "such files to quarantine"
-        )
-    check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
-    return table
 
 
 def signed(table: pa.Table, run_key: str | None) -> pa.Table:
@@ -135,15 +146,12 @@ def check_names(names: Iterable[object], where: Path) -> None:
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Iterator[Any]:
-    """An open file inside a with statement, whose errors name the file."""
+def _reading(path: Path) -> Iterator[None]:
+    """Turn errors inside a with statement into a `StoreError` that names the file."""
     try:
-        with pa.OSFile(os.fsencode(path)) as file:
-            yield file
+        yield
     except FileNotFoundError:
         raise
-    except (OSError, pa.ArrowInvalid) as error:
+    except (OSError, ValueError, pa.ArrowException) as error:
         reason = str(error).splitlines()[0]
-        raise StoreError(
-            f"cannot read {path}: {reason}; the job, run again, makes it anew if it is damaged"
-        ) from error
+        raise StoreError(f"cannot read {path}: {reason}; if it is damaged, {REMEDY}") from error

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import pfdist
+from oracles.listed import forget
 from pfdist.common.rounding import with_error
 from pfdist.errors import StoreError
 
@@ -25,7 +26,6 @@ def test_the_best_set_has_the_least_mean_error_of_the_compared_draws(
 
 
 def test_a_run_without_a_comparison_has_no_best_set(small_run: pfdist.Run) -> None:
-    for file in (small_run.path / "tables" / "comparison").iterdir():
-        file.unlink()
+    forget(small_run.path, "comparison")
     with pytest.raises(StoreError, match="has compared no draws yet"):
         pfdist.open_run(small_run.path).best  # noqa: B018

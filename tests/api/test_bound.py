@@ -20,7 +20,7 @@ from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.cli.main import main
 from pfdist.common.percent import gap_sentence, rounded_up
-from pfdist.errors import JobError, ModelError, PfdistWarning
+from pfdist.errors import JobError, ModelError, PfdistWarning, StoreError
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
@@ -506,13 +506,18 @@ def test_more_compared_draws_are_proved_again(walk: Path) -> None:
         assert set(run.table("bound")["compared_draws"]) == {draws}
 
 
-def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound(walk: Path) -> None:
+def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound_once_it_is_removed(
+    walk: Path,
+) -> None:
     bound(walk, LEAST_DRAWS)
     before = _tables(walk)
     for path in (walk / "tables").glob("bound*/*.parquet"):
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 1
         path.write_bytes(content)
+        with pytest.raises(StoreError, match=f"{path.name} is damaged"):
+            bound(walk, LEAST_DRAWS)
+        path.unlink()
     bound(walk, LEAST_DRAWS)
     assert _tables(walk) == before
     assert pfdist.open_run(walk).state == "finished"

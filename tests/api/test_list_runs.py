@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.listed import forget
 from pfdist.errors import StoreError
 from pfdist.store import held
 
@@ -86,8 +87,8 @@ def test_an_unfinished_run_says_how_many_draws_it_has(run: Path, tmp_path: Path)
     row = _row(tmp_path)
     assert (row["state"], row["draws_wanted"]) == ("unfinished", 500)
     assert 60 <= row["draws"] < 500
-    for table in ("tables/comparison", "parts"):
-        shutil.rmtree(run / table, ignore_errors=True)
+    forget(run, "comparison")
+    shutil.rmtree(run / "parts")
     row = _row(tmp_path)
     assert (row["state"], row["draws"], row["best"]) == ("unfinished", 0, None)
 
@@ -96,18 +97,28 @@ def _write(name: str, content: bytes) -> Any:
     return lambda run: (run / name).write_bytes(content)
 
 
+def _empty(table: str) -> Any:
+    return lambda run: next((run / table).iterdir()).write_bytes(b"")
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (_write("run.json", b"{}"), "cannot read run.json: schema_version must be given"),
-        (_write("run.json", b"[" * 9999), "cannot read run.json"),
-        (_write("job.toml", b"\xff"), "cannot read job.toml: text must be UTF-8"),
-        (_write("job.toml", b"seed = 1"), "cannot read job.toml: problem must be given"),
-        (_write("tables/comparison/comparison-00000.parquet", b""), "cannot read tables"),
+        (_write("run.json", b"{}"), "run.json is damaged: its content has another hash"),
+        (_write("run.json", b"[" * 9999), "run.json is damaged"),
+        (_write("job.toml", b"\xff"), "job.toml is damaged: text must be UTF-8"),
+        (_write("job.toml", b"seed = 1"), "job.toml is damaged: its content has another hash"),
+        (_empty("tables/comparison"), "is damaged: its name has another hash"),
         (lambda run: (run / "run.json").unlink(), "there is no run.json in it"),
         (lambda run: (run / "job.toml").unlink(), "there is no job.toml in it"),
-        (lambda run: (run / "figures").symlink_to("/etc"), "figures is a link"),
-        (lambda run: os.mkfifo(run / "report.html"), "report.html is neither a file"),
+        (
+            lambda run: (run / "figures").symlink_to("/etc"),
+            "must be a plain folder, got a link",
+        ),
+        (
+            lambda run: os.mkfifo(run / "report.html"),
+            "must be a plain file, got a pipe",
+        ),
     ],
 )
 def test_a_damaged_run_is_a_row_that_says_what_is_wrong(

@@ -26,7 +26,7 @@ from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.store import parquet
-from pfdist.store.repair import verify_run
+from pfdist.store.verify import verify_run
 
 ROOT = Path(__file__).parents[2]
 GENETIC = '{method="genetic", population=6, generations=4, mutation_probability=0.05}'
@@ -306,7 +306,7 @@ def test_a_folder_with_other_things_or_tables_of_nobody_is_left_alone(
     small_job: Job, small_run: pfdist.Run
 ) -> None:
     (small_run.path / "run.json").unlink()
-    (small_run.path / "manifest").unlink()
+    (small_run.path / "files.json").unlink()
     for folder, what in ((small_run.path, "tables"), (small_job.path.parent, "small.toml")):
         with pytest.raises(PfdistError, match=f"must be a new folder, .* or a run's, .*{what} in"):
             pfdist.run(small_job, folder, figures=False)
@@ -391,7 +391,7 @@ def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     for table, files in parts(job).items():
         assert len(list((run.path / "tables" / table).iterdir())) == sum(files)
         assert files >= paper[table]
-    # tables, what the manifest says of each, figures: all there is
+    # tables, figures and what the run is: all there is
     assert len([path for path in run.path.rglob("*") if path.is_file()]) < 60
 
 

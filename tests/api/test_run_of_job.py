@@ -10,12 +10,13 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.listed import rewrite
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import ArgumentError, ModelError
 
 QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
-READERS = ["status", "table", "list", "report", "plot", "verify", "repair"]
+READERS = ["status", "table", "list", "report", "plot", "verify"]
 ASK: dict[str, list[str]] = {"why": [], "bound": [], "filter": ["y.csv"], "next": ["y.csv"]}
 COMPUTERS = {
     **ASK,
@@ -135,27 +136,23 @@ def test_a_command_that_reads_refuses_a_job_file_and_names_its_run(
 
 
 @pytest.fixture
-def hostile(there: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def hostile(there: Path) -> Path:
     """The folder of a run that names a model file in it, in run.json, too, and has run nothing."""
     run, flag = there / "results" / "small", there / "executed"
     (run / "mine.py").write_text(f"open({str(flag)!r}, 'w').close()\nraise SystemExit\n")
     job = (run / "job.toml").read_text().replace('name = "ungm"', 'name = "mine.py:model"')
     assert "mine.py" in job
-    (run / "job.toml").write_text(job)
+    rewrite(run / "job.toml", job)
     about = json.loads((run / "run.json").read_text())
     about["provenance"]["folder"] = str(run)
-    monkeypatch.setattr(
-        "pfdist.analysis.stored_run.check_key", lambda *_: None
-    )  # all is signed anew
-    (run / "run.json").write_text(json.dumps(about))
+    rewrite(run / "run.json", json.dumps(about))
     return flag
 
 
 @pytest.mark.parametrize("command", READERS)
 @pytest.mark.usefixtures("no_figures")
 def test_a_command_that_reads_runs_no_model(command: str, hostile: Path) -> None:
-    # verify finds that job.toml has another content
-    assert main([command, "results/small"]) == (command == "verify")
+    assert main([command, "results/small"]) == 0
     assert not hostile.exists()
 
 
@@ -173,12 +170,9 @@ def test_a_model_file_runs_if_the_user_names_the_job_that_names_it(hostile: Path
     assert hostile.exists()
 
 
-def test_an_object_of_python_is_asked_for_in_python(
-    there: Path, error: Callable[..., str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_object_of_python_is_asked_for_in_python(there: Path, error: Callable[..., str]) -> None:
     job = Path("results/small/job.toml")
-    monkeypatch.setattr("pfdist.analysis.stored_run.check_key", lambda *_: None)
-    job.write_text(job.read_text().replace('name = "ungm"', 'name = "python:mine"'))
+    rewrite(job, job.read_text().replace('name = "ungm"', 'name = "python:mine"'))
     line = error("why", str(job))
     assert line.startswith("model.name: the model 'python:mine' was given as an object in Python")
     assert line.endswith("as in pfdist.run(problem)")

@@ -24,7 +24,7 @@ from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
 from pfdist.runner.worth import CHANGES
-from pfdist.store.repair import verify_run
+from pfdist.store.verify import verify_run
 
 QUICK = [
     "search.random.evaluations=3",
@@ -257,7 +257,9 @@ def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_s
         why(run, draws=2)
 
 
-def test_a_lost_answer_is_missed_until_it_is_asked_for_again(run_of: Callable[..., Run]) -> None:
+def test_a_lost_answer_is_computed_when_it_is_asked_for(
+    run_of: Callable[..., Run],
+) -> None:
     run = run_of(*KALMAN)
     why(run)
     (worth,) = (run.path / "tables" / "worth").iterdir()
@@ -266,6 +268,8 @@ def test_a_lost_answer_is_missed_until_it_is_asked_for_again(run_of: Callable[..
         file.unlink()
     again = pfdist.run(run.path / "job.toml", figures=False)
     assert again.state == "finished"
-    assert [str(damage.path) for damage in verify_run(run.path)] == [f"tables/worth/{worth.name}"]
+    assert "worth" not in again.tables
+    assert not list(verify_run(run.path))
     why(again)
+    assert [worth] == list((run.path / "tables" / "worth").iterdir())
     assert not list(verify_run(run.path))

@@ -164,23 +164,20 @@ def test_the_seconds_of_evaluate_are_those_of_the_draws(
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_missing_file_is_told_as_what_the_job_makes_again(
-    small_run: pfdist.Run, call: Call
-) -> None:
+def test_a_damaged_file_is_named_and_the_remedy_is_true(small_run: pfdist.Run, call: Call) -> None:
     run = small_run.path
-    damaged = run / "tables" / "comparison" / "comparison-00000.parquet"
+    (damaged,) = (run / "tables" / "comparison").iterdir()
     damaged.write_bytes(b"damaged")
     found = call(f"verify {run}")
     assert found.code == 1
-    assert "`pfdist repair " in found.err
-    for _ in range(2):  # the second time there is nothing to move
-        repaired = call(f"repair {run}")
-        assert repaired.code == 0
-        assert f"run `pfdist run {run}/job.toml` to compute what is missing" in repaired.out
+    assert found.out == (
+        f"{damaged} is damaged: its name has another hash; remove it, and run the same command "
+        "again\n"
+    )
+    assert found.err == f"pfdist: {run}: problems found: 1\n"
+    damaged.unlink()
     found = call(f"verify {run}")
-    assert found.code == 1
-    assert f"missing files: 1. To recompute them, run `pfdist run {run}/job.toml`" in found.err
-    assert "repair" not in found.err
+    assert "is missing: run the same command again to compute its rows" in found.out
     assert call(f"run {run}/job.toml --results {run}").code == 0
     assert call(f"verify {run}").code == 0
 
@@ -244,4 +241,4 @@ def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call
     assert flag.exists()  # to compute, the model's file was run
     files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
     kinds = {path.suffix or path.name for path in files if path.stat().st_size}
-    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".html", "manifest"}
+    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".html"}

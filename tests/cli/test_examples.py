@@ -107,7 +107,7 @@ ASK = {"bound": [], "filter": ["patient.csv"], "next": ["patient.csv"], "why": [
 
 
 def test_the_commands_that_take_a_run_are_found() -> None:
-    readers = {"list", "plot", "repair", "report", "status", "table", "verify"}
+    readers = {"list", "plot", "report", "status", "table", "verify"}
     assert set(TAKE_A_RUN) == readers | {"compare"}  # compare takes a job first
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.listed import forget
 from pfdist.analysis.summary import SetResult
 from pfdist.answers.budget import budget
 from pfdist.answers.runs import list_page, table_page
@@ -99,13 +100,13 @@ def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printe
     for name in ("a", "b", "c"):
         shutil.copytree(runs / name, tmp_path / name)
     (tmp_path / "a" / "run.json").write_text("{}")
-    shutil.rmtree(tmp_path / "b" / "tables" / "comparison")
+    forget(tmp_path / "b", "comparison")
     folder, _, head, bad, unfinished, good = printed("list", tmp_path).splitlines()
     assert folder == str(tmp_path)
     assert head.split() == ["run", "state", "age", "size", "found"]
     assert max(map(len, (bad, unfinished, good))) <= COLUMNS
     assert "damaged" in bad
-    assert "cannot read run.json" in bad
+    assert "run.json is damaged" in bad
     assert unfinished.split()[:2] == ["b", "unfinished"]
     assert unfinished.endswith("0 of 250 draws")
     assert " % below regular" in good or " % above regular" in good

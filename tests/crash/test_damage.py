@@ -1,31 +1,26 @@
-"""Whatever is damaged is named, put out of the way, and made again: the same bytes."""
+"""Damage is found: one line names the file and the remedy, and the remedy gives the same bytes."""
 
 import errno
-import io
 import os
 import random
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
-from oracles.manifest_lines import change, said_of
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.runner import comparison_phase, door
 from pfdist.runner.pace import Pace
 from pfdist.store import files, parquet
-from pfdist.store.repair import repair_run, verify_run
+from pfdist.store.verify import verify_run
 
 PROMISE = "damage is found"
 CHANGES = [
@@ -36,6 +31,7 @@ CHANGES = [
     "comparison.draws=120",
 ]
 STATES = ["finished", "comparing", "searching"]
+REMEDY = "; remove it, and run the same command again"
 
 Record = Callable[[str, object], None]
 
@@ -62,7 +58,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
 
 @pytest.fixture(scope="module")
 def runs(job: Job, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A run that is finished, and two that were killed: in a search and in the comparison."""
+    """A finished run, two that were killed in a search and in the comparison, and another run."""
     folder = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
         layer = FileLayer(patch, folder)
@@ -72,20 +68,20 @@ def runs(job: Job, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 layer.run(partial(pfdist.run, job, folder / state, figures=False), "ended", at)
             assert pfdist.open_run(folder / state).state == state
             assert list((folder / state / "parts").rglob("*.parquet"))
-    return {state: folder / state for state in STATES}
+    pfdist.run(job.with_changes(["seed=2"]), folder / "other", figures=False)
+    return {state: folder / state for state in (*STATES, "other")}
 
 
-def _files(run: Path) -> list[Path]:
-    """All that was committed, relative to the run's folder."""
-    files = [run / "job.toml", run / "run.json", *run.glob("tables/*/*"), *run.glob("parts/*/*")]
-    return sorted(file.relative_to(run) for file in files if not file.name.startswith("."))
+def _published(run: Path) -> list[Path]:
+    """All that must be there, relative to the run's folder."""
+    found = [run / name for name in ("files.json", "job.toml", "run.json")]
+    return sorted(file.relative_to(run) for file in (*found, *run.glob("tables/*/*.parquet")))
 
 
-def _flip(file: Path, bit: int) -> bytes:
+def _flip(file: Path, bit: int) -> None:
     content = bytearray(file.read_bytes())
     content[bit // 8] ^= 1 << bit % 8
     file.write_bytes(content)
-    return bytes(content)
 
 
 def _tree(run: Path) -> dict[str, bytes | None]:
@@ -97,71 +93,45 @@ def _tree(run: Path) -> dict[str, bytes | None]:
     }
 
 
-def _named(run: Path) -> list[Path]:
-    return [damage.path for damage in verify_run(run)]
+def _read_all(run: Path) -> list[object]:
+    """All figures of a run, without its folder."""
+    opened = pfdist.open_run(run)
+    figures = [opened.table(name).to_dict("list") for name in opened.tables if name != "timings"]
+    answer = opened.summary().as_json()
+    return [repr(figures), {key: value for key, value in answer.items() if key != "run"}]
 
 
-def _alone(run: Path, file: Path, folder: Path) -> Path:
-    """One file of a run, and what its manifest says of it: what is looked at 40,000 times."""
-    (folder / file).parent.mkdir(parents=True)
-    shutil.copy(run / file, folder / file)
-    key = said_of(run, "run")
-    (folder / "manifest").write_text("".join(f"{line}\n" for line in key + said_of(run, file)))
-    return folder
-
-
-def _committed_without(file: Path) -> int:
-    """How many draws a run holds if this file of it is not counted."""
-    run = next(folder for folder in file.parents if (folder / "manifest").exists())
-    aside = file.rename(run / "aside")
-    committed = committed_draws(run)
-    aside.rename(file)
+def _committed_without(run: Path, file: Path) -> int:
+    """How many draws a run holds without this file of it."""
+    copy = shutil.copytree(run, run.with_name("without"))
+    (copy / file).unlink()
+    parquet.Store(copy, "").recover()
+    committed = committed_draws(copy)
+    shutil.rmtree(copy)
     return committed
 
 
-def _run_again(job: Job, run: Path) -> list[str]:
-    """Go on with a run; give what it said of its files."""
-    said: list[str] = []
-    pfdist.run(job, run, say=said.append, figures=False)
-    expected = ("is ready: ", "ended without a word: ")
-    return [line for line in said if not any(map(line.count, expected))]
-
-
-@pytest.mark.parametrize("step", [50, pytest.param(1, marks=pytest.mark.crash)])
-def test_a_file_cut_short_at_any_byte_is_named_and_made_again(
-    step: int,
-    job: Job,
-    runs: dict[str, Path],
-    tmp_path: Path,
-    record_property: Record,
+def test_a_table_cut_short_at_any_byte_is_never_read(
+    runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run, faults = shutil.copytree(runs["finished"], tmp_path / "run"), 0
-    assert _named(run) == []
     tables = sorted((run / "tables").iterdir())
     assert len(tables) == 9
     for table in tables:
-        last = max(table.iterdir())
-        file, whole = last.relative_to(run), last.read_bytes()
-        alone = _alone(run, file, tmp_path / table.name)
-        for size in range(0, len(whole), step):
-            (alone / file).write_bytes(whole[:size])
-            assert _named(alone) == [file], size
+        file = max(table.iterdir())
+        whole, store = file.read_bytes(), parquet.Store(run)
+        for size in range(0, len(whole), 50):
+            file.write_bytes(whole[:size])
+            with pytest.raises(StoreError, match=f"{file.name} is damaged: .*{REMEDY}"):
+                store.read(table.name)
             faults += 1
-        last.write_bytes((alone / file).read_bytes())
-        assert _named(run) == [file]
-        _run_again(job, run)
-        assert table.name == "timings" or last.read_bytes() == whole
-    assert _named(run) == []
-    assert hashes(run) == hashes(runs["finished"])
+        file.write_bytes(whole)
+    assert _read_all(run) == _read_all(runs["finished"])
     record_property("faults", f"{PROMISE}: {faults}")
 
 
 @pytest.mark.parametrize("flips", [1, pytest.param(10, marks=pytest.mark.crash)])
-@pytest.mark.parametrize(
-    "state", ["finished", "comparing", pytest.param("searching", marks=pytest.mark.slow)]
-)
-def test_a_bit_flipped_in_any_file_is_named_and_what_is_lost_and_only_that_is_made_again(
-    state: str,
+def test_a_flipped_bit_is_named_with_the_remedy_which_computes_what_is_lost_and_only_that(
     flips: int,
     job: Job,
     runs: dict[str, Path],
@@ -171,190 +141,153 @@ def test_a_bit_flipped_in_any_file_is_named_and_what_is_lost_and_only_that_is_ma
 ) -> None:
     counted, chance = count_draws(monkeypatch), random.Random(1)
     whole, needed = hashes(runs["finished"]), committed_draws(runs["finished"])
-    committed_files = _files(runs[state])
-    assert len(committed_files) > 8
-    for file in committed_files * flips:
-        run = shutil.copytree(runs[state], tmp_path / "run")
-        damaged = _flip(run / file, chance.randrange(8 * (run / file).stat().st_size))
-        assert _named(run) == [file]
-        committed = _committed_without(run / file)
-        counted.clear()
-        (line,) = _run_again(job, run)
+    figures = _read_all(runs["finished"])
+    published = _published(runs["finished"]) * flips
+    for file in published:
+        run = shutil.copytree(runs["finished"], tmp_path / "run")
+        _flip(run / file, chance.randrange(8 * (run / file).stat().st_size))
+        (line,) = verify_run(run)
         assert str(run / file) in line
-        assert (run / "quarantine" / file).read_bytes() == damaged
-        assert hashes(run) == whole
-        assert sum(counted) == needed - committed, file
-        assert _named(run) == []
+        assert line.endswith(REMEDY)
+        with pytest.raises(StoreError) as raised:
+            pfdist.run(job, run, figures=False)
+        assert str(raised.value) == line
+        if file.name != "run.json" and "timings" not in file.parts:
+            with pytest.raises(StoreError, match=file.name):
+                _read_all(run)
+        committed = None if file.parent == Path() else _committed_without(run, file)
+        (run / file).unlink()
+        counted.clear()
+        pfdist.run(job, run, figures=False)
+        assert hashes(run) == whole, file
+        assert _read_all(run) == figures
+        assert sum(counted) == (0 if committed is None else needed - committed), file
+        assert not list(verify_run(run))
         shutil.rmtree(run)
-    record_property("faults", f"{PROMISE}: {len(committed_files) * flips}")
+    record_property("faults", f"{PROMISE}: {len(published)}")
 
 
-def test_a_file_that_is_deleted_is_named_and_made_again(
+@pytest.mark.parametrize("state", ["comparing", "searching"])
+def test_a_damaged_part_is_computed_again(
+    state: str,
     job: Job,
     runs: dict[str, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     record_property: Record,
 ) -> None:
-    counted, whole = count_draws(monkeypatch), hashes(runs["finished"])
-    needed = committed_draws(runs["finished"])
-    committed_files = [file for file in _files(runs["finished"]) if file.name != "run.json"]
-    for file in committed_files:
-        run = shutil.copytree(runs["finished"], tmp_path / "run")
-        (run / file).unlink()
-        assert _named(run) == [file]
-        committed = committed_draws(run)
+    counted, chance = count_draws(monkeypatch), random.Random(2)
+    whole, needed = hashes(runs["finished"]), committed_draws(runs["finished"])
+    parts = [part.relative_to(runs[state]) for part in runs[state].glob("parts/*/*.parquet")]
+    assert len(parts) > 4
+    for part in parts:
+        run = shutil.copytree(runs[state], tmp_path / "run")
+        committed = _committed_without(run, part)
+        _flip(run / part, chance.randrange(8 * (run / part).stat().st_size))
+        assert not list(verify_run(run))
+        assert committed_draws(run) == committed
         counted.clear()
-        (line,) = _run_again(job, run)
-        assert f"{run / file} is missing" in line
+        pfdist.run(job, run, figures=False)
         assert hashes(run) == whole
         assert sum(counted) == needed - committed
-        assert _named(run) == []
         shutil.rmtree(run)
-    record_property("faults", f"{PROMISE}: {len(committed_files)}")
+    record_property("faults", f"{PROMISE}: {len(parts)}")
 
 
-def test_a_deleted_entry_makes_its_file_a_stranger_and_is_made_again(
+def test_a_lost_file_is_named_and_computed_again(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
-    whole, committed_files = hashes(runs["finished"]), _files(runs["finished"])
-    for file in committed_files:
+    whole, published = hashes(runs["finished"]), _published(runs["finished"])
+    for file in published:
         run = shutil.copytree(runs["finished"], tmp_path / "run")
-        change(run, file, [])
-        assert [str(damage.path) for damage in verify_run(run)] == [str(file)]
-        (line,) = _run_again(job, run)
-        assert f"{run / file} is not a file of this run" in line
-        assert (run / "quarantine" / file).exists()
+        (run / file).unlink()
+        if file.parent != Path():
+            (line,) = verify_run(run)
+            assert (
+                line == f"{run / file} is missing: run the same command again to compute its rows"
+            )
+        else:
+            with pytest.raises(StoreError, match=file.name):
+                pfdist.open_run(run)
+        pfdist.run(job, run, figures=False)
         assert hashes(run) == whole
-        assert _named(run) == []
+        assert not list(verify_run(run))
         shutil.rmtree(run)
-    record_property("faults", f"{PROMISE}: {len(committed_files)}")
+    record_property("faults", f"{PROMISE}: {len(published)}")
 
 
-def test_a_file_that_the_disk_cannot_read_is_named_and_made_again(
-    job: Job,
-    runs: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    record_property: Record,
-) -> None:
-    run, digest = shutil.copytree(runs["finished"], tmp_path / "run"), files.digest
-    file = Path("tables/draws/genetic-00001.parquet")
-    gone = (run / file).stat().st_ino
-
-    def failing(path: Path) -> str:
-        if path.stat().st_ino == gone:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        return digest(path)
-
-    monkeypatch.setattr(files, "digest", failing)
-    assert _named(run) == [file]
-    (line,) = _run_again(job, run)
-    assert f"{run / file} cannot be read: Input/output error" in line
-    assert hashes(run) == hashes(runs["finished"])
-    assert _named(run) == []
-    record_property("faults", f"{PROMISE}: 1")
-
-
-def _replace(run: Path, file: Path, rows: pa.Table) -> None:
-    """Put other rows in the place of a file, and let the manifest vouch for them."""
-    with (run / file).open("wb") as target:
-        pq.write_table(rows, target)
-    digest = files.digest(run / file)
-    change(run, file, [f"now {file} {digest}"])
-
-
-def test_rows_are_counted(runs: dict[str, Path], tmp_path: Path, record_property: Record) -> None:
-    run = shutil.copytree(runs["finished"], tmp_path / "run")
-    file = Path("tables/comparison/comparison-00001.parquet")
-    rows = pq.read_table(io.BytesIO((run / file).read_bytes()))
-    _replace(run, file, pa.concat_tables([rows.slice(0, 7), rows.slice(8)]))
-    (damage,) = verify_run(run)
-    assert damage.path == Path("tables/comparison")
-    assert damage.what == "must have each draw once, got 119 rows of 119 draws up to 120"
-    record_property("faults", f"{PROMISE}: 1")
-
-
-@pytest.mark.parametrize("table", ["compared", "comparison"])
-@pytest.mark.parametrize("vouched", [True, False])
-def test_an_empty_table_is_damage_for_whoever_reads_it_and_made_again(
-    table: str,
-    vouched: bool,
-    job: Job,
-    runs: dict[str, Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    record_property: Record,
-) -> None:
-    run = shutil.copytree(runs["finished"], tmp_path / "runs" / "run")
-    said = (run / "manifest").read_text()
-    found = sorted(file.relative_to(run) for file in (run / "tables" / table).iterdir())
-    for file in found:
-        rows = pq.read_table(io.BytesIO((run / file).read_bytes()))
-        _replace(run, file, rows.slice(0, 0))
-    if not vouched:
-        (run / "manifest").write_text(said)
-    with pytest.raises(StoreError, match=rf"{found[0]} has no rows"):
-        pfdist.open_run(run).summary()
-    assert main(["status", str(run)]) == 1
-    assert f"{found[0]} has no rows" in capsys.readouterr().err
-    (row,) = pfdist.list_runs(run.parent).to_dict("records")
-    assert row["state"] == "damaged"
-    assert row["fault"] == f"{found[0]} has no rows"
-    assert _named(run) == found
-    assert len(_run_again(job, run)) == len(found)
-    assert hashes(run) == hashes(runs["finished"])
-    assert _named(run) == []
-    record_property("faults", f"{PROMISE}: 1")
-
-
-@pytest.mark.parametrize(
-    "stranger",
-    [
-        "tables/draws/copy of genetic-00000.parquet",
-        "tables/draws/genetic-00077.parquet",
-        "tables/comparison/notes.txt",
-        "tables/notes.txt",
-        "parts/draws/genetic-mine.parquet",
-    ],
-)
-def test_a_strangers_file_is_named_and_moved_and_nothing_is_computed(
-    stranger: str,
-    job: Job,
-    runs: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    record_property: Record,
-) -> None:
-    run, counted = shutil.copytree(runs["finished"], tmp_path / "run"), count_draws(monkeypatch)
-    (run / stranger).write_bytes(b"what somebody else put here")
-    assert _named(run) == [Path(stranger)]
-    (line,) = _run_again(job, run)
-    assert f"{run / stranger} is not a file of this run" in line
-    assert (run / "quarantine" / stranger).read_bytes() == b"what somebody else put here"
-    assert hashes(run) == hashes(runs["finished"])
-    assert counted == []
-    assert pfdist.open_run(run).state == "finished"
-    assert _named(run) == []
-    assert _run_again(job, run) == []
-    record_property("faults", f"{PROMISE}: 1")
-
-
-def test_what_is_damaged_twice_is_kept_twice(
+def test_all_lost_files_together_are_computed_again(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    file = Path("tables/draws/genetic-00000.parquet")
-    kept = []
-    for bit in (0, 8):
-        kept.append(_flip(run / file, bit))
-        _run_again(job, run)
-    assert {path.read_bytes() for path in (run / "quarantine" / file).parent.iterdir()} == set(kept)
+    lost = [file for file in _published(run) if file.name not in ("run.json", "job.toml")]
+    for file in lost:
+        (run / file).unlink()
+    pfdist.run(job, run, figures=False)
     assert hashes(run) == hashes(runs["finished"])
-    record_property("faults", f"{PROMISE}: {len(kept)}")
+    record_property("faults", f"{PROMISE}: {len(lost)}")
 
 
-def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
+def test_a_file_that_the_disk_cannot_read_is_named(
+    runs: dict[str, Path],
+    job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
+) -> None:
+    run, read = shutil.copytree(runs["finished"], tmp_path / "run"), files.read_if_hashed
+    file = next(run.glob("tables/draws/genetic-00001-*"))
+
+    def failing(path: Path, wanted: str) -> bytes | None:
+        if path == file:
+            raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+        return read(path, wanted)
+
+    monkeypatch.setattr("pfdist.store.tables.read_if_hashed", failing)
+    with pytest.raises(StoreError, match=rf"cannot read {file}: .*Input/output error"):
+        pfdist.run(job, run, figures=False)
+    assert any(str(file) in line for line in verify_run(run))
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("place", ["tables", "parts"])
+@pytest.mark.parametrize("source", ["other", "finished"])
+def test_a_file_of_another_run_or_table_is_not_taken_for_a_file_of_this_one(
+    source: str,
+    place: str,
+    job: Job,
+    runs: dict[str, Path],
+    tmp_path: Path,
+    record_property: Record,
+) -> None:
+    run = shutil.copytree(runs["finished"], tmp_path / "run")
+    table = "comparison" if source == "other" else "trajectories"
+    file = min((runs[source] / "tables" / table).iterdir())
+    stranger = run / place / "comparison" / file.name.replace("00000", "00009")
+    if place == "parts":
+        stranger = stranger.with_name(file.name.replace("-00000", ""))
+    stranger.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(file, stranger)
+    if place == "tables":  # it is not listed, so nobody reads it
+        assert _read_all(run) == _read_all(runs["finished"])
+        assert [line.partition(" ")[0] for line in verify_run(run)] == [str(stranger)]
+    else:
+        kind = "run" if source == "other" else "table"
+        for act in (_read_all, partial(pfdist.run, job, figures=False)):
+            with pytest.raises(
+                StoreError, match=f"{stranger} belongs to another {kind}: .*{REMEDY}"
+            ):
+                act(run)
+        stranger.unlink()
+    pfdist.run(job, run, figures=False)
+    assert hashes(run) == hashes(runs["finished"])
+    assert not list(verify_run(run))
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("copied", [("files.json",), ("job.toml", "run.json"), ("tables",)])
+def test_two_runs_in_one_folder_are_not_mixed(
+    copied: tuple[str, ...],
     job: Job,
     runs: dict[str, Path],
     tmp_path: Path,
@@ -362,52 +295,36 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     record_property: Record,
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    wrong = ["tables/draws/random-00000.parquet", "tables/comparison/comparison-00001.parquet"]
-    lost = {
-        str(id_)
-        for id_ in pfdist.open_run(run)
-        .table("evaluations")
-        .query("phase == 'random'")
-        .evaluation[:3]
-    }
-    assert len(lost) == 3
-    damaged = {name: _flip(run / name, 77) for name in wrong}
-    assert main(["verify", str(run)]) == 1
-    captured = capsys.readouterr()
-    assert [line.split()[0] for line in captured.out.splitlines()] == sorted(
-        str(run / name) for name in wrong
-    )
-    assert re.fullmatch(
-        r"pfdist: \S+: problems found: 2\. Run `pfdist repair \S+` to move .*\n", captured.err
-    )
-    assert main(["repair", str(run)]) == 0
-    *moved, todo = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in moved] == sorted(wrong)
-    assert f"run `pfdist run {run / 'job.toml'}`" in todo
-    assert "3 evaluations, what the comparison lacks (70 draws are there)" in todo
-    for name, content in damaged.items():
-        assert (run / "quarantine" / name).read_bytes() == content
-    assert pfdist.open_run(run).state == "comparing"
-    _run_again(job, run)
+    for name in copied:
+        if name == "tables":
+            shutil.copytree(runs["other"] / name, run / name, dirs_exist_ok=True)
+        else:
+            shutil.copy(runs["other"] / name, run / name)
+    if copied == ("tables",):  # files of both: those of the other run are not listed
+        assert _read_all(run) == _read_all(runs["finished"])
+    else:
+        assert main(["status", str(run)]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+        with pytest.raises(StoreError):
+            pfdist.run(job, run, figures=False)
+        for name in copied:
+            (run / name).unlink()
+    pfdist.run(job, run, figures=False)
     assert hashes(run) == hashes(runs["finished"])
-    assert main(["verify", str(run)]) == 0
-    assert main(["repair", str(run)]) == 0
-    assert "nothing to repair" in capsys.readouterr().out
-    record_property("faults", f"{PROMISE}: {len(wrong)}")
+    assert not list(verify_run(run))
+    record_property("faults", f"{PROMISE}: 1")
 
 
-def test_a_damaged_job_grows_all_the_same_and_does_not_shrink(
+def test_a_lost_job_grows_all_the_same_and_does_not_shrink(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     larger, fewer = (job.with_changes([f"comparison.draws={draws}"]) for draws in (170, 100))
     at_once = pfdist.run(larger, tmp_path / "at once", figures=False)
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    _flip(run / "job.toml", 3)
-    before = _tree(run)
+    (run / "job.toml").unlink()
     with pytest.raises(StoreError, match=r"at least the 120 draws .* got 100"):
-        _run_again(fewer, run)
-    assert _tree(run) == before
-    _run_again(larger, run)
+        pfdist.run(fewer, run, figures=False)
+    pfdist.run(larger, run, figures=False)
     assert hashes(run) == hashes(at_once.path)
     record_property("faults", f"{PROMISE}: 1")
 
@@ -417,49 +334,46 @@ BREAK: dict[str, Callable[[Path], object]] = {
     "a table": lambda run: _flip(max(run.glob("*/timings/*.parquet")), 999),
     "job.toml": lambda run: _flip(run / "job.toml", 3),
     "run.json": lambda run: _flip(run / "run.json", 3),
+    "files.json": lambda run: _flip(run / "files.json", 3),
     "no job.toml": lambda run: (run / "job.toml").unlink(),
     "no run.json": lambda run: (run / "run.json").unlink(),
-    "no manifest": lambda run: (run / "manifest").unlink(),
+    "no files.json": lambda run: (run / "files.json").unlink(),
     "a stranger": lambda run: (run / "parts/draws/mine.parquet").write_text("mine"),
 }
 
 
 @pytest.mark.parametrize("what", BREAK)
 @pytest.mark.parametrize("state", STATES)
-def test_another_job_moves_nothing(
+def test_another_job_changes_nothing(
     state: str, what: str, job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs[state], tmp_path / "run")
     BREAK[what](run)
     before = _tree(run)
     with pytest.raises(StoreError):
-        _run_again(job.with_changes(["seed=2"]), run)
+        pfdist.run(job.with_changes(["seed=2"]), run, figures=False)
     assert _tree(run) == before
     record_property("faults", f"{PROMISE}: 1")
 
 
-def test_without_its_manifest_a_run_says_so_and_moves_nothing(
-    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
+def test_a_page_that_was_edited_is_named_with_the_command_that_makes_it_again(
+    job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = shutil.copytree(runs["finished"], tmp_path / "run")
-    (run / "manifest").unlink()
-    before = _tree(run)
-    for act in (partial(_run_again, job), _named, lambda run: list(repair_run(run))):
-        with pytest.raises(StoreError, match="has lost its manifest"):
-            act(run)
-    assert _tree(run) == before
-    record_property("faults", f"{PROMISE}: 1")
+    run = pfdist.run(job, tmp_path / "run", report=True).path
+    assert not list(verify_run(run))
+    for page, command in (("figures/cost.svg", "plot"), ("report.html", "report")):
+        (run / page).write_text((run / page).read_text() + " ")
+        assert main(["verify", str(run)]) == 1
+        assert f"`pfdist {command} {run}` makes it again" in capsys.readouterr().out
+        assert main([command, str(run)]) == 0
+        assert main(["verify", str(run)]) == 0
+        capsys.readouterr()
 
 
-def test_a_run_that_lost_what_says_whose_it_is_is_known_by_its_manifest(
-    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
+def test_verify_says_how_many_parts_an_unfinished_run_has(
+    runs: dict[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = shutil.copytree(runs["finished"], tmp_path / "run")
-    change(run, "run", [])
-    assert _run_again(job, run) == []  # what the manifest lacks is put back
-    for name in ("job.toml", "run.json"):
-        (run / name).unlink()
-    assert len(_run_again(job, run)) == 2
-    assert hashes(run) == hashes(runs["finished"])
-    assert pfdist.open_run(run).state == "finished"
-    record_property("faults", f"{PROMISE}: 3")
+    for state in ("comparing", "searching"):
+        assert main(["verify", str(runs[state])]) == 0
+        parts = len(list(runs[state].glob("parts/*/*.parquet")))
+        assert f"; not finished ({state}, {parts} parts)" in capsys.readouterr().out

@@ -21,12 +21,13 @@ from oracles.file_layer import FileLayer
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
-from pfdist.store import Store, files, schema
+from pfdist.store import Store, files, run_key, schema
+from pfdist.store.verify import verify_run
 
 PROMISE = "damage is found"
 Record = Callable[[str, object], None]
 SMALL = ["search.genetic.generations=2", "search.random.evaluations=3", "comparison.draws=120"]
-COMMANDS = ["status {run}", "plot {run}", "verify {run}", "repair {run}", "why {run}/job.toml"]
+COMMANDS = ["status {run}", "plot {run}", "verify {run}", "report {run}", "why {run}/job.toml"]
 RUN = "run {job} --results {run} --pool serial"
 
 
@@ -83,7 +84,7 @@ def _said(command: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str])
     return lines[0]
 
 
-@pytest.mark.parametrize("command", [*COMMANDS[2:4], RUN])
+@pytest.mark.parametrize("command", [COMMANDS[2], RUN])
 @pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
 def test_a_lock_that_is_no_plain_file_is_refused(
     kind: str,
@@ -110,7 +111,7 @@ def test_a_lock_that_is_no_plain_file_is_refused(
 @pytest.mark.parametrize("command", [*COMMANDS[:3], RUN])
 @pytest.mark.parametrize(
     "entry",
-    ["figures", "tables", "tables/comparison", "parts", "manifest", "quarantine", "run.json"],
+    ["figures", "tables", "tables/comparison", "parts", "files.json", "run.json"],
 )
 def test_nothing_is_opened_through_a_link(
     entry: str,
@@ -125,44 +126,56 @@ def test_nothing_is_opened_through_a_link(
     before = _state(outside)
     if command.startswith("verify"):
         assert main(["verify", str(run)]) == 1
-        assert f"{entry} is a link" in capsys.readouterr().out
+        said = capsys.readouterr().out
     else:
-        assert f"{run / entry} is a link" in _said(command, run, job, capsys)
+        said = _said(command, run, job, capsys)
+    kind = "file" if entry.endswith(".json") else "folder"
+    assert f"{run / entry} must be a plain {kind}, got a link: remove it, and run the same" in said
     assert _state(outside) == before
     record_property("faults", f"{PROMISE}: 1")
 
 
 @pytest.mark.parametrize("entry", ["figures", "tables", "tables/comparison", "parts"])
-def test_repair_moves_a_link_and_the_run_goes_on(
+def test_a_run_whose_link_was_removed_is_computed_again(
     entry: str, run: Path, finished: Path, job: Job, outside: Path, record_property: Record
 ) -> None:
     _link(run / entry, outside)
     before = _state(outside)
-    assert main(["repair", str(run)]) == 0
-    assert (run / "quarantine" / entry).is_symlink()
+    (run / entry).unlink()
     assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
     assert _state(outside) == before
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.parametrize("kind", ["folder", "pipe"])
+@pytest.mark.parametrize("kind", ["folder", "pipe", "link"])
 @pytest.mark.parametrize("place", ["tables/draws", "parts/comparison"])
-def test_what_is_no_file_in_a_files_place_is_named_and_moved(
+def test_what_is_no_file_in_a_files_place_is_never_opened(
     kind: str,
     place: str,
     run: Path,
     finished: Path,
     job: Job,
-    capsys: pytest.CaptureFixture[str],
+    outside: Path,
     record_property: Record,
 ) -> None:
-    entry = run / place / "x.parquet"
-    entry.parent.mkdir(parents=True, exist_ok=True)
-    entry.mkdir() if kind == "folder" else os.mkfifo(entry)
-    assert f"{place}/x.parquet is" in _said("status {run}", run, job, capsys)
-    assert main(["repair", str(run)]) == 0
-    assert f"{place}/x.parquet is" in capsys.readouterr().out
-    assert main(["verify", str(run)]) == 0
+    """The name of a published file must be that of a plain file, as a part's name is ignored."""
+    if place == "tables/draws":
+        entry = min((run / place).iterdir())
+        entry.unlink()
+    else:
+        entry = run / place / f"comparison-{'0' * 16}.parquet"
+        entry.parent.mkdir(parents=True, exist_ok=True)
+    if kind == "link":
+        entry.symlink_to(min((finished / "tables/draws").iterdir()))
+    else:
+        entry.mkdir() if kind == "folder" else os.mkfifo(entry)
+    if place == "tables/draws":
+        with pytest.raises(StoreError, match=f"{entry.name} is damaged: .*; remove it"):
+            pfdist.open_run(run).table("draws")
+        assert any(str(entry) in line for line in verify_run(run))
+    else:
+        assert pfdist.open_run(run).draws_compared == 120
+    entry.rmdir() if kind == "folder" else entry.unlink()
     assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
     record_property("faults", f"{PROMISE}: 1")
 
@@ -171,7 +184,7 @@ def test_what_is_no_file_in_a_files_place_is_named_and_moved(
 def test_a_name_from_a_table_is_held_to_the_rule_for_names(
     name: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str], record_property: Record
 ) -> None:
-    store, before = Store(run), {path.name for path in run.parent.iterdir()}
+    store, before = Store(run, run_key(run)), {path.name for path in run.parent.iterdir()}
     compared = store.read("compared")
     compared.loc[1, "name"] = name
     rows = pa.Table.from_pandas(compared, schema=schema("compared"), preserve_index=False)
@@ -191,7 +204,7 @@ def test_an_archive_that_was_unpacked_is_as_safe(
     subprocess.run(["tar", "-xf", tmp_path / "run.tar", "-C", tmp_path / "there"], check=True)
     unpacked = tmp_path / "there" / "run"
     assert (unpacked / ".lock").is_symlink()
-    _said("repair {run}", unpacked, job, capsys)
+    _said("verify {run}", unpacked, job, capsys)
     assert (outside / "thesis.svg").read_text() == "do not touch"
 
 

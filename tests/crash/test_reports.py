@@ -13,7 +13,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
 from pfdist.api.report import write_report
 from pfdist.errors import StoreError
-from pfdist.store.repair import verify_run
+from pfdist.store.verify import verify_run
 
 PROMISE = "a report that fails spoils neither the run nor the earlier report"
 EXACT = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=30")

@@ -1,11 +1,14 @@
-"""Two drivers on one run: the second is refused; and where nothing can refuse it, does no harm."""
+"""Two drivers on one run: the second ends with an error, or a warning where there are no locks."""
 
+import contextlib
+import errno
 import os
 import platform
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -17,8 +20,8 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.errors import StoreError
-from pfdist.store.repair import verify_run
+from pfdist.errors import PfdistWarning, StoreError
+from pfdist.store import files, held
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 PROMISE = "two drivers on one run"
@@ -31,22 +34,6 @@ def report(progress):
         print("comparing", flush=True)
         time.sleep(600)
 pfdist.run(sys.argv[1], sys.argv[2], progress=report, figures=False)
-"""
-# A file system without locks, that takes its time; and as many commits as there are tasks.
-WITHOUT_LOCKS = """
-import errno, fcntl, random, sys, time, pfdist
-from pfdist.runner import door, pace
-from pfdist.store import files
-def no_locks(*_):
-    raise OSError(errno.ENOLCK, "No locks available")
-fcntl.flock = no_locks
-flush, chance = files._flush, random.Random(int(sys.argv[3]))
-def slow(path, mode):
-    flush(path, mode)
-    time.sleep(chance.random() * 0.01)
-files._flush = slow
-door.COMMIT_SECONDS, pace.Pace.size = 0.0, lambda pace, remaining: 60 * 520
-pfdist.run(sys.argv[1], sys.argv[2], figures=False)
 """
 
 
@@ -75,7 +62,6 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
     run = str(tmp_path / "run")
     commands = (
         ["run", str(small_job.path), "--results", run],
-        ["repair", run],
         ["verify", run],
     )
     for command in commands:
@@ -110,21 +96,38 @@ def test_after_kill_9_the_second_driver_starts_without_hand_work(
     record_property("faults", f"{PROMISE}: 2")
 
 
-@pytest.mark.parametrize("times", [1, pytest.param(10, marks=pytest.mark.crash)])
-def test_three_drivers_that_nobody_refuses_end_with_the_same_bytes(
-    times: int,
+@pytest.mark.parametrize(
+    ("name", "error", "words"),
+    [
+        ("fcntl.flock", errno.ENOLCK, "has no locks .*: only one command at a time may write to"),
+        ("os.fsync", errno.EINVAL, "cannot flush files to disk .*: a power cut may lose finished"),
+    ],
+)
+def test_a_file_system_that_lacks_locks_or_flushes_costs_a_warning_and_not_the_run(
+    name: str,
+    error: int,
+    words: str,
     small_job: Job,
     tmp_path: Path,
-    record_property: Callable[[str, object], None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = hashes(pfdist.run(small_job, tmp_path / "whole", figures=False).path)
-    for number in range(times):
-        run = tmp_path / f"{number}"
-        drivers = [_start(WITHOUT_LOCKS, small_job.path, run, 3 * number + k) for k in range(3)]
-        for driver in drivers:
-            _, error = driver.communicate(timeout=PATIENCE_SECONDS)
-            assert driver.returncode == 0, error[-2000:]
-        assert hashes(run) == whole
-        assert not list(verify_run(run))
-        assert pfdist.open_run(run).state == "finished"
-    record_property("faults", f"{PROMISE}: {3 * times}")
+    whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
+
+    def refuses(*_: object) -> None:
+        raise OSError(error, os.strerror(error))
+
+    monkeypatch.setattr(name, refuses)
+    files._warn_of_no_flush.cache_clear()
+    with pytest.warns(PfdistWarning, match=words):
+        pfdist.run(small_job, tmp_path / "run", figures=False)
+    assert hashes(tmp_path / "run") == hashes(whole.path)
+
+
+def test_a_driver_waits_for_a_command_that_lists_its_pages(
+    small_run: pfdist.Run, small_job: Job
+) -> None:
+    """Such a command holds the lock for a moment."""
+    holding = contextlib.ExitStack()
+    holding.enter_context(held(small_run.path))
+    threading.Timer(0.3, holding.close).start()
+    assert pfdist.run(small_job, small_run.path, figures=False).state == "finished"

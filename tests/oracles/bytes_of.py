@@ -5,10 +5,14 @@ from pathlib import Path
 
 
 def hashes(run: Path) -> dict[str, str]:
-    """SHA-256 of job.toml, of every table's files but timings', and of the figures' SVG."""
-    files = [run / "job.toml", *(run / "tables").rglob("*.parquet"), *run.glob("figures/*.svg")]
-    return {
-        str(path.relative_to(run)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(files)
-        if "timings" not in path.parts
+    """SHA-256 of job.toml, of every table's files but timings', and of the figures' SVG.
+
+    A file of a table must have the beginning of its hash in its name.
+    """
+    about = [path for path in (run / "job.toml", *run.glob("figures/*.svg")) if path.exists()]
+    files = [path for path in run.glob("tables/*/*.parquet") if path.parent.name != "timings"]
+    found = {
+        path: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted([*about, *files])
     }
+    assert all(found[file][:16] in file.name for file in files)
+    return {str(path.relative_to(run)): sha256 for path, sha256 in found.items()}

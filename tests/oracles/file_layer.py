@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from pfdist.store import files
+from pfdist.store import files, tables
 
-_WRITES = ("write_table", "write_text", "append_text")
+_WRITES = ("write_table", "write_text")
 
 
 class Ended(BaseException):
@@ -33,9 +33,8 @@ class FileLayer:
         self.count, self._folder, self._at = 0, folder, -1
         self._fault: str | None = None
         for place, name, needs_space in (
-            (files, "write_table", True),
+            (tables, "write_table", True),
             (Path, "write_text", True),
-            (files, "append_text", True),
             (Path, "mkdir", True),
             (os, "replace", False),
             (os, "unlink", False),

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.listed import rewrite
 from pfdist import Job
 from pfdist.analysis.sampling_windows import sentences, windows_of
 from pfdist.answers.about_run import _LOAD
@@ -20,7 +21,7 @@ from pfdist.cli.main import main
 from pfdist.common.percent import gap_sentence, percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError
-from pfdist.store.repair import verify_run
+from pfdist.store.verify import verify_run
 
 MODEL = ("model.name=random_walk", "filter.engine=kalman")
 EXACT = (*MODEL, "comparison.draws=30", "search=[{method='genetic', generations=1}]")
@@ -138,7 +139,7 @@ def test_a_name_in_a_runs_files_cannot_become_markup(make: Make, see: See) -> No
     content = json.loads(about.read_text())
     content["provenance"]["libraries"] = {hostile: hostile}
     content["provenance"]["processor"] = {"model": hostile, "compiled_for": "]]>"}
-    about.write_text(json.dumps(content))
+    rewrite(about, json.dumps(content))
     page = see(pfdist.open_run(run.path))
     assert page.tags.count("script") == 1
     assert not {"img", "b"} & set(page.tags)
@@ -381,7 +382,7 @@ def test_the_title_of_a_report_has_the_name_that_the_model_gives_itself(
     assert "When to measure: a <walk> in the park" in _text(run)
     about = json.loads((run.path / "run.json").read_text())
     del about["provenance"]["name_of_model"]  # as in a run of an earlier version
-    (run.path / "run.json").write_text(json.dumps(about))
+    rewrite(run.path / "run.json", json.dumps(about))
     assert "When to measure: walk.py:model" in _text(pfdist.open_run(run.path))
 
 

@@ -162,7 +162,7 @@ def test_a_run_commits_every_second_and_after_minutes_every_five(
     rows = pa.table({"draw": [0]})
     for tenth in range(30_000):
         now = tenth / 10
-        session.keep("phase", "draws", str(tenth), rows)
+        session.keep("phase", "draws", rows)
         session.commit_if_late()
     gaps = np.diff(commits)
     assert gaps[:50] == pytest.approx(1.0)

@@ -203,7 +203,7 @@ def test_a_damaged_run_lends_nothing(small_job: Job, small_run: pfdist.Run, tmp_
     (file,) = small_run.path.glob("tables/draws/genetic-*")
     content = file.read_bytes()
     file.write_bytes(content[:100] + bytes([content[100] ^ 4]) + content[101:])
-    with pytest.raises(StoreError, match=f"{file.name} .* cannot be reused: `pfdist repair"):
+    with pytest.raises(StoreError, match=f"{file.name} is damaged"):
         pfdist.run(small_job, tmp_path / "new", reuse=small_run.path, figures=False)
     assert not (tmp_path / "new").exists()
 

@@ -14,6 +14,7 @@ from scipy import stats
 import oracles.kalman
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.listed import forget
 from pfdist import Job, load_job
 from pfdist.analysis import Run
 from pfdist.analysis.online import online_draws
@@ -201,8 +202,7 @@ def test_more_draws_leave_the_first_rows_and_give_the_same_bytes_as_at_once(
 
 def test_a_table_that_is_lost_is_made_again(job: Job, run: Run, tmp_path: Path) -> None:
     folder = shutil.copytree(run.path, tmp_path / "run")
-    (file,) = folder.glob("tables/online/*.parquet")
-    file.unlink()
+    forget(folder, "online")
     assert pfdist.open_run(folder).state == "comparing"
     assert pfdist.open_run(folder).summary().online is None
     pfdist.run(job, folder, figures=False)

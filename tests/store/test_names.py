@@ -52,7 +52,7 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
     job, printed = str(small_job.path), name.replace("\n", " ").replace("\x1b", "?")
     assert say("run", job, f"--results={name}", "--set", *SMALL).startswith(f"{printed}: finished")
     assert Path(name, "run.json").exists()
-    for command in ("status", "verify", "repair"):
+    for command in ("status", "verify"):
         assert say(command, "--", name).startswith(f"{printed}: ")
     assert json.loads(say("status", "--json", "--", name))["run"] == name
     new = f"{name}.new"
@@ -73,7 +73,7 @@ def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, 
 @pytest.mark.parametrize(
     "name", [pytest.param("n" * 256, id="256 characters"), pytest.param("d/" * 3000, id="deep")]
 )
-@pytest.mark.parametrize("command", ["status", "verify", "repair", "plot", "why"])
+@pytest.mark.parametrize("command", ["status", "verify", "plot", "why"])
 def test_a_name_that_no_file_can_have_is_refused_in_one_line(
     name: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

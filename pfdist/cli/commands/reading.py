@@ -134,34 +134,17 @@ def plot_command(options: Namespace) -> None:
 )
 def verify_command(options: Namespace) -> None:
     """Check every byte, row and key of a run."""
-    from pfdist.store.repair import run_again, verify_run
+    from pfdist.analysis import open_run
+    from pfdist.store.verify import verify_run
 
     path = Path(options.run)
     damages = list(verify_run(path))
     for damage in damages:
-        print(one_line(f"{path / damage.path} {damage.what}"))
-    if not damages:
-        print(f"{one_line(options.run)}: all files are unchanged, and no row or key is missing")
-        return
-    if all(damage.is_missing for damage in damages):
-        raise StoreError(
-            f"{path}: missing files: {len(damages)}. To recompute them, {run_again(path)}"
-        )
-    raise StoreError(
-        f"{path}: problems found: {len(damages)}. Run `pfdist repair {path}` to move the damaged "
-        "files to quarantine; it says how to recompute them"
-    )
-
-
-@command(
-    "repair",
-    add_run,
-    examples={"pfdist repair results/plan": "Move damaged files away, after `pfdist verify`"},
-)
-def repair_command(options: Namespace) -> None:
-    """Move the damaged files of a run to quarantine."""
-    from pfdist.store.repair import repair_run
-
-    lines = list(repair_run(Path(options.run)))
-    for line in lines or [f"{options.run}: nothing to repair"]:
-        print(one_line(line))
+        print(one_line(damage))
+    if damages:
+        raise StoreError(f"{path}: problems found: {len(damages)}")
+    run = open_run(path)
+    parts = len(list(path.glob("parts/*/*.parquet")))
+    unfinished = f"; not finished ({run.state}, {parts} parts)" if parts else ""
+    whole = "all files are unchanged, and no row or key is missing"
+    print(f"{one_line(options.run)}: {whole}{unfinished}")

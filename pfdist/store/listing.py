@@ -1,0 +1,110 @@
+"""files.json: which files a run must have, and whose run it is.
+
+It names every published file of a table; the name of such a file ends with the hash of its content.
+It has the hashes that job.toml and run.json may have, and those of the pages: the figures and the
+report. It is replaced as a whole, so a reader sees the list before a change or the list after it.
+
+Only the process that holds the run's lock writes it. These are the orders, and what a kill between
+two steps costs:
+
+- A table is published: its files get their names, files.json lists them, the parts are removed, and
+  last the files that are not listed any more. A kill before the list costs nothing: the parts are
+  still there, and the next start removes the files that are not listed.
+- job.toml or run.json is replaced: files.json lists the hashes of the old and the new content, then
+  the file gets its name. The next list keeps only the hash of the file that is there.
+"""
+
+import contextlib
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pfdist.common.parsing import parse_json, read_text
+from pfdist.errors import StoreError
+from pfdist.store import files
+from pfdist.store.folder import ABOUT, FILES, pages_in
+from pfdist.store.lock import held
+from pfdist.store.tables import REMEDY
+
+_PUBLISHED = re.compile(r"tables/[a-z_]+/[a-z0-9_.]+-\d{5}-[0-9a-f]{16}\.parquet")
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The content of files.json; paths are relative to the run's folder."""
+
+    run: str  # key of the run, which each file of a table carries
+    files: tuple[str, ...] = ()  # published files of tables
+    about: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # SHA-256 by name
+    pages: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by path
+
+
+def read_listing(folder: Path) -> Listing | None:
+    """The content of files.json; None if there is no such file.
+
+    Raises `StoreError` if it is damaged: it has a hash of its own content, too.
+    """
+    path = folder / FILES
+    with files.reading(path):
+        try:
+            content = parse_json(read_text(path))
+            listing = Listing(
+                content["run"],
+                tuple(content["files"]),
+                {name: tuple(hashes) for name, hashes in content["about"].items()},
+                dict(content["pages"]),
+            )
+        except FileNotFoundError:
+            return None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise _damaged(path) from error
+    if content != _content(listing) or not all(map(_PUBLISHED.fullmatch, listing.files)):
+        raise _damaged(path)
+    return listing
+
+
+def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None:
+    """Replace parts of files.json, which is made if there is none.
+
+    It keeps the hashes of the present job.toml and run.json, and forgets those before.
+    """
+    listing = read_listing(folder)
+    there = {name: files.digest(folder / name) for name in ABOUT if (folder / name).exists()}
+    if listing is None:
+        listing = Listing(key or "", about={name: (now,) for name, now in there.items()})
+    about = dict(listing.about)
+    about |= {name: (now,) for name, now in there.items() if now in about.get(name, ())}
+    added = changes.pop("about", {})
+    about |= {name: (*about.get(name, ()), *hashes) for name, hashes in added.items()}
+    listing = replace(listing, run=key or listing.run, about=about, **changes)
+    text = json.dumps(_content(listing), indent=1) + "\n"
+    files.write_file(folder / FILES, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+def record_pages(folder: Path, *, is_held: bool = False) -> None:
+    """List the figures and the report of a run, unless another command computes it.
+
+    `is_held` says that the caller holds the run's lock. A driver lists the pages at its end; what
+    cannot be listed is made again by a command, so it is no error.
+    """
+    with contextlib.suppress(StoreError), nullcontext() if is_held else held(folder, patience=0.0):
+        pages = {str(page.relative_to(folder)): files.digest(page) for page in pages_in(folder)}
+        listing = read_listing(folder)
+        if listing is not None and listing.pages != pages:
+            change_listing(folder, pages=pages)
+
+
+def _content(listing: Listing) -> dict[str, Any]:
+    """The content of files.json, as JSON has it."""
+    content = json.loads(json.dumps(asdict(replace(listing, files=tuple(sorted(listing.files))))))
+    text = json.dumps(content, sort_keys=True)
+    return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **content}
+
+
+def _damaged(path: Path) -> StoreError:
+    return StoreError(f"{path} is damaged: its content has another hash; {REMEDY}")

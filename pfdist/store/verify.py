@@ -1,0 +1,68 @@
+"""Verifies the files and the rows of a run."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from pfdist.errors import StoreError
+from pfdist.store import files
+from pfdist.store.about import check_version_of, read_run
+from pfdist.store.folder import REPORT, check_entries
+from pfdist.store.listing import read_listing
+from pfdist.store.lock import check_not_held
+from pfdist.store.parquet import Store
+from pfdist.store.schema import KEYS, QUESTIONS
+
+
+def verify_run(path: Path) -> Iterator[str]:
+    """The faults of a run, a line each: each byte, row and key is checked.
+
+    First the files, by their hashes and keys; if all are right, the keys of the rows. Last the
+    pages, which the tables do not need. Raises `StoreError` if the folder holds no run, one of
+    another schema version, or one that is being computed, or if a file cannot be read.
+    """
+    check_not_held(path)
+    check_version_of(path)
+    try:
+        check_entries(path)
+        read_run(path)
+    except StoreError as error:
+        if not (path / "run.json").exists():
+            raise
+        yield str(error)
+        return
+    store = Store(path)
+    damages = list(store.damages())
+    yield from damages or _wrong_rows(store)
+    listing = read_listing(path)
+    for name, sha256 in listing.pages.items() if listing is not None else ():
+        page = path / name
+        if page.exists() and files.digest(page) != sha256:
+            command = "report" if name == REPORT else "plot"
+            yield f"{page} is not what was written: `pfdist {command} {path}` makes it again"
+
+
+def _wrong_rows(store: Store) -> Iterator[str]:
+    """Keys of rows that are there twice, or missing; parts may lack rows, which are computed."""
+    tables = store.path / "tables"
+    if store.has_parts(without=QUESTIONS):
+        return
+    if store.has("evaluations"):
+        evaluations = store.read("evaluations")
+        if evaluations.duplicated(KEYS["evaluations"]).any():
+            yield f"{tables / 'evaluations'} has an evaluation twice"
+        rows = store.evaluations("draws")
+        wanted = dict(zip(evaluations["evaluation"], evaluations["draws"], strict=True))
+        lacking = [id_ for id_, draws in wanted.items() if rows.get(id_, 0) < draws]
+        if lacking:
+            yield (
+                f"{tables / 'draws'} lacks draws of {len(lacking):,} evaluations, {lacking[0]} "
+                "among them"
+            )
+    if store.has("comparison"):
+        draws = store.numbers("comparison", "draw")
+        counted = sum(piece.num_rows for piece in store.pieces("comparison", ["draw"]))
+        if draws.size and not counted == draws.size == draws[-1] + 1:
+            yield (
+                f"{tables / 'comparison'} must have each draw up to {draws[-1]:,} once, got "
+                f"{counted:,} rows of {draws.size:,} draws"
+            )
