@@ -118,7 +118,7 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
         )
     if ".py:" in name:
         path, _, attribute = name.rpartition(":")
-        return _readable(folder / path, name), attribute
+        return _readable((folder / path).absolute(), name), attribute
     installed = installed_models()
     if name not in installed:
         raise ModelError(
