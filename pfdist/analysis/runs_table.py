@@ -12,7 +12,6 @@ from pfdist.analysis.stored_run import version_of
 from pfdist.analysis.summary import SetResult, Summary
 from pfdist.common.dotted_keys import leaves
 from pfdist.common.percent import cost
-from pfdist.errors import relative
 
 _NO_SEARCH = "search"  # the leaf of an empty list
 
@@ -119,7 +118,7 @@ def _rows(run: Run, summary: Summary) -> Iterator[Row]:
         "draws": summary.draws_compared,
         "evaluations": summary.evaluations,
         "worker_seconds": run.table("timings")["seconds"].sum() if has_timings else None,
-        "path": relative(str(run.path)),
+        "path": str(run.path),
     }
     references = run.references if results else {}
     if not references:

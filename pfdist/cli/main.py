@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(welcome(), end="")
         return _DONE
     try:
-        started_in(os.getcwd())
+        started_in(os.getcwd())  # a model may move the process
         # Not above: the package itself makes this check, before anything imports Numba.
         from pfdist.kernels import check_settings  # noqa: PLC0415
 
