@@ -1,4 +1,4 @@
-"""All errors that pfdist raises on purpose, and functions that shorten values in messages.
+"""All errors that pfdist raises on purpose, and how messages show values, texts and paths.
 
 ::
 
@@ -23,6 +23,8 @@
     └── EngineWarning               NumPy computes a model, or compiled code is not kept
 """
 
+import os
+import re
 import reprlib
 from typing import Any
 
@@ -62,18 +64,49 @@ def shown_text(text: str) -> str:
     return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
 
 
+_started = ""  # the folder in which the program was started
+
+
+def started_in(folder: str) -> None:
+    """Show paths relative to a folder, wherever a model moves; "" for the working folder."""
+    global _started  # noqa: PLW0603  a process has one working folder, too
+    _started = folder
+
+
+def relative(text: str) -> str:
+    """A text in which paths below the folder where the program was started are relative to it.
+
+    >>> relative(f"no run in {os.getcwd()}/results/a"), relative("no run in /elsewhere")
+    ('no run in results/a', 'no run in /elsewhere')
+    """
+    try:
+        folder = _started or os.getcwd()
+    except OSError:  # it was removed
+        return text
+    if folder == "/" or folder not in text:
+        return text
+    paths = rf"(?<![\w./-]){re.escape(folder)}(?:(/)|(?![\w./-]))"
+    return re.sub(paths, lambda match: "" if match[1] else ".", text)
+
+
 def one_line(text: str) -> str:
     r"""A text as one line without control characters, which a path or a table may contain.
 
     >>> one_line("results/a\nb"), one_line("results/\x1b[2J")
     ('results/a b', 'results/?[2J')
     """
-    return "".join(map(_printable, text))
+    return " ".join(printable(text).splitlines())
+
+
+def printable(text: str) -> str:
+    """A text as outputs show it: paths as of `relative`; no control characters but line breaks."""
+    text = relative(text)
+    return text if text.isprintable() else "".join(map(_printable, text))
 
 
 def _printable(character: str) -> str:
     byte_of_a_path = "\udc80" <= character <= "\udcff"  # a byte that is not UTF-8
-    if character.isprintable() or byte_of_a_path:
+    if character.isprintable() or byte_of_a_path or character == "\n":
         return character
     return " " if character.isspace() else "?"
 
@@ -90,7 +123,7 @@ class PfdistError(Exception):
     """
 
     def __init__(self, message: str = "", *, argument: str = "") -> None:
-        super().__init__(message)
+        super().__init__(one_line(message))
         self.argument = argument
 
 
@@ -191,7 +224,16 @@ class TaskError(PoolError):
 
 
 class PfdistWarning(UserWarning):
-    """A warning about results: they lack something, or the model may be wrong."""
+    """A warning about results: they lack something, or the model may be wrong.
+
+    Parameters
+    ----------
+    message : str
+        The warning in one line.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(message))
 
 
 class EngineWarning(PfdistWarning):

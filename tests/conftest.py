@@ -15,6 +15,7 @@ import pytest
 
 import pfdist
 from pfdist import Job, StateSpaceModel, load_job, load_model
+from pfdist.errors import started_in
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
@@ -92,6 +93,13 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 def small_run(finished: Callable[..., Path], tmp_path: Path) -> pfdist.Run:
     """A finished run of the small job, in a copy of its own: ``tmp_path / "run"``."""
     return pfdist.open_run(shutil.copytree(finished(), tmp_path / "run"))
+
+
+@pytest.fixture(autouse=True)
+def no_start() -> Iterator[None]:
+    """A command leaves no folder behind to which later tests would show paths relative."""
+    yield
+    started_in("")
 
 
 @pytest.fixture

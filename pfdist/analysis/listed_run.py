@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pfdist.analysis.run import Run, open_run
 from pfdist.analysis.summary import Summary
-from pfdist.errors import StoreError, one_line, shown_text
+from pfdist.errors import StoreError, one_line, relative, shown_text
 from pfdist.store import is_held
 from pfdist.store.folder import extent
 
@@ -112,5 +112,6 @@ def _in_few_words(error: Exception, path: Path) -> str:
     """The error without its remedy, and with names of files relative to the run's folder."""
     if not isinstance(error, StoreError):
         return one_line(shown_text(f"{type(error).__name__}: {error}"))
-    text = str(error).replace(f"{path}/", "").replace(f"{path} ", "")
+    shown_path = relative(str(path))
+    text = str(error).replace(f"{shown_path}/", "").replace(f"{shown_path} ", "")
     return one_line(shown_text(text.partition("; ")[0]))

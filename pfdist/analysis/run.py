@@ -9,11 +9,12 @@ import numpy as np
 
 from pfdist.analysis.stored_run import StoredRun, check_one_number, gains_of, problem_of
 from pfdist.analysis.summary import SetResult, Summary, summary_of
+from pfdist.common.arguments import path_argument
 from pfdist.common.percent import cost, percent_with_interval
 from pfdist.common.rounding import with_error
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Cell, Page, Section, Table
-from pfdist.errors import PfdistError, StoreError, shown
+from pfdist.errors import PfdistError, StoreError
 from pfdist.store.schema import components_in
 
 if TYPE_CHECKING:
@@ -121,9 +122,7 @@ def open_run(path: str | Path) -> Run:
     StoreError
         The folder holds no run, or one that cannot be read.
     """
-    if not isinstance(path, str | Path):
-        raise StoreError(f"a run must be the path of its folder, got {shown(path)}", argument="run")
-    return Run(Path(path))
+    return Run(path_argument("run", path))
 
 
 def _title(run: Run) -> str:

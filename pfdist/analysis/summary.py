@@ -28,6 +28,7 @@ from pfdist.analysis.stored_run import (
 )
 from pfdist.common.formatted_times import formatted_times
 from pfdist.common.rounding import with_error
+from pfdist.errors import relative
 from pfdist.filters.engines import is_exact
 from pfdist.times.clock import Time
 
@@ -376,8 +377,8 @@ def _before_the_comparison(run: StoredRun) -> dict[str, Row]:
 
 
 def finite(value: T) -> T:
-    """The same value with None for floats that are not finite, and with lists for tuples."""
-    plain: Any = value
+    """The same value for JSON: None for floats that are not finite, lists, and relative paths."""
+    plain: Any = relative(value) if isinstance(value, str) else value
     if isinstance(value, dict):
         plain = {key: finite(inner) for key, inner in value.items()}
     elif isinstance(value, list | tuple):

@@ -44,6 +44,7 @@ from pfdist.documents.parts import (
     Text,
     without_empty_columns,
 )
+from pfdist.errors import relative
 
 _LOOKS_BETTER = (
     "on the same draws. The best of several sets looks better than it is, the more so the more "
@@ -374,7 +375,8 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     settings = ", ".join(f"{key} = {value}" for key, value in result.search_estimation.items())
     reasons = [result.search_distrust, result.search_cause, settings]
     why = "; ".join(filter(None, reasons)) if excess is not None else ""
-    why = why.replace(str(subject.run.path), subject.run.path.name)  # the report may be sent
+    path = subject.run.path
+    why = why.replace(relative(str(path)), path.name)  # the report may be sent
     side = "below" if (excess or 0.0) < 0 else "above"
     against = "" if excess is None else f"{percent(abs(excess), 1)} {side}"
     return [*cells, Cell(against, excess), Cell(why)]

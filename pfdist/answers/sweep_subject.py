@@ -29,7 +29,7 @@ from pfdist.analysis.studies import (
 from pfdist.analysis.table_cells import keys_of
 from pfdist.answers.subject import without_folder
 from pfdist.common.dotted_keys import short_names
-from pfdist.errors import PfdistError, one_line, shown_text
+from pfdist.errors import PfdistError, one_line, relative, shown_text
 from pfdist.store import holds_run
 from pfdist.store.folder import REPORT, has_report, runs_below
 
@@ -212,7 +212,7 @@ def _tried(point: Point) -> Point:
         if point.listed.fault is None:
             runs_table([open_run(point.path)])
     except Exception as error:
-        fault = _reason(error).replace(f"{point.path}/", "")
+        fault = _reason(error).replace(relative(f"{point.path}/"), "")
         return replace(point, listed=replace(point.listed, state=DAMAGED, fault=fault))
     return point
 

@@ -118,7 +118,7 @@ class Display:
         if begins or (not self._answered and state.done > self._start.done):
             self._start, self._start_time, self._answered = state, now, not begins
         self._last = state.evaluations
-        line = "  ".join([*_position(state), *self._rate(state, now)])
+        line = one_line("  ".join([*_position(state), *self._rate(state, now)]))
         percent, left = 100 * state.done / state.total, self._time_left(state, now)
         if now < self._begins:
             return

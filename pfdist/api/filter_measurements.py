@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from pfdist.analysis import Run, finite
 from pfdist.answers.filtered import filtered_answer, filtered_page
-from pfdist.api.planned_run import Table, filter_of, planned_run, table_argument
+from pfdist.api.planned_run import Table, filter_of, planned_run, prior_argument, table_argument
 from pfdist.api.report import write_page
 from pfdist.api.run_of_job import run_and_job
 from pfdist.common.arguments import path_argument
@@ -186,9 +186,9 @@ def filter_measurements(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
+    files, prior = _files(table, out)[: 3 if report else 2], prior_argument(prior)
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
-    files = _files(table, out)[: 3 if report else 2]
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
     check_table = partial(check_table_replaceable, schema=schema)
@@ -233,12 +233,12 @@ def filter_measurements(
 
 def _files(measurements: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ...]:
     """The files of the result. A table in memory has no folder: without `out` there are none."""
-    path_argument("out", out)
+    folder = path_argument("out", out)
     if isinstance(measurements, pd.DataFrame):
         if not str(out):
             return ()
-        measurements = Path(out) / "measurements.csv"
-    folder = Path(out) if str(out) else measurements.parent
+        measurements = folder / "measurements.csv"
+    folder = folder if str(out) else measurements.parent
     suffix = "parquet" if is_parquet(measurements) else "csv"
     return tuple(
         folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png", "html")

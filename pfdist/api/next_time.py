@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pfdist.analysis import Run, finite
 from pfdist.answers.filtered import next_page
 from pfdist.api.filter_measurements import IMPROBABLE
-from pfdist.api.planned_run import Table, planned_run, table_argument
+from pfdist.api.planned_run import Table, planned_run, prior_argument, table_argument
 from pfdist.api.planner import Planner
 from pfdist.api.run_of_job import run_and_job
 from pfdist.common.formatted_times import formatted_time
@@ -160,6 +160,7 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
+    prior = prior_argument(prior)
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock

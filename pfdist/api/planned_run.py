@@ -24,6 +24,13 @@ def table_argument(name: str, value: Any) -> Path | pd.DataFrame:
     return value if isinstance(value, pd.DataFrame) else path_argument(name, value)
 
 
+def prior_argument(value: Any) -> Any:
+    """The prior of a caller: the path of its table, None for an empty name, or an object."""
+    if isinstance(value, str | Path):
+        return path_argument("prior", value) if str(value) else None
+    return value
+
+
 class PlannedRun(NamedTuple):
     """A finished run, the set that was planned, and what filters need.
 
@@ -55,8 +62,8 @@ def planned_run(run_and_job: tuple[Run, Built], planned: str, prior: Any) -> Pla
         As `pfdist.api.run_of_job.run_and_job` gives them.
     planned : str
         Name of the compared set that was planned; empty: see `planned_set`.
-    prior : str, Path, DataFrame, Cloud or array
-        Particles from which the filter starts, or their table; an empty name for none.
+    prior : Path, DataFrame, Cloud or array, optional
+        As `prior_argument` gives it.
 
     Raises
     ------
@@ -70,11 +77,10 @@ def planned_run(run_and_job: tuple[Run, Built], planned: str, prior: Any) -> Pla
 
 
 def _prior(prior: Any, built: Built) -> Prior | None:
-    """The knowledge from which a filter starts: a table's, a prior, or None for an empty name."""
     model, clock = built.evaluator.believed, built.job.problem.clock
-    if isinstance(prior, str | Path):
-        return read_prior(Path(prior), model, clock) if str(prior) else None
-    return as_prior(prior, model, clock)
+    if isinstance(prior, Path):
+        return read_prior(prior, model, clock)
+    return None if prior is None else as_prior(prior, model, clock)
 
 
 def planned_set(run: Run, name: str = "") -> tuple[str, Times]:

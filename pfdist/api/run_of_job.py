@@ -38,7 +38,7 @@ def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
     """
     if results is not None:
         return path_argument("results", results)
-    own = folder_of_run(job.path)
+    own = folder_of_run(job.path).absolute()
     return own.with_name(f"{own.name}{ending}")
 
 

@@ -217,8 +217,8 @@ def checked_folder(
     JobError
         Points that are to be judged have different clocks.
     """
-    path = (
-        Path("results") / sweep_job.name if results is None else path_argument("results", results)
+    path = path_argument(
+        "results", Path("results") / sweep_job.name if results is None else results
     )
     wrong = "a run" if holds_run(path) else "a file" if path.is_file() else ""
     if wrong:

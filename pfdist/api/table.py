@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,14 @@ from pfdist.analysis.table_cells import (
 )
 from pfdist.common.arguments import path_argument
 from pfdist.common.dotted_keys import short_names
-from pfdist.errors import ArgumentError, shown
+from pfdist.errors import (
+    ArgumentError,
+    PfdistError,
+    PfdistWarning,
+    relative,
+    shown,
+    shown_text,
+)
 from pfdist.store import holds_run, write_file
 from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.folder import runs_below
@@ -61,7 +69,8 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     runs : Run, str, Path, or list of these
         Runs or their folders, finished or not. A folder that is no run but has runs or sweeps in
         it stands for all these runs, in the order of their names; numbers in names are ordered as
-        numbers. A run that is given twice counts once.
+        numbers. Those of them that cannot be read are left out, with a warning. A run that is given
+        twice counts once.
     out : str or Path, optional
         Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.
         An earlier table of runs is replaced; another file is not.
@@ -103,10 +112,11 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
             f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
             argument="out",
         )
-    opened = {os.path.abspath(run.path): run for run in _opened(runs)}
-    if not opened:
-        raise ArgumentError("table needs at least one run, got none")
-    frame = runs_table(list(opened.values()))
+    try:
+        frame = runs_table(_opened(runs))
+    except Exception:  # runs that were found in folders may come from elsewhere, and hold anything
+        frame = runs_table(_opened(runs, _can_be_read))
+    frame["path"] = pd.Series([*map(relative, frame["path"])], dtype=object)
     if path is not None:
         write, is_earlier = _KINDS[path.suffix.lower()]
         check_replaceable(path, is_earlier)
@@ -114,21 +124,34 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     return frame
 
 
-def _opened(runs: Iterable[Runs]) -> Iterator[Run]:
+def _opened(runs: Iterable[Runs], wanted: Callable[[Path], bool] = lambda path: True) -> list[Run]:
+    """Each run once; of those that are found in a folder, those that are wanted."""
+    opened = {os.path.abspath(run.path): run for run in _each(runs, wanted)}
+    if not opened:
+        raise ArgumentError("table needs at least one run, got none")
+    return list(opened.values())
+
+
+def _each(runs: Iterable[Runs], wanted: Callable[[Path], bool]) -> Iterator[Run]:
     for run in runs:
         if isinstance(run, Run):
             yield run
         elif isinstance(run, list | tuple):
-            yield from _opened(run)
+            yield from _each(run, wanted)
         else:
-            yield from map(open_run, _folders(run))
+            path = path_argument("run", run)
+            below = [] if holds_run(path) or not path.is_dir() else [*runs_below(path, _DEPTH)]
+            yield from map(open_run, filter(wanted, below) if below else [path])
 
 
-def _folders(run: str | Path) -> list[Path]:
-    """The folder of a run, or those of the runs in a folder."""
-    if not isinstance(run, str | Path) or holds_run(Path(run)) or not Path(run).is_dir():
-        return [run]  # type: ignore[list-item]  # whatever it is, open_run says what is wrong
-    return list(runs_below(Path(run), _DEPTH)) or [Path(run)]
+def _can_be_read(path: Path) -> bool:
+    try:
+        runs_table([open_run(path)])
+    except Exception as error:
+        why = str(error) if isinstance(error, PfdistError) else repr(error)
+        warnings.warn(f"{path} is left out: {shown_text(why)}", PfdistWarning, stacklevel=2)
+        return False
+    return True
 
 
 # --- the table in a file --------------------------------------------------------------------------

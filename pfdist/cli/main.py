@@ -10,12 +10,21 @@ import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
+from traceback import format_exception
 from types import FrameType
 from typing import Any
 
 from pfdist.cli.parser import make_parser, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
-from pfdist.errors import PfdistError, PfdistWarning, SilenceError, TaskError, one_line
+from pfdist.errors import (
+    PfdistError,
+    PfdistWarning,
+    SilenceError,
+    TaskError,
+    one_line,
+    printable,
+    started_in,
+)
 
 _BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # batch systems send these when time is up
 _received: list[int] = []  # signals of a batch system since the command began
@@ -87,19 +96,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
     end_at_once()
     encode_all_text()
-    if not (sys.argv[1:] if arguments is None else arguments):
+    words = sys.argv[1:] if arguments is None else arguments
+    if not words:
         print(welcome(), end="")
         return _DONE
     try:
+        started_in(os.getcwd())  # a model may move the process
+        # Not above: the package itself makes this check, before anything imports Numba.
+        from pfdist.kernels import check_settings  # noqa: PLC0415
+
+        check_settings()
         options = make_parser().parse_args(arguments)
-    except PfdistError as error:
-        return _failed(str(error))
+    except Exception as error:
+        return _error(error, debug="--debug" in words)
     interrupt_command()
     return _run(options, ends=arguments is None)
 
 
 def _run(options: Namespace, *, ends: bool) -> int:
-    """Call the command; turn the errors that a user can cause into a line and an exit code.
+    """Call the command; turn errors into a line and an exit code.
 
     `ends` says whether the process ends afterwards.
     """
@@ -108,13 +123,6 @@ def _run(options: Namespace, *, ends: bool) -> int:
             with stdout_for_json(options, ends=ends):
                 options.called.call(options)
             flush_output()
-    except PfdistError as error:
-        if options.debug:
-            raise
-        hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
-        option = error.argument.replace("_", "-")
-        code = _AGAIN if isinstance(error, SilenceError) else _ERROR
-        return _failed(str(error), f" (--{option})" if option else hint, code)
     except KeyboardInterrupt:
         cause = "asked to end" if _received else "interrupted"
         keeps = options.called.goes_on and not getattr(options, "dry_run", False)
@@ -124,20 +132,31 @@ def _run(options: Namespace, *, ends: bool) -> int:
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
         return _ERROR
-    except (OSError, ImportError) as error:
-        return _failed(str(_output_error() or error))
-    except MemoryError:
-        return _failed("not enough memory; fewer draws or particles need less")
+    except Exception as error:
+        return _error(error, debug=options.debug)
     return _DONE
 
 
-def _failed(reason: str, hint: str = "", code: int = _ERROR) -> int:
-    """Print an error as one line, and return the exit code."""
+def _error(error: Exception, *, debug: bool) -> int:
+    """Print an error as one line, after its traceback if that is wanted; return the exit code."""
+    reason, hint = str(error), ""
+    if isinstance(error, PfdistError) and error.argument:
+        hint = f" (--{error.argument.replace('_', '-')})"
+    elif isinstance(error, MemoryError):
+        reason = "not enough memory; fewer draws or particles need less"
+    elif isinstance(error, OSError | ImportError):
+        reason = str(_output_error() or error)
+    elif isinstance(error, TaskError) or not isinstance(error, PfdistError):
+        hint = " (--debug shows the traceback)"
+    if not isinstance(error, PfdistError | MemoryError | OSError | ImportError):
+        reason = f"unexpected {type(error).__name__}: {error}"
+    if debug:
+        print(printable("".join(format_exception(error))), end="", file=sys.stderr)
     line = one_line(" ".join(reason.split()))
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"pfdist: {line}{hint}", file=sys.stderr)
-    return code
+    return _AGAIN if isinstance(error, SilenceError) else _ERROR
 
 
 def _output_error() -> OSError | None:

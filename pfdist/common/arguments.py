@@ -33,10 +33,13 @@ def number_argument(name: str, value: Any) -> float:
 
 
 def path_argument(name: str, value: Any) -> Path:
-    """An argument as a path; an `ArgumentError` if it is neither a text nor a path."""
-    if not isinstance(value, str | Path):
+    """An argument as an absolute path, because a model may change the working folder later.
+
+    An `ArgumentError` says that it is neither a text nor a path, or holds the character NUL.
+    """
+    if not isinstance(value, str | Path) or "\0" in str(value):
         raise ArgumentError(f"{name} must be a path, got {shown(value)}", argument=name)
-    return Path(value)
+    return Path(value).absolute()
 
 
 def paths_argument(name: str, value: Any) -> list[Path]:
@@ -44,7 +47,7 @@ def paths_argument(name: str, value: Any) -> list[Path]:
 
     A single path becomes a list with one path.
     """
-    return [Path(path) for path in _listed(name, value, str | Path, "paths")]
+    return [path_argument(name, path) for path in _listed(name, value, str | Path, "paths")]
 
 
 def texts_argument(name: str, value: Any) -> list[str]:

@@ -4,8 +4,11 @@ Every file and every option that a user writes comes in through these functions.
 holds, the data is not nested deeply, or a `ValueError` of one line is raised.
 """
 
+import errno
 import json
+import os
 import re
+import stat
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,15 +23,26 @@ _DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")
 _LONGEST = 80  # characters of a key that an error shows
 
 
-def read_text(path: Path) -> str:
-    """The content of a text file.
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a file.
 
-    A ValueError says that it is too large or not UTF-8, and an OSError that it cannot be read.
+    A ValueError says that it is no plain file or has too many bytes, and an OSError that it cannot
+    be read.
     """
+    about = path.stat()
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(about.st_mode):  # a pipe might never end
+        raise ValueError("a plain file is read, got a pipe, a socket or a device")
+    if about.st_size > most:
+        raise ValueError(f"a file of at most {most:,} bytes is read, got {about.st_size:,}")
     with path.open("rb") as file:
-        content = file.read(MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
-        raise ValueError(f"a file of at most {MOST_BYTES:,} bytes is read, got a larger one")
+        return file.read(most)
+
+
+def read_text(path: Path) -> str:
+    """The content of a text file; raises as `read_bytes`, and a ValueError if it is not UTF-8."""
+    content = read_bytes(path, MOST_BYTES)
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

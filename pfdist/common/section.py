@@ -1,5 +1,6 @@
 """Sections of a job file: frozen data, and sentences that say what is wrong with a section."""
 
+from collections.abc import Sequence
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -68,11 +69,11 @@ def _by_weight(error: ValidationError) -> list[ErrorDetails]:
 
 
 def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
-    key = ".".join(str(part) for part in error["loc"] if not isinstance(part, int))
-    kind, got = error["type"], error["input"]
+    parts = [part for part in error["loc"] if isinstance(part, str)]  # each may hold dots
+    key, kind, got = ".".join(parts), error["type"], error["input"]
     if kind == "extra_forbidden":
-        section, _, name = key.rpartition(".")
-        place = f" in [{section}]" if section else ""
+        *section, name = parts
+        place = f" in [{'.'.join(section)}]" if section else ""
         keys = _allowed_keys(section, model)
         meant = did_you_mean(name, keys) or _did_you_mean_elsewhere(name, model)
         return f"unknown key {shown(name)}{place}, allowed: {', '.join(keys)}{meant}"
@@ -81,7 +82,7 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         name = error["ctx"]["discriminator"].strip("'")
         value = got.get(name) if isinstance(got, dict) else got
-        section, _, field = key.rpartition(".")
+        *section, field = parts
         kinds = _kinds(_section(section, model).model_fields[field])
         allowed = ", ".join(map(repr, kinds))
         meant = did_you_mean(value, kinds)
@@ -102,8 +103,8 @@ def _rule(error: ErrorDetails) -> str:
     return rule.format_map({k: f"{v:g}" if type(v) is float else v for k, v in context.items()})
 
 
-def _allowed_keys(section: str, model: type[BaseModel]) -> list[str]:
-    """Keys of a section, by its dotted name; none if the name is not that of a section."""
+def _allowed_keys(section: Sequence[str], model: type[BaseModel]) -> list[str]:
+    """Keys of a section, by the parts of its name; none if the name is not that of a section."""
     kind = _section(section, model)
     is_section = isinstance(kind, type) and issubclass(kind, BaseModel)
     return list(kind.model_fields) if is_section else []
@@ -112,17 +113,17 @@ def _allowed_keys(section: str, model: type[BaseModel]) -> list[str]:
 def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
     """The end of an error about a key that other sections have; empty if none has it."""
     sections = (key for key, field in model.model_fields.items() if not _kinds(field))
-    keys = [f"{section}.{name}" for section in sections if name in _allowed_keys(section, model)]
+    keys = [f"{section}.{name}" for section in sections if name in _allowed_keys([section], model)]
     return f"; did you mean {' or '.join(map(repr, keys))}?" if keys else ""
 
 
-def _section(section: str, model: type[BaseModel]) -> Any:
-    """The type of a section, by its dotted name.
+def _section(section: Sequence[str], model: type[BaseModel]) -> Any:
+    """The type of a section, by the parts of its name.
 
     The tag follows the name of a section that has kinds.
     """
     kind: Any = model
-    parts = iter(section.split(".") if section else [])
+    parts = iter(section)
     for part in parts:
         if get_origin(kind) is dict:  # sections by names
             kind = get_args(kind)[1]

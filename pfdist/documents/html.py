@@ -12,6 +12,7 @@ from importlib.resources import files
 from jinja2 import Environment, StrictUndefined
 
 from pfdist.documents.parts import Page
+from pfdist.errors import printable
 
 _FOLDER = files("pfdist.documents")
 
@@ -32,7 +33,7 @@ def as_html(page: Page) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=_unbroken,
+        finalize=_harmless,
     )
     environment.filters["words"] = _words
     style, script = (_text(name) for name in ("style.css", "sort.js"))
@@ -43,17 +44,17 @@ def as_html(page: Page) -> str:
     )
 
 
-def _unbroken(value: object) -> object:
-    """Keep a number and its per cent sign on one line.
+def _harmless(value: object) -> object:
+    """A text without control characters; a number and its per cent sign stay on one line.
 
     Markup is a subclass of str, and is left as it is.
     """
-    return value.replace(" %", "\xa0%") if type(value) is str else value
+    return printable(value).replace(" %", "\xa0%") if type(value) is str else value
 
 
 def _words(name: str) -> list[str]:
     """Split a name after each dot and underscore, where a line may break."""
-    return re.split(r"(?<=[._])(?=\S)", name)
+    return re.split(r"(?<=[._])(?=\S)", printable(name))
 
 
 def _text(name: str) -> str:

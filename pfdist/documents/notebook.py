@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from html import escape
 
 from pfdist.documents.parts import Block, Facts, Page, Table, Text, without_empty_columns
+from pfdist.errors import one_line, printable
 
 
 class Shown:
@@ -17,7 +18,7 @@ class Shown:
 
     def __repr__(self) -> str:
         page = self._page()
-        return f"<{' | '.join([page.subtitle, *page.warnings])}>"
+        return one_line(f"<{' | '.join([page.subtitle, *page.warnings])}>")
 
     def _repr_html_(self) -> str:
         return as_fragment(self._page())
@@ -34,26 +35,30 @@ def as_fragment(page: Page) -> str:
     """
     blocks = (block for section in page.sections for block in section.blocks)
     shown = [_of_block(block) for block in blocks if not block.detail]
-    warnings = (f"<p>Note: {escape(warning)}</p>" for warning in page.warnings)
-    return "".join([f"<p>{escape(page.subtitle)}</p>", *shown, *warnings])
+    warnings = (f"<p>Note: {_escaped(warning)}</p>" for warning in page.warnings)
+    return "".join([f"<p>{_escaped(page.subtitle)}</p>", *shown, *warnings])
+
+
+def _escaped(text: str) -> str:
+    return escape(printable(text))
 
 
 def _of_block(block: Block) -> str:
     match block:
         case Text(text):
-            return f"<p>{escape(text)}</p>"
+            return f"<p>{_escaped(text)}</p>"
         case Facts(facts):
             return _table(_cells("th", [name]) + _cells("td", [value]) for name, value in facts)
         case Table():
             shown = without_empty_columns(block)
             rows = (_cells("td", (cell.text for cell in row)) for row in shown.rows)
-            caption = f"<p>{escape(block.caption)}</p>" if block.caption else ""
+            caption = f"<p>{_escaped(block.caption)}</p>" if block.caption else ""
             return caption + _table([_cells("th", shown.head), *rows])
     return ""
 
 
 def _cells(kind: str, texts: Iterable[str]) -> str:
-    return "".join(f"<{kind}>{escape(text)}</{kind}>" for text in texts)
+    return "".join(f"<{kind}>{_escaped(text)}</{kind}>" for text in texts)
 
 
 def _table(rows: Iterable[str]) -> str:

@@ -54,7 +54,7 @@ def _lines(block: Block) -> Iterator[str]:
         case Text(text):
             yield from wrapped(text)
         case Code(text):
-            yield from text.splitlines()
+            yield from map(one_line, text.splitlines())
         case Facts(facts, title):
             yield from wrapped(title)
             for name, value in facts:

@@ -186,7 +186,7 @@ class Job(Section):
             super().__init__(**data)
         except ValidationError as error:
             raise JobError(explained(error, Job)) from error
-        self._origin = origin
+        self._origin = origin._replace(path=origin.path.absolute())  # a model may move the process
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

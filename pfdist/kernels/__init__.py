@@ -9,9 +9,26 @@ import os
 
 from pfdist.errors import CompileError, shown
 
-_without = os.environ.get("NUMBA_DISABLE_JIT", "")
-if _without not in ("", "0"):
-    raise CompileError(
-        "the environment variable NUMBA_DISABLE_JIT must be 0 or unset, because filters are "
-        f"compiled, got {shown(_without)}"
-    )
+_FILE = ".numba_config.yaml"
+
+
+def check_settings() -> None:
+    """Raise a `CompileError` if Numba would not compile, or reads a file of settings.
+
+    Numba reads such a file in the working folder whenever it compiles. The file may change every
+    number, and belong to another project.
+    """
+    without = os.environ.get("NUMBA_DISABLE_JIT", "")
+    if without not in ("", "0"):
+        raise CompileError(
+            "the environment variable NUMBA_DISABLE_JIT must be 0 or unset, because filters are "
+            f"compiled, got {shown(without)}"
+        )
+    if os.path.lexists(_FILE):
+        raise CompileError(
+            f"the working folder must hold no {_FILE}, because Numba reads it and may compute "
+            "other numbers: move it, or start in another folder"
+        )
+
+
+check_settings()

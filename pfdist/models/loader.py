@@ -18,6 +18,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from pfdist.common.nearest import did_you_mean
+from pfdist.common.parsing import read_bytes, read_text
 from pfdist.errors import ModelError, shown
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.carried import PYTHON, CarriedModel, carried
@@ -29,6 +30,7 @@ from pfdist.models.syntax import imported_by
 _GROUP = "pfdist.models"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
 """Modules that a file beside a model must not hide."""
+MOST_DATA = 1_000_000_000  # bytes of a data file
 _importing = threading.RLock()  # the path and the table of modules belong to all threads
 
 
@@ -118,7 +120,7 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
         )
     if ".py:" in name:
         path, _, attribute = name.rpartition(":")
-        return _readable(folder / path, name), attribute
+        return _readable((folder / path).absolute(), name), attribute
     installed = installed_models()
     if name not in installed:
         raise ModelError(
@@ -130,12 +132,10 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
 
 def _readable(file: Path, name: str) -> Path:
     """A model's file, after a check that it can be read and hides no module that it imports."""
-    if file.exists() and not file.is_file():  # opening a pipe would wait for ever
-        raise ModelError(f"{file} must be a file, got something else ({name!r})")
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        text = read_text(file)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
         raise ModelError(f"cannot read {file}: {reason} (got {name!r})") from error
     with contextlib.suppress(SyntaxError, ValueError):  # the import says what is wrong
         for module in imported_by(text) & _FIRST:
@@ -250,12 +250,10 @@ def _model_of(module: types.ModuleType, attribute: str, file: Path) -> StateSpac
 def _read_data(model: StateSpaceModel, file: Path, name: str) -> bytes:
     path = file.parent / name
     try:
-        if path.is_file():
-            return path.read_bytes()
-        reason = "there is no such file"
-    except OSError as error:
-        reason = str(error.strerror)
-    raise ModelError(
-        f"model {model.name}: data_files must name files that can be read, got {name!r}: "
-        f"{path}: {reason}"
-    )
+        return read_bytes(path, MOST_DATA)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ModelError(
+            f"model {model.name}: data_files must name files that can be read, got {name!r}: "
+            f"{path}: {reason}"
+        ) from error

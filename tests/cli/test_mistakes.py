@@ -172,9 +172,9 @@ def test_a_hostile_job_file_is_refused_in_one_line(
         ("run {job} --set online.search.method=coridor", 1, "corridor"),
         ("run {job} --set model.name=umgm", 1, "ungm"),
         ("run {job} --set model.parameters.proces_sd=1", 1, "process_sd"),
-        ("run {folder}/smal.toml", 1, "{folder}/small.toml"),
-        ("status {folder}/runn", 1, "{folder}/run"),
-        ("verify {folder}/runn", 1, "{folder}/run"),
+        ("run {folder}/smal.toml", 1, "small.toml"),
+        ("status {folder}/runn", 1, "run"),
+        ("verify {folder}/runn", 1, "run"),
         ("status found", 1, "results/foun"),
         ("filter {kept} x.csv --planned regula", 1, "regular"),
     ],
@@ -210,9 +210,43 @@ def test_online_search_lists_and_suggests_only_methods_that_can_plan_online(
         assert "did you mean" not in line
 
 
-def test_debug_shows_the_traceback() -> None:
-    with pytest.raises(pfdist.PfdistError):
-        main(["run", "missing.toml", "--debug"])
+def test_debug_shows_the_traceback_before_the_line(call: Callable[..., Any]) -> None:
+    code, _, error = call("", "run", "missing\x1b.toml", "--debug")
+    assert code == 1
+    assert "Traceback (most recent call last)" in error
+    assert "\x1b" not in error
+    assert error.splitlines()[-1].startswith("pfdist: cannot read the job file missing?.toml")
+
+
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        ("pfdist.api.list_runs.list_runs", ["list"]),
+        ("pfdist.cli.main.make_parser", ["list"]),
+    ],
+)
+def test_an_unexpected_exception_is_one_line(
+    broken: str, words: list[str], refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise KeyError("\x1b[2J")
+
+    monkeypatch.setattr(broken, fail)
+    code, line = refused(words)
+    assert code == 1
+    assert line.startswith("pfdist: unexpected KeyError: ")
+    assert line.endswith("(--debug shows the traceback)\n")
+    assert "\x1b" not in line
+
+
+def test_a_file_of_settings_for_numba_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
+    code, line = refused(["run", "missing.toml"])
+    assert code == 1
+    assert "must hold no .numba_config.yaml" in line
 
 
 def test_pfdist_alone_shows_three_commands_to_try(

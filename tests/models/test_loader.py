@@ -104,7 +104,7 @@ def test_an_unknown_name_lists_the_known_ones(name):
         (b"1 / 0", "fails when loaded: ZeroDivisionError: division by zero"),
         (b"raise SystemExit(0)", "fails when loaded: SystemExit"),
         (b"def f(:", "fails when loaded: SyntaxError"),
-        (b"'\xff'", "not UTF-8 text"),
+        (b"'\xff'", "text must be UTF-8, got byte 0xff"),
         (b"", "models in this file: none"),
         (MODEL.replace("(w[0],)", "w[0]").encode(), "model damped: initial must give a tuple"),
     ],

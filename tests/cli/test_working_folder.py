@@ -1,0 +1,92 @@
+"""A model that moves the process to another folder moves no file of a question, and no message."""
+
+import os
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from conftest import SMALL_JOB
+from oracles.model_text import MEASURED
+
+MODEL = (
+    """
+import os
+
+import pfdist
+
+{at_import}
+
+def transition(x, t, w, p):
+    {in_formula}
+    return (0.9 * x[0] + w[0],)
+
+model = pfdist.StateSpaceModel(
+    name="wanderer",
+    initial=lambda w, p: (w[0],),
+    transition=transition,
+"""
+    + MEASURED
+    + ")\n"
+)
+SMALL = "evaluation.draws=10 search.genetic.generations=1 search.random.evaluations=1 comparison.draws=60"
+
+
+@pytest.fixture(params=["at import", "in a formula"])
+def start(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder where a command starts; its model moves to another one."""
+    away, folder = tmp_path / "away", tmp_path / "start"
+    away.mkdir()
+    (folder / "jobs").mkdir(parents=True)
+    moves = f"os.chdir({str(away)!r})"
+    at_import, in_formula = (moves, "") if request.param == "at import" else ("", moves)
+    text = MODEL.format(at_import=at_import, in_formula=in_formula)
+    (folder / "jobs" / "mine.py").write_text(text)
+    believed = text.replace("wanderer", "believed")
+    (folder / "jobs" / "believed.py").write_text(believed)
+    sections = '[model]\nname = "mine.py:model"\n[model.filter]\nname = "believed.py:model"\n'
+    engine = "" if request.param == "at import" else 'engine = "numpy"\n'
+    job = SMALL_JOB.replace("[filter]\n", f"[filter]\n{engine}")
+    (folder / "jobs" / "a.toml").write_text(job + sections)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.mark.filterwarnings("ignore::pfdist.errors.EngineWarning")
+def test_nothing_moves_with_a_model(
+    start: Path, call: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said(line: str, code: int = 0) -> str:
+        os.chdir(start)
+        called = call(line)
+        assert Path.cwd() != start, "the model has moved"
+        assert called.code == code, called.err
+        assert str(start) not in called.out + called.err
+        assert not any((start.parent / "away").iterdir())
+        return str(called.out + called.err)
+
+    assert "tables: results/a/tables" in said(f"run jobs/a.toml --set {SMALL}")
+    assert (start / "results/a/report.html").exists()
+    assert str(start) not in (start / "results/a/report.html").read_text()
+    assert "results/a" in said(f"run jobs/a.toml --json --set {SMALL}")
+    (start / "rows.csv").write_text("t,y0\n0,1\n3,0.5\n")
+    (start / "prior.csv").write_text("x0\n0.1\n0.2\n0.3\n")
+    line = f"filter jobs/a.toml rows.csv --prior prior.csv --out out --set {SMALL}"
+    assert "out/rows.filtered.csv" in said(line)
+    assert "results/a/figures/why" in said(f"why jobs/a.toml --draws 40 --set {SMALL}")
+    sweep = f"sweep jobs/a.toml --over seed=1,2 --set {SMALL} --pool serial"
+    text = said(sweep)
+    assert "runs: results/a-sweep" in text
+    assert "report: results/a-sweep/report.html" in text
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.filterwarnings("ignore::pfdist.errors.EngineWarning")
+def test_nothing_moves_in_python(start: Path) -> None:
+    run = pfdist.run("jobs/a.toml", changes=shlex.split(SMALL))
+    assert Path.cwd() != start
+    assert run.state == "finished"
+    assert run.path == start / "results/a"
