@@ -1,11 +1,11 @@
 """Pages as files; the report of a run or a sweep, once or again while a run goes on."""
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.answers.run import page_of
+from pfdist.common import stopping
 from pfdist.common.arguments import path_argument
 from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
@@ -99,8 +99,9 @@ def _watch(path: Path, say: Say) -> None:
     try:
         while is_held(path) and open_run(path).state != "finished":
             write_report(open_run(path), round(SECONDS))
-            time.sleep(SECONDS)
+            stopping.sleep(SECONDS)
     except KeyboardInterrupt:
+        stopping.answered()
         write_report(open_run(path))  # a page that is left must not reload for ever
         raise
     state = open_run(path).state

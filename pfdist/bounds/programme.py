@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.bounds.relaxation import NOTHING, START, Indices, Moves, Relaxation, Window
+from pfdist.common.stopping import check
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -74,6 +75,7 @@ class Programme:
         cost = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
         cost[self.relaxation.index[START], 0] = 0.0
         for moves in self.relaxation.moves:
+            check()
             price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 between = self._between(moves.before, self._instant(moves.time))
@@ -95,6 +97,7 @@ class Programme:
         left_over = 0 if relaxation.constraints.counted else self.most
         cost[:, : left_over + 1] = self._at_the_end[:, None]
         for moves in reversed(relaxation.moves):
+            check()
             price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 after = relaxation.after[moves.before, moves.time]
@@ -191,6 +194,7 @@ def near_optimal(programme: Programme, spent: int, most: int, below: float) -> l
             break
         if sets and through[window] >= below:
             break
+        check()
         if window not in passed:
             times = programme.path_through(window, spent)
             sets[times] = None

@@ -14,6 +14,7 @@ from typing import Any, SupportsIndex, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.stopping import check
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
@@ -169,6 +170,7 @@ class Within:
     def __call__(self, items: Iterable[T]) -> Iterator[T]:
         """Give items until the time is over."""
         for number, item in enumerate(items):
+            check()
             if number and time.perf_counter() - self.start > self.seconds:
                 self.text = f" (shortened: all would take longer than {self.seconds:.0f} s)"
                 return

@@ -1,24 +1,25 @@
 """The program `pfdist`: parse the arguments, call the command, and say what went wrong.
 
-A signal of the user or of a batch system ends a command as an error would, so that it cleans up.
+A signal of the user or of a batch system ends a command as an error would, so that it cleans up;
+see `pfdist.common.stopping`.
 """
 
 import contextlib
 import os
-import signal
 import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from traceback import format_exception
-from types import FrameType
 from typing import Any
 
 from pfdist.cli.parser import make_parser, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
+from pfdist.common import stopping
 from pfdist.errors import (
     PfdistError,
     PfdistWarning,
+    PoolError,
     SilenceError,
     TaskError,
     one_line,
@@ -26,50 +27,9 @@ from pfdist.errors import (
     started_in,
 )
 
-_BATCH_SYSTEMS = (signal.SIGTERM, signal.SIGUSR1)  # batch systems send these when time is up
-_received: list[int] = []  # signals of a batch system since the command began
-
-
-def end_at_once() -> None:
-    """Let Ctrl-C end the program at once, because no command has begun.
-
-    If Ctrl-C is ignored, as ``nohup`` does, it stays ignored.
-    """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _leave)
-
-
-def interrupt_command() -> None:
-    """Let Ctrl-C and the signals of batch systems raise KeyboardInterrupt in the command."""
-    _received.clear()
-    for number in _BATCH_SYSTEMS:
-        signal.signal(number, _preempt)
-    if signal.getsignal(signal.SIGINT) is _leave:
-        signal.signal(signal.SIGINT, _interrupt)
-
-
-def _leave(number: int, frame: FrameType | None) -> None:
-    os.write(sys.stderr.fileno(), b"pfdist: interrupted\n")
-    os._exit(130)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    signal.signal(signal.SIGINT, lambda *_: os._exit(130))  # a second Ctrl-C ends it at once
-    raise KeyboardInterrupt
-
-
-def _preempt(number: int, frame: FrameType | None) -> None:
-    for repeated in _BATCH_SYSTEMS:  # a script may forward the signal that its group received
-        signal.signal(repeated, signal.SIG_IGN)
-    _received.append(number)
-    raise KeyboardInterrupt
-
-
-# --- the program ----------------------------------------------------------------------------------
-
 # Exit codes. 75 is EX_TEMPFAIL: a batch script may start the same command again.
 _DONE, _ERROR, _INTERRUPTED, _AGAIN = 0, 1, 130, 75
-_GOES_ON = "finished work is committed; the same command goes on from there"
+_SAVED = " Finished work is saved; run the same command to resume."
 _LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
 
@@ -94,23 +54,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
-    end_at_once()
-    encode_all_text()
-    words = sys.argv[1:] if arguments is None else arguments
-    if not words:
-        print(welcome(), end="")
-        return _DONE
-    try:
-        started_in(os.getcwd())  # a model may move the process
-        # Not above: the package itself makes this check, before anything imports Numba.
-        from pfdist.kernels import check_settings  # noqa: PLC0415
+    with stopping.listening(ends=arguments is None):
+        encode_all_text()
+        words = sys.argv[1:] if arguments is None else arguments
+        if not words:
+            print(welcome(), end="")
+            return _DONE
+        try:
+            started_in(os.getcwd())  # a model may move the process
+            # Not above: the package itself makes this check, before anything imports Numba.
+            from pfdist.kernels import check_settings  # noqa: PLC0415
 
-        check_settings()
-        options = make_parser().parse_args(arguments)
-    except Exception as error:
-        return _error(error, debug="--debug" in words)
-    interrupt_command()
-    return _run(options, ends=arguments is None)
+            check_settings()
+            options = make_parser().parse_args(arguments)
+        except Exception as error:
+            return _error(error, debug="--debug" in words)
+        return _run(options, ends=arguments is None)
 
 
 def _run(options: Namespace, *, ends: bool) -> int:
@@ -120,18 +79,21 @@ def _run(options: Namespace, *, ends: bool) -> int:
     """
     try:
         with _warnings_as_lines():
-            with stdout_for_json(options, ends=ends):
-                options.called.call(options)
+            try:
+                with stdout_for_json(options, ends=ends):
+                    options.called.call(options)
+            except (PoolError, SystemExit):  # a signal has ended workers; Ray's handler raises
+                stopping.check()
+                raise
             flush_output()
+        stopping.check()  # the exit code says that a signal was received, even at the very end
     except KeyboardInterrupt:
-        cause = "asked to end" if _received else "interrupted"
-        keeps = options.called.goes_on and not getattr(options, "dry_run", False)
-        goes_on = f"; {_GOES_ON}" if keeps else ""
-        print(f"pfdist: {cause}{goes_on}", file=sys.stderr)
-        return _AGAIN if _received else _INTERRUPTED
+        resumes = options.called.goes_on and not getattr(options, "dry_run", False)
+        print(f"pfdist: Stopped.{_SAVED if resumes else ''}", file=sys.stderr)
+        return stopping.exit_code() or _INTERRUPTED
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
-        return _ERROR
+        return stopping.exit_code() or _ERROR
     except Exception as error:
         return _error(error, debug=options.debug)
     return _DONE
@@ -156,7 +118,7 @@ def _error(error: Exception, *, debug: bool) -> int:
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"pfdist: {line}{hint}", file=sys.stderr)
-    return _AGAIN if isinstance(error, SilenceError) else _ERROR
+    return stopping.exit_code() or (_AGAIN if isinstance(error, SilenceError) else _ERROR)
 
 
 def _output_error() -> OSError | None:

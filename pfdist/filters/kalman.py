@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.stopping import check
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
@@ -195,6 +196,7 @@ def expected_errors(
     covariance = np.repeat(begin[None], len(sets), axis=0)
     errors = np.empty((len(sets), horizon + 1 - start))
     for t in range(start, horizon + 1):
+        check()
         for place in range(t * sensors, (t + 1) * sensors):
             here = measured[:, place]
             gain, observation_matrix = _gain(covariance[here], matrices.measurement[place])

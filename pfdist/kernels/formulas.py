@@ -14,6 +14,7 @@ from numba import errors
 from numba.extending import is_jitted, overload
 
 import pfdist.elementwise  # noqa: F401  registers the compiled versions of where and clip
+from pfdist.common.stopping import check
 from pfdist.densities import draws, log_densities, quantiles, special
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.melting import MELTING, melted
@@ -275,7 +276,10 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
     If compiled code failed, `again` computes the same in NumPy, so that Python's own traceback has
     the formula, the line and the instant. If NumPy does not fail, `again` describes what it
     computed.
+
+    A signal that was received ends the command here: before the next formulas are compiled.
     """
+    check()
     try:
         yield
     except NOT_COMPILED as error:
@@ -300,6 +304,7 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
 
     It has the formula's name, the instant if it is known, and the line.
     """
+    check()
     try:
         yield
     except (MemoryError, PfdistError):

@@ -20,6 +20,7 @@ from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.stored_run import statistics_of
 from pfdist.common.registry import Registry
+from pfdist.common.stopping import check
 from pfdist.errors import StoreError
 from pfdist.plots.panel import scaled
 from pfdist.plots.style import styled
@@ -245,6 +246,7 @@ def drawn(plot: Plot) -> Canvas:
     The layout is made here, once. A canvas with a layout engine would draw everything twice for
     each format.
     """
+    check()
     size = rcParams["figure.figsize"][0], scaled(plot.height)
     dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
     canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots)

@@ -9,6 +9,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Protocol, Self
 
+from pfdist.common.stopping import check
+
 Function = Callable[[Any], Any]
 
 # A worker counts as lost when it is silent for so many seconds, and for so many times the expected
@@ -16,6 +18,7 @@ Function = Callable[[Any], Any]
 PATIENCE_SECONDS = 15.0
 PATIENCE_TIMES = 20
 LOOK_SECONDS = 1.0  # between two looks for silent workers
+WAIT_SECONDS = 0.2  # for an answer, before the pool looks whether a signal was received
 PAUSE_SECONDS = 0.01  # before the pool asks for tasks again, if there were none
 STILL_SECONDS = 5.0  # between two looks: after longer, this process itself was stopped or busy
 
@@ -91,4 +94,5 @@ class SerialPool:
         for task in tasks:
             if task is None:  # no task is in flight that could bring another
                 return
+            check()
             yield Outcome(task, *do(task.function, task.work))

@@ -7,23 +7,24 @@ with this process, whatever ends it.
 
 import contextlib
 import logging
+import math
 import os
 import platform
 import secrets
-import signal
 import stat
 import sys
 import tempfile
 import threading
+import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
+from pfdist.common.stopping import check, renew
 from pfdist.errors import PoolError
 
 # Before Ray is imported: by default it writes to standard error, reports its usage, and replaces
@@ -49,41 +50,9 @@ STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
 LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 _GROUP_SECONDS = 10.0  # within which Ray must find the nodes of free cores
+_RENEW_SECONDS = 0.002  # for which Ray's handlers of signals may be in force
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-
-
-@contextlib.contextmanager
-def signals_wait() -> Iterator[None]:
-    """Let signals wait inside a with statement, because a half-started Ray cannot be left.
-
-    The program's handlers are called at the end; a second signal does not wait.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    received: list[int] = []
-    handlers: dict[int, Any] = {}
-
-    def note(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        if len(received) > 1:
-            handlers[number](number, frame)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
-        if callable(handler := signal.getsignal(number)):
-            handlers[number] = handler
-            signal.signal(number, note)
-    try:
-        yield
-    finally:
-        for caught, handler in handlers.items():
-            if signal.getsignal(caught) is note:  # a handler may have changed it
-                signal.signal(caught, handler)
-        if received:  # Ray's own handler of SIGTERM sets an alarm that ends the process after 3 s
-            signal.alarm(0)
-        if len(received) == 1:
-            handlers[received[0]](received[0], None)
 
 
 def private_folder() -> str:
@@ -232,7 +201,8 @@ def _init(left: threading.Event, **options: Any) -> None:
     """Start Ray in a thread of its own, which waits until the cluster is left.
 
     In the main thread, Ray would take the handler of SIGTERM. The servers that Ray starts end with
-    the thread that started them.
+    the thread that started them. A half-started Ray cannot be left: signals wait, also Ctrl-C in a
+    notebook, until it has started.
     """
     started = Future[None]()
 
@@ -245,10 +215,27 @@ def _init(left: threading.Event, **options: Any) -> None:
             started.set_result(None)
             left.wait()
 
-    with signals_wait(), warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         within(0.0, start)
-        started.result()
+        try:
+            _keep_handlers(started.done)
+        finally:
+            started.exception()
+    check()
+    started.result()
+
+
+def _keep_handlers(ended: Callable[[], bool], seconds: float = math.inf) -> None:
+    """Wait until something has ended, for so many seconds at most, and keep our signal handlers.
+
+    Ray's libraries set that of SIGTERM while Ray starts, and remove it while Ray ends.
+    """
+    deadline = time.monotonic() + seconds
+    while not ended() and time.monotonic() < deadline:
+        time.sleep(_RENEW_SECONDS)
+        renew()
+    renew()
 
 
 @contextlib.contextmanager
@@ -295,9 +282,10 @@ def _leave(guard: Guard) -> None:
         guard.end()
         return
     # Ray may never answer. Once the guard has ended its servers, the call returns or is abandoned.
-    shutdown = within(STOP_SECONDS, ray.shutdown)
+    shutdown = within(0.0, ray.shutdown)
+    _keep_handlers(lambda: not shutdown.is_alive(), STOP_SECONDS)
     guard.end()
-    shutdown.join(STOP_SECONDS)
+    _keep_handlers(lambda: not shutdown.is_alive(), STOP_SECONDS)
 
 
 def about() -> dict[str, Any]:

@@ -35,6 +35,7 @@ from typing import Any, Self
 import cloudpickle
 from threadpoolctl import threadpool_limits
 
+from pfdist.common.stopping import check, sleep
 from pfdist.errors import EngineWarning, PfdistError, PoolError, SilenceError
 from pfdist.pools import base
 from pfdist.pools.base import Function, Outcome, Task, do, patience
@@ -151,9 +152,10 @@ class RayPool:
                 task = self._hand_out(todo)
             if not self._unfinished and (task is None or task is _END):
                 return
+            check()
             try:
                 call = self._answers.get(
-                    timeout=base.PAUSE_SECONDS if task is None else base.LOOK_SECONDS
+                    timeout=base.PAUSE_SECONDS if task is None else base.WAIT_SECONDS
                 )
             except Empty:
                 pass  # no worker has answered; it is time to look for the silent
@@ -180,7 +182,7 @@ class RayPool:
                     f"{self._least_cores} cores that it must have",
                     argument="wait_for_cores",
                 )
-            time.sleep(base.PAUSE_SECONDS)
+            sleep(base.PAUSE_SECONDS)
 
     def _start_workers(self) -> None:
         """Start workers on the cores that are free, and wait until each has reported its version.
@@ -189,7 +191,7 @@ class RayPool:
         """
         self.workers, deadline = self._demanded or all_cores(), time.monotonic() + TAKEN_SECONDS
         while (free := idle_cores()) < self.workers and time.monotonic() < deadline:
-            time.sleep(base.PAUSE_SECONDS)
+            sleep(base.PAUSE_SECONDS)
         if free < self.workers:
             cores = all_cores()
             taken = f"{cores - free} of the {cores} cores of the Ray cluster are taken"
@@ -202,11 +204,12 @@ class RayPool:
         # Cores that were free may be taken in between: wait until one worker can start.
         while not self._members:
             self._add_workers(self._free_cores())
-            time.sleep(base.PAUSE_SECONDS)
+            sleep(base.PAUSE_SECONDS)
         deaths, deadline = 0, time.monotonic() + START_SECONDS
         while any(worker.is_loading for worker in self._members):
+            check()
             try:
-                call = self._answers.get(timeout=base.LOOK_SECONDS)
+                call = self._answers.get(timeout=base.WAIT_SECONDS)
             except Empty:
                 if time.monotonic() > deadline:
                     raise TimeoutError(f"no answer in {START_SECONDS:.0f} s") from None

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 
+from pfdist.common.stopping import check, sleep
 from pfdist.errors import PoolError
 from pfdist.pools.guard import python_command
 
@@ -19,6 +20,7 @@ ANSWER_SECONDS = 18  # after Ray is imported
 LOAD_SECONDS = 120
 CONNECT_SECONDS = 5.0
 LEAVE_SECONDS = 5
+_PAUSE_SECONDS = 0.01  # between two looks at the trial
 _SHOWN = 300  # characters of what Ray says
 _SHOWN_ADDRESS = 80
 
@@ -31,7 +33,14 @@ def rehearse(address: str) -> None:
     with subprocess.Popen(  # noqa: S603  this file
         python_command(__name__, address), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as trial:
+        while trial.poll() is None:  # its answer is short
+            try:
+                sleep(_PAUSE_SECONDS)
+            except KeyboardInterrupt:
+                trial.kill()
+                raise
         answer, _ = trial.communicate()
+    check()  # the trial may have received the signal, too
     if not answer:
         raise PoolError(
             f"no answer from a Ray cluster in {ANSWER_SECONDS} s; it may want another token "

@@ -8,6 +8,7 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Self
 
+from pfdist.common.stopping import check
 from pfdist.errors import SilenceError
 from pfdist.pools import base
 from pfdist.pools.base import Outcome, Task, do, patience
@@ -68,7 +69,8 @@ class ThreadPool:
                 in_flight += 1
             if not in_flight:
                 return
-            pause = base.PAUSE_SECONDS if task is None else base.LOOK_SECONDS
+            check()
+            pause = base.PAUSE_SECONDS if task is None else base.WAIT_SECONDS
             try:
                 outcome = answers.get(timeout=pause)
             except Empty:

@@ -46,6 +46,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import pyarrow as pa
 
+from pfdist.common.stopping import check
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
 from pfdist.filters.work import Result, Work
@@ -390,6 +391,7 @@ class Loop:
         batch = self._batches.pop(driver, None)
         try:
             while True:
+                check()
                 if batch is not None:
                     error = error or _error_of(batch.end)
                 batch = next(driver) if error is None else driver.throw(error)

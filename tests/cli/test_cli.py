@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -15,6 +16,8 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis import finite
+from pfdist.common import stopping
+from pfdist.errors import SilenceError
 from pfdist.runner.build import Built, build
 
 Call = Callable[..., Any]  # exit code, output and errors of a line
@@ -202,8 +205,25 @@ def test_an_interrupted_command_says_whether_the_same_command_goes_on(
     monkeypatch.setattr(function, interrupted)
     code, _, error = call(line.format(run=run))
     assert code == 130
-    assert error.startswith("pfdist: interrupted")
-    assert error.endswith("the same command goes on from there\n") is goes_on
+    saved = " Finished work is saved; run the same command to resume." if goes_on else ""
+    assert error == f"pfdist: Stopped.{saved}\n"
+
+
+@pytest.mark.parametrize("error", [SystemExit(15), SilenceError("no worker answers")])
+def test_an_error_that_a_signal_has_caused_has_the_exit_code_of_the_signal(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch, call: Call
+) -> None:
+    def interrupted(*arguments: object) -> None:
+        stopping.check()
+        signal.raise_signal(signal.SIGTERM)
+        while stopping.exit_code() is None:
+            time.sleep(0.001)
+        raise error
+
+    monkeypatch.setattr("pfdist.analysis.open_run", interrupted)
+    code, _, said = call("status nowhere")
+    assert code == 75
+    assert said.splitlines()[-1] == "pfdist: Stopped."
 
 
 def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(run: Path) -> None:

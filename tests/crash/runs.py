@@ -23,7 +23,7 @@ PROGRAM = """
 import signal, sys
 from pfdist.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(main(sys.argv[1:]))
+sys.exit(main())
 """
 GONE_SECONDS = 10.0  # after which nothing of a program that has ended may live
 

@@ -213,7 +213,7 @@ def test_a_thread_that_never_ends_ends_the_run_after_a_commit_and_the_command_so
             driver.wait_for((tmp_path / "flag").exists)
             time.sleep(3.0)  # so long the other thread goes on
             driver.process.send_signal(signal.SIGINT)
-            until(lambda: driver.said[-1].startswith("pfdist: interrupted"), 3.0)
+            until(lambda: driver.said[-1].startswith("pfdist: Stopped."))
             assert driver.wait() == 130
         else:
             assert driver.wait() == 75

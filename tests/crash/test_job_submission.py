@@ -42,7 +42,9 @@ def test_a_submitted_run_is_stopped_and_submitted_again_and_loses_nothing(tmp_pa
         assert stopped.returncode == 0, stopped.stderr[-2000:]
         said = ray_job(cluster, "logs", "first").stdout
         assert "3 workers" in said
-        assert "the same command goes on" in said  # it committed what was done, and ended by itself
+        assert (
+            "run the same command to resume" in said
+        )  # it saved what was done, and ended by itself
         assert not (run / "tables" / "comparison").exists()
         again = ray_job(cluster, "submit", "--", *words)
         assert again.returncode == 0, again.stdout[-2000:]

@@ -328,7 +328,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
         patch.setattr(Evaluator, "filtered", signalled)
         assert main([*command, str(run)]) == code
     signal.signal(signal.SIGINT, before)
-    assert "the same command goes on" in capsys.readouterr().err
+    assert "run the same command to resume" in capsys.readouterr().err
     kept = pfdist.open_run(run)
     assert kept.state == state
     assert len(kept.table("draws")) > 0

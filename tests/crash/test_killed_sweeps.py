@@ -97,7 +97,7 @@ def test_a_sweep_asked_to_end_keeps_what_is_done_and_goes_on(
         code = driver.wait()
     assert code in (0, 130)  # it may have been faster
     if code:
-        assert driver.said[-1].startswith("pfdist: interrupted")
+        assert driver.said[-1].startswith("pfdist: Stopped.")
     assert finished(small_job, sweep) == whole
     record_property("faults", f"{ASKED}: 1")
 

@@ -6,7 +6,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,91 +19,214 @@ from pfdist import Job
 from pfdist.pools.guard import marked
 
 ASKED = "Ctrl-C"
+CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
 NOTICE_SECONDS = 20.0  # what a batch system gives
 
 Record = Callable[[str, object], None]
 
+STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now"
+STOPPED = "pfdist: Stopped."
+SAVED = f"{STOPPED} Finished work is saved; run the same command to resume."
+
 # As a terminal or a batch script starts it: SIGINT is not ignored.
-SLOW_TO_LEAVE = """
-import signal, sys, time
+BEGINS = """
+import os, signal, sys, threading, time
 from pfdist.cli.main import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+{}
+print("beginning", flush=True)
+sys.exit(main())
+"""
+
+
+@contextmanager
+def program(lines: str, *words: object) -> Iterator[subprocess.Popen[str]]:
+    """The program in a process, after some lines of Python."""
+    command = [sys.executable, "-c", BEGINS.format(lines), *map(str, words)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "beginning\n"
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+ENDLESS = """
 from pfdist.filters.evaluator import Evaluator
-from pfdist.pools.base import SerialPool
-
-def leave(*_):
-    print("leaving", flush=True)
-    time.sleep(600)
-
 def forever(*_):
     print("computing", flush=True)
     time.sleep(600)
-
-signal.signal(signal.SIGINT, signal.default_int_handler)
-SerialPool.__exit__, Evaluator.filtered = leave, forever
-sys.exit(main(sys.argv[1:]))
+Evaluator.filtered = forever
 """
 
 
 def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
     small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
-    command = [
-        sys.executable,
-        "-c",
-        SLOW_TO_LEAVE,
-        "run",
-        small_job.path,
-        "--results",
-        tmp_path / "run",
-    ]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with program(ENDLESS, "run", small_job.path, "--results", tmp_path / "run") as process:
         assert process.stdout is not None
+        assert process.stderr is not None
         assert process.stdout.readline() == "computing\n"
         process.send_signal(signal.SIGINT)
-        assert process.stdout.readline() == "leaving\n"
+        assert STOPPING in iter(lambda: process.stderr.readline().strip(), "")
         time.sleep(0.5)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        assert process.wait(2.0) == 130
+        assert process.wait(PATIENCE_SECONDS) == 130
     runs = [pfdist.run(small_job, tmp_path / name, figures=False) for name in ("run", "whole")]
     assert hashes(runs[0].path) == hashes(runs[1].path)
     record_property("faults", f"{ASKED}: 2")
 
 
-BEGINS = """
-import signal, sys
-from pfdist.cli.main import main
-signal.signal(signal.SIGINT, signal.default_int_handler)
-print("beginning", flush=True)
-sys.exit(main(sys.argv[1:]))
+@pytest.mark.parametrize("after", [0.05, 0.3])
+@pytest.mark.parametrize(("number", "code"), CODES)
+def test_a_signal_ends_the_program_at_once_while_it_is_loaded(
+    number: signal.Signals, code: int, after: float, record_property: Record
+) -> None:
+    with program("", "check-model", "ungm") as process:  # loads Numba: a second
+        time.sleep(after)
+        process.send_signal(number)
+        _, error = process.communicate(timeout=PATIENCE_SECONDS)
+        assert process.returncode == code
+        assert error == f"{STOPPED}\n"
+    record_property("faults", f"{ASKED}: 1")
+
+
+LAST_CHECK = "no formula fails at any instant"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "evaluate {job} --times 0:12:3",
+        *(
+            pytest.param(line, marks=pytest.mark.crash)
+            for line in (
+                "check-model ungm",
+                "why {run}/job.toml",
+                "sweep {job} --over seed=1:2 --dry-run",
+                "run {job} --results {new} --pool serial",
+                "run {job} --results {new} --pool threads",
+                "plan {job} --results {new}",
+            )
+        ),
+    ],
+)
+def test_a_signal_while_kernels_compile_stops_before_the_next_compilation(
+    line: str,
+    small_run: pfdist.Run,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
+) -> None:
+    cache, new = tmp_path / "cache", tmp_path / "new"
+    monkeypatch.setenv("PFDIST_CACHE_DIR", str(cache))
+    words = line.format(job=small_job.path, run=small_run.path, new=new).split()
+    with program("", *words) as process:
+        until(lambda: cache.exists() and any(cache.rglob("*")))  # the first is compiled
+        process.send_signal(signal.SIGTERM)
+        output, error = process.communicate(timeout=PATIENCE_SECONDS)
+        assert process.returncode == 75
+    resumes = str(new) in words
+    assert error.splitlines()[-2:] == [STOPPING, SAVED if resumes else STOPPED]
+    assert LAST_CHECK not in output
+    assert "MSE" not in output
+    assert not (new / "tables").exists()
+    record_property("faults", f"{ASKED}: 1")
+
+
+# In such a callback, an exception of a handler would be swallowed.
+CALLBACKS = {
+    "weakref": "weakref.finalize(set(), end)",
+    "ctypes": "ctypes.CFUNCTYPE(None)(end)()",
+}
+MODEL = """
+import ctypes, dataclasses, os, signal, weakref
+from pfdist.models import ungm
+FLAG, BEGUN = {flag!r}, {begun!r}
+def end():
+    os.kill(os.getpid(), signal.SIGTERM)
+    for _ in range(1000): pass
+def measurement(x, t, v, p):
+    if t == 3 and not os.path.exists(FLAG) and os.path.exists(BEGUN):
+        os.mkdir(FLAG)
+        {callback}
+    return ungm.measurement(x, t, v, p)
+model = dataclasses.replace(ungm.model, measurement=measurement)
 """
 
 
-@pytest.mark.parametrize("after", [0.05, 0.3])
-def test_ctrl_c_is_heard_while_the_program_is_loaded(after: float, record_property: Record) -> None:
-    command = [sys.executable, "-c", BEGINS, "check-model", "ungm"]  # loads Numba: a second
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "beginning\n"
-        time.sleep(after)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=30.0)
-        assert process.returncode == 130
-        assert error == "pfdist: interrupted\n"
+@pytest.mark.parametrize("callback", CALLBACKS.values(), ids=CALLBACKS)
+def test_a_signal_in_a_callback_ends_the_run_which_then_resumes(
+    callback: str, small_job: Job, tmp_path: Path, record_property: Record
+) -> None:
+    flag, run = tmp_path / "flag", tmp_path / "run"
+    begun, model = str(run / "parts" / "draws"), tmp_path / "mine.py"
+    model.write_text(MODEL.format(flag=str(flag), begun=begun, callback=callback))
+    options = ["--set", f"model.name='{model}:model'", "filter.engine=numpy", "--no-report"]
+    options += [
+        "--set",
+        "comparison.draws=5",
+        "problem.horizon=4",
+        "filter.particles=5",
+        "--pool",
+        "serial",
+    ]
+    with running(small_job.path, run, *options) as driver:
+        assert driver.wait() == 75
+        assert driver.said[-2:] == [STOPPING, SAVED]
+    assert flag.exists()
+    resumed, whole = (finish(small_job.path, each, *options) for each in (run, tmp_path / "whole"))
+    assert resumed == whole
     record_property("faults", f"{ASKED}: 1")
+
+
+SENDS = """
+from pfdist.pools.ray_cluster import ray
+original = ray.{what}
+def patched(*arguments, **options):
+    threading.Timer({after}, os.kill, [os.getpid(), signal.{number}]).start()
+    return original(*arguments, **options)
+ray.{what} = patched
+"""
 
 
 @pytest.mark.crash
 @pytest.mark.parametrize(
-    ("number", "code"),
-    [
-        (signal.SIGTERM, 75),
-        (signal.SIGUSR1, 75),
-        (signal.SIGINT, 130),
-    ],
+    ("what", "after"),
+    [("init", after) for after in (0.0, 1.0, 4.0)]
+    + [("shutdown", after) for after in (0.0, 0.1, 0.5, 1.0)],
 )
+@pytest.mark.parametrize(("number", "code"), CODES)
+def test_a_signal_while_ray_starts_or_ends_has_its_exit_code_and_leaves_nothing(
+    number: signal.Signals,
+    code: int,
+    what: str,
+    after: float,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
+) -> None:
+    lines, run = SENDS.format(what=what, after=after, number=number.name), tmp_path / "run"
+    mark = secrets.token_hex(8)
+    monkeypatch.setenv("PFDIST_TEST", mark)
+    words = ["run", small_job.path, "--results", run, "--pool", "ray", "--no-report"]
+    with program(lines, *words) as process:
+        _, error = process.communicate(timeout=PATIENCE_SECONDS)
+        assert process.returncode == code
+        assert error.splitlines()[-1] == SAVED
+        assert error.splitlines().count(STOPPING) == 1
+        until(lambda: not marked("PFDIST_TEST", mark), GONE_SECONDS)
+    assert finish(small_job.path, run) == finish(small_job.path, tmp_path / "whole")
+    record_property("faults", f"{ASKED}: 1")
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize(("number", "code"), CODES)
 def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
     number: signal.Signals, code: int, small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
@@ -115,24 +239,8 @@ def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
         os.killpg(driver.process.pid, number)  # the whole group, as a terminal or a batch system
         assert driver.wait() == code
         assert time.monotonic() - start < NOTICE_SECONDS
-        assert "the same command goes on from there" in driver.said[-1]
+        assert driver.said[-1] == SAVED
         until(lambda: all_gone(everything), GONE_SECONDS)
-    record_property("faults", f"{ASKED}: 1")
-
-
-@pytest.mark.crash
-@pytest.mark.parametrize("after", [0.5, 2.0, 4.0])
-def test_a_run_that_is_asked_to_end_while_ray_starts_does_so(
-    after: float, small_job: Job, tmp_path: Path, record_property: Record
-) -> None:
-    with running(small_job.path, tmp_path / "run", "--pool", "ray") as driver:
-        driver.wait_for((tmp_path / "run" / "run.json").exists)
-        time.sleep(after)
-        everything = driver.family()
-        driver.process.send_signal(signal.SIGTERM)
-        assert driver.process.wait(PATIENCE_SECONDS) in {0, 75}
-        until(lambda: all_gone(everything), GONE_SECONDS)
-    assert finish(small_job.path, tmp_path / "run") == finish(small_job.path, tmp_path / "whole")
     record_property("faults", f"{ASKED}: 1")
 
 

@@ -85,7 +85,7 @@ def test_a_job_whose_time_is_up_and_that_is_preempted_ends_with_the_same_bytes(
     assert cluster.ended(job) == "JobState=COMPLETED ExitCode=0:0"
     assert cluster.started(job) == 2
     said = (folder / "out.txt").read_text()
-    assert said.count("pfdist: asked to end; finished work is committed") == 2
+    assert said.count("pfdist: Stopped. Finished work is saved") == 2
     assert "DUE TO PREEMPTION" in said
     alone = pfdist.run(small_job, tmp_path / "alone", changes=LONG, figures=False)
     assert tables(run) == tables(alone.path)

@@ -1,15 +1,14 @@
-"""The folder for Ray's sockets and logs is this user's alone, and short; signals wait."""
+"""The folder for Ray's sockets and logs is this user's alone, and short."""
 
 import os
-import signal
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from pfdist.errors import PoolError
-from pfdist.pools.ray_cluster import private_folder, signals_wait
+from pfdist.pools.ray_cluster import private_folder
 
 LONGEST = "/session_2026-11-20_12-46-57_059075_4194304/sockets/plasma_store"
 
@@ -78,69 +77,3 @@ def test_the_paths_of_rays_sockets_are_short(
     )
     monkeypatch.setenv("RAY_TMPDIR", "/" + "a" * (place_length - 1))
     assert len(private_folder() + LONGEST) <= 107
-
-
-@pytest.fixture
-def heard() -> Iterator[list[int]]:
-    """Numbers of the signals whose handler was called; the handler raises KeyboardInterrupt."""
-    numbers: list[int] = []
-
-    def handler(number: int, frame: object) -> None:
-        numbers.append(number)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield numbers
-    for number, former in before.items():
-        signal.signal(number, former)
-
-
-@pytest.mark.parametrize("error", [None, OSError])
-def test_a_signal_waits_for_the_end(heard: list[int], error: type[OSError] | None) -> None:
-    before_the_end = []
-
-    def start() -> None:
-        with signals_wait():
-            signal.raise_signal(signal.SIGTERM)
-            before_the_end.append(heard.copy())
-            if error is not None:  # the end that was asked for counts more
-                raise error
-
-    with pytest.raises(KeyboardInterrupt):
-        start()
-    assert before_the_end == [[]]
-    assert heard == [signal.SIGTERM]
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGTERM)
-
-
-def test_the_alarm_that_ray_sets_at_a_signal_ends_nothing(heard: list[int]) -> None:
-    def start() -> None:
-        with signals_wait():
-            signal.alarm(60)  # as Ray's handler of SIGTERM does
-            signal.raise_signal(signal.SIGTERM)
-
-    with pytest.raises(KeyboardInterrupt):
-        start()
-    assert signal.alarm(0) == 0  # no alarm is left
-    assert heard == [signal.SIGTERM]
-
-
-def test_a_second_signal_does_not_wait(heard: list[int]) -> None:
-    def start() -> None:
-        with signals_wait():
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)
-            heard.clear()  # not reached
-
-    with pytest.raises(KeyboardInterrupt):
-        start()
-    assert heard == [signal.SIGINT]
-
-
-def test_an_ignored_signal_stays_ignored(heard: list[int]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as `nohup` does
-    with signals_wait():
-        signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    assert heard == []

@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+import signal
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +20,7 @@ from pfdist.answers.about_run import _LOAD
 from pfdist.answers.run import page_of, searches
 from pfdist.answers.subject import Subject, effect
 from pfdist.cli.main import main
+from pfdist.common import stopping
 from pfdist.common.percent import gap_sentence, percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError
@@ -214,10 +217,22 @@ def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
     assert out == f"{file}\n"
     assert "is not finished (comparing), and no process computes it: run its job on" in err
     monkeypatch.setattr("pfdist.api.report.is_held", lambda path: True)
-    monkeypatch.setattr("pfdist.api.report.time.sleep", go_on)
+    monkeypatch.setattr("pfdist.api.report.stopping.sleep", go_on)
     assert main(["report", str(folder), "--watch"]) == 0
     assert capsys.readouterr().out == f"{file}\n"
     assert reloads == [True]
+    assert 'http-equiv="refresh"' not in file.read_text()
+
+    def end(seconds: float) -> None:
+        stopping.check()
+        signal.raise_signal(signal.SIGTERM)
+        while stopping.exit_code() is None:
+            time.sleep(0.001)
+        stopping.check()
+
+    monkeypatch.setattr("pfdist.analysis.Run.state", "comparing")
+    monkeypatch.setattr("pfdist.api.report.stopping.sleep", end)
+    assert main(["report", str(folder), "--watch"]) == 75
     assert 'http-equiv="refresh"' not in file.read_text()
 
 
