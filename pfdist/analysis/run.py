@@ -11,7 +11,6 @@ from pfdist.analysis.stored_run import StoredRun, check_one_number, gains_of, pr
 from pfdist.analysis.summary import SetResult, Summary, summary_of
 from pfdist.common.percent import cost, percent_with_interval
 from pfdist.common.rounding import with_error
-from pfdist.common.stopping import check
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.errors import PfdistError, StoreError, shown
@@ -122,7 +121,6 @@ def open_run(path: str | Path) -> Run:
     StoreError
         The folder holds no run, or one that cannot be read.
     """
-    check()
     if not isinstance(path, str | Path):
         raise StoreError(f"a run must be the path of its folder, got {shown(path)}", argument="run")
     return Run(Path(path))
