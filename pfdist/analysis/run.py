@@ -12,7 +12,6 @@ from pfdist.analysis.summary import SetResult, Summary, summary_of
 from pfdist.common.arguments import path_argument
 from pfdist.common.percent import cost, percent_with_interval
 from pfdist.common.rounding import with_error
-from pfdist.common.stopping import check
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.errors import PfdistError, StoreError
@@ -123,7 +122,6 @@ def open_run(path: str | Path) -> Run:
     StoreError
         The folder holds no run, or one that cannot be read.
     """
-    check()
     return Run(path_argument("run", path))
 
 

@@ -33,12 +33,8 @@ def rehearse(address: str) -> None:
     with subprocess.Popen(  # noqa: S603  this file
         python_command(__name__, address), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as trial:
-        while trial.poll() is None:  # its answer is short
-            try:
-                sleep(_PAUSE_SECONDS)
-            except KeyboardInterrupt:
-                trial.kill()
-                raise
+        while trial.poll() is None:  # its answer is short; the guard ends a trial that is left
+            sleep(_PAUSE_SECONDS)
         answer, _ = trial.communicate()
     check()  # the trial may have received the signal, too
     if not answer:

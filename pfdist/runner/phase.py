@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.common.stopping import check
 from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
@@ -235,7 +234,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     reporter.begin(name, generation=1, generations=optimiser.generations)
     copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
     while not optimiser.done(state):
-        check()
         rng = generator(phase.built.job.seed, "search", name, generation)
         candidates = list(optimiser.ask(state, rng))
         if copies_are_alike:

@@ -171,7 +171,10 @@ class Store:
         condition = None if draws is None else pc.field("draw") < draws
         pieces = self._load(table, phase, filters=condition)
         if not pieces:
-            raise StoreError(f"the run {self.path} has no table {table!r} yet")
+            raise StoreError(
+                f"the run {self.path} has no table {table!r} yet, or its parts are damaged: run the "
+                "same command again"
+            )
         frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
         keys = keys_of(table, [*frame.columns])
         return frame.drop_duplicates(keys).sort_values(keys, ignore_index=True)
