@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import SMALL_JOB
 
 import pfdist
-from conftest import SMALL_JOB
 from oracles.model_text import MEASURED
 
 MODEL = (
@@ -32,7 +32,10 @@ model = pfdist.StateSpaceModel(
     + MEASURED
     + ")\n"
 )
-SMALL = "evaluation.draws=10 search.genetic.generations=1 search.random.evaluations=1 comparison.draws=60"
+SMALL = (
+    "evaluation.draws=10 search.genetic.generations=1 search.random.evaluations=1 "
+    "comparison.draws=60"
+)
 
 
 @pytest.fixture(params=["at import", "in a formula"])
