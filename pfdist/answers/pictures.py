@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 from pfdist.analysis import Run
 from pfdist.documents.parts import Block, Figures, Page, Picture, Section
+from pfdist.errors import printable
 from pfdist.plots.figure import FIGURES, Plot, Tables, drawn
 from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED, SCREEN, styled
 
@@ -85,7 +86,7 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
         _adapt(element, f"{name}-")
     for key in ("width", "height", "version"):
         svg.attrib.pop(key, None)
-    svg.attrib |= {"role": "img", "aria-label": description}
+    svg.attrib |= {"role": "img", "aria-label": printable(description)}
     return ElementTree.tostring(svg, encoding="unicode")
 
 

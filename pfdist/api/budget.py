@@ -9,7 +9,7 @@ from pfdist.api.options import MOST_DRAWS, Chosen, Options, with_options
 from pfdist.api.report import try_report
 from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
-from pfdist.common.arguments import number_argument, whole_argument
+from pfdist.common.arguments import listed_argument, number_argument, whole_argument
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.bound_settings import LEAST_DRAWS
@@ -115,7 +115,7 @@ def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]
             f"{shown(measurements)}",
             argument="measurements",
         )
-    for number in measurements:
+    for number in listed_argument("measurements", measurements):
         whole_argument("measurements", number, -(2**63), 2**63 - 1)
     if is_pair:
         least, most = measurements

@@ -1,11 +1,15 @@
 """Checks of arguments of public functions, with errors in one line."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from itertools import islice
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.errors import ArgumentError, shown
+
+T = TypeVar("T")
 
 
 def whole_argument(name: str, value: Any, least: int, most: int) -> int:
@@ -38,7 +42,8 @@ def path_argument(name: str, value: Any) -> Path:
     An `ArgumentError` says that it is neither a text nor a path, or holds the character NUL.
     """
     if not isinstance(value, str | Path) or "\0" in str(value):
-        raise ArgumentError(f"{name} must be a path, got {shown(value)}", argument=name)
+        without = " without NUL" if isinstance(value, str | Path) else ""
+        raise ArgumentError(f"{name} must be a path{without}, got {shown(value)}", argument=name)
     return Path(value).absolute()
 
 
@@ -66,6 +71,29 @@ def _listed(name: str, value: Any, kind: Any, what: str) -> list[Any]:
     if not all(isinstance(each, kind) for each in entries):
         raise ArgumentError(f"{name} must be a list of {what}, got {shown(value)}", argument=name)
     return entries
+
+
+def listed_argument(name: str, values: Iterable[T]) -> list[T]:
+    """An argument as a list; an `ArgumentError` if it has more than a million entries.
+
+    >>> listed_argument("times", range(10**9))
+    Traceback (most recent call last):
+        ...
+    pfdist.errors.ArgumentError: times must be at most 1,000,000 numbers, got range(0, 1000000000)
+    """
+    listed = list(islice(values, MOST_NUMBERS + 1))
+    if len(listed) > MOST_NUMBERS:
+        raise ArgumentError(
+            f"{name} must be at most {MOST_NUMBERS:,} numbers, got {shown(values)}", argument=name
+        )
+    return listed
+
+
+def mapping_argument(name: str, value: Any) -> dict[str, Any]:
+    """An argument as a dictionary; an `ArgumentError` if it is no mapping of texts."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ArgumentError(f"{name} must be a mapping, got {shown(value)}", argument=name)
+    return dict(value)
 
 
 def called_argument(name: str, value: Any) -> None:

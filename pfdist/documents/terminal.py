@@ -43,7 +43,8 @@ def wrapped(text: str, start: str = "") -> list[str]:
     """
     indent = " " * min(len(start), _NAME + 3)
     lines = textwrap.wrap(
-        _GLUED.sub("\xa0", one_line(text)), COLUMNS, initial_indent=start, subsequent_indent=indent,
+        _GLUED.sub("\xa0", one_line(text)), COLUMNS,
+        initial_indent=one_line(start), subsequent_indent=indent,
         break_on_hyphens=False, break_long_words="/" not in text,
     )  # fmt: skip
     return [line.replace("\xa0", " ") for line in lines]

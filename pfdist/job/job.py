@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
-from pfdist.common.arguments import path_argument
+from pfdist.common.arguments import mapping_argument, path_argument, texts_argument
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
 from pfdist.common.section import Section, explained
@@ -350,8 +350,8 @@ class Job(Section):
         settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
         """The job with some keys changed; parameters and errors as of `load_job`."""
-        data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
-        return _validated(data, self._origin, overrides, settings)
+        data = self.model_dump(mode="json", exclude_none=True)
+        return _validated(data, self._origin, overrides, sections, settings)
 
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""
@@ -393,7 +393,7 @@ def load_job(
     if "job" in data:
         raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
     origin = Origin(path, "search" in data, "online" in data)
-    return _validated(data | dict(sections), origin, overrides, settings)
+    return _validated(data, origin, overrides, sections, settings)
 
 
 def toml_of_file(path: Path) -> dict[str, Any]:
@@ -422,9 +422,15 @@ def job_toml(identity: Mapping[str, Any]) -> str:
 
 
 def _validated(
-    data: dict[str, Any], origin: Origin, overrides: Iterable[str], settings: Mapping[str, Any]
+    data: dict[str, Any],
+    origin: Origin,
+    overrides: Iterable[str],
+    sections: Mapping[str, Any],
+    settings: Mapping[str, Any],
 ) -> Job:
-    changes_as_text, data = list(overrides), deepcopy(data)
+    changes_as_text = texts_argument("changes", overrides)
+    data = deepcopy(data | mapping_argument("sections", sections))
+    settings = mapping_argument("settings", settings)
     for change in changes_as_text:
         override(data, change)
     changes_as_text += set_values(data, settings)

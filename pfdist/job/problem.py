@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import ValidationError
 
+from pfdist.common.arguments import listed_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Section, explained
 from pfdist.documents import parts
@@ -290,7 +291,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray) or hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, range):
-        return list(value)
+        return listed_argument("ranges", value)
     if isinstance(value, Mapping):
         return {str(_plain(key)): _plain(each) for key, each in value.items()}
     if isinstance(value, set | frozenset):

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from pfdist.common.arguments import path_argument, texts_argument
+from pfdist.common.arguments import path_argument, texts_argument, whole_argument
 from pfdist.common.section import Section, explained
 from pfdist.common.streams import stream_key
-from pfdist.errors import ArgumentError, JobError, shown_text
+from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
 from pfdist.job.sections import Execution
@@ -74,7 +74,11 @@ class SweepJob:
         """
         if part is None:
             return self
-        number, parts = part
+        if not isinstance(part, tuple | list) or len(part) != 2:
+            raise ArgumentError(
+                f"part must be a pair (K, N) of numbers, got {shown(part)}", argument="part"
+            )
+        number, parts = (whole_argument("part", each, -(2**63), 2**63 - 1) for each in part)
         if not 1 <= number <= parts <= len(self.points):
             raise ArgumentError(
                 f"part must be K/N with 1 <= K <= N <= {len(self.points)}, the number of points, "

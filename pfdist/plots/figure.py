@@ -15,13 +15,14 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Text
 
 from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.stored_run import statistics_of
 from pfdist.common.registry import Registry
 from pfdist.common.stopping import check
-from pfdist.errors import StoreError
+from pfdist.errors import StoreError, one_line, printable
 from pfdist.plots.panel import scaled
 from pfdist.plots.style import styled
 from pfdist.store import record_pages, write_file
@@ -255,8 +256,19 @@ def drawn(plot: Plot) -> Canvas:
         plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
     )
     plot.draw(panels[:, 0].tolist())
+    _remove_control_characters(canvas)
     ConstrainedLayoutEngine().execute(canvas)
     return canvas
+
+
+def _remove_control_characters(canvas: Canvas) -> None:
+    """Replace the control characters that names in a run from elsewhere may hold."""
+    for axis in (axis for panel in canvas.axes for axis in (panel.xaxis, panel.yaxis)):
+        labels = [label.get_text() for label in axis.get_ticklabels()]
+        if (shown := [*map(printable, labels)]) != labels:
+            axis.set_ticks(axis.get_ticklocs(), shown)
+    for text in canvas.findobj(Text):
+        text.set_text(printable(text.get_text()))
 
 
 def _files(run: Run, name: str) -> list[Path]:
@@ -264,7 +276,7 @@ def _files(run: Run, name: str) -> list[Path]:
 
 
 def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:
-    about: dict[str, str | None] = {"Title": title} if title else {}
+    about: dict[str, str | None] = {"Title": one_line(title)} if title else {}
     if suffix == "svg":
         about["Date"] = None  # without a date, the same figure gives the same bytes
     canvas.savefig(path, format=suffix, metadata=about)

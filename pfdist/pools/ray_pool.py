@@ -183,13 +183,20 @@ class RayPool:
                     argument="wait_for_cores",
                 )
             sleep(base.PAUSE_SECONDS)
+        if self._demanded > cores:
+            warnings.warn(
+                f"{self._demanded:,} workers are wanted, but the Ray cluster has {cores:,} cores: "
+                "the others start only if nodes join",
+                EngineWarning,
+                stacklevel=3,
+            )
 
     def _start_workers(self) -> None:
         """Start workers on the cores that are free, and wait until each has reported its version.
 
         Cores that are taken are not waited for, unless all are; a warning says so.
         """
-        self.workers, deadline = self._demanded or all_cores(), time.monotonic() + TAKEN_SECONDS
+        self.workers, deadline = self._wanted, time.monotonic() + TAKEN_SECONDS
         while (free := idle_cores()) < self.workers and time.monotonic() < deadline:
             sleep(base.PAUSE_SECONDS)
         if free < self.workers:
@@ -229,8 +236,14 @@ class RayPool:
 
     def _free_cores(self) -> "_FreeCores":
         """The number of wanted cores, and the free cores of each node without a worker."""
-        wanted = (self._demanded or all_cores()) - self._left_out
+        wanted = self._wanted - self._left_out
         return max(1, wanted), free_cores(wanted - self._used)
+
+    @property
+    def _wanted(self) -> int:
+        """Number of cores to use, as far as the cluster has them."""
+        cores = all_cores()
+        return min(self._demanded or cores, cores)
 
     def _seek_cores(self) -> None:
         """Look for cores that have become free, in a thread, because Ray may never answer.

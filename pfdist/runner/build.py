@@ -298,9 +298,18 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
     return COMPILED.name if evaluator.engine == AUTO else evaluator.engine
 
 
+MOST_WORKERS = 1000  # on one machine; each is a thread, or a process of Ray
+
+
 def check_pool(execution: Execution) -> None:
     """Raise a `JobError` if [execution] has settings that its pool does not take."""
     pool, cores = execution.pool, execution.wait_for_cores
+    is_here = execution.address == "local" or not cluster_at_hand(execution.address)
+    if execution.workers > MOST_WORKERS and (is_here or pool == "threads"):
+        raise JobError(
+            f"execution.workers must be at most {MOST_WORKERS:,} on one machine, got "
+            f"{execution.workers:,}: 0 is one for each core"
+        )
     if pool in (AUTO_POOL, "ray") and cores and not cluster_at_hand(execution.address):
         raise JobError(
             f"execution.wait_for_cores must be 0 without a Ray cluster that runs already, got "

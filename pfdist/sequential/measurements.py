@@ -207,7 +207,7 @@ def _check_header(allowed: list[list[str]], header: list[str]) -> None:
     text = f"the columns must be {choices}, got {shown(', '.join(header))}"
     if len(header) == 1 and any(separator in header[0] for separator in ";\t|"):
         text += f"; {SEPARATORS}"
-    elif header[0][:1].isdigit():
+    elif header and header[0][:1].isdigit():
         text += "; the first line must name the columns"
     raise MeasurementsError(text)
 

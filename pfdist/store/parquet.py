@@ -172,8 +172,8 @@ class Store:
         pieces = self._load(table, phase, filters=condition)
         if not pieces:
             raise StoreError(
-                f"the run {self.path} has no table {table!r} yet, or its parts are damaged: run the "
-                "same command again"
+                f"the run {self.path} has no table {table!r} yet, or its parts are damaged: run "
+                "the same command again"
             )
         frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
         keys = keys_of(table, [*frame.columns])

@@ -119,7 +119,10 @@ def _in_memory(table: pd.DataFrame, check: _Check) -> _Columns:
 def _from_memory(name: str, column: "pd.Series[Any]") -> Array:
     """A column of a DataFrame as numbers."""
     try:
-        return pd.to_numeric(column).to_numpy(np.float64, copy=True)
+        numbers = pd.to_numeric(column)
+        if numbers.dtype.kind not in "biuf":
+            raise TypeError(f"got {numbers.dtype}")
+        return numbers.to_numpy(np.float64, copy=True)
     except (TypeError, ValueError) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"column {shown(name)} must hold numbers: {reason}") from error

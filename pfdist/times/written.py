@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.common.arguments import listed_argument
 from pfdist.common.parsing import finite_number, ranges, whole_numbers
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.clock import Clock, Time
@@ -91,11 +92,12 @@ def validated_instants(
 ) -> Times:
     """A set of measurement times on a clock, as sorted instants after a check.
 
-    Errors are those of `instants_of` and `pfdist.times.measurement_times.validated`.
+    Errors are those of `instants_of`, `pfdist.common.arguments.listed_argument` and
+    `pfdist.times.measurement_times.validated`.
     """
     if not isinstance(written, Iterable):
         raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
-    entries: list[Any] = [written] if isinstance(written, str) else list(written)
+    entries: list[Any] = [written] if isinstance(written, str) else listed_argument(name, written)
     if clock.sensors or not clock.counts or any(isinstance(entry, str) for entry in entries):
         entries = measurements_of(entries, clock, name)
     if clock.sensors or not clock.counts:

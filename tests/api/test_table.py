@@ -15,7 +15,7 @@ import pytest
 import pfdist
 from oracles.listed import rewrite
 from pfdist import Job
-from pfdist.errors import PfdistError
+from pfdist.errors import PfdistError, PfdistWarning, StoreError
 
 SHORT = ["comparison.draws=60", "search.genetic.generations=1", "filter.particles=10"]
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
@@ -221,3 +221,18 @@ def test_what_is_no_run_or_no_table_is_one_line(folder: Path) -> None:
     ):
         with pytest.raises(PfdistError, match=words):
             pfdist.table(*runs, out=out)
+
+
+def test_a_run_in_a_folder_that_cannot_be_read_is_left_out(
+    finished: Callable[..., Path], tmp_path: Path
+) -> None:
+    for name in ("good", "strange"):
+        shutil.copytree(finished(), tmp_path / name)
+    job = tmp_path / "strange" / "job.toml"
+    job.write_text('"a.b" = 1\n' + job.read_text())
+    with pytest.warns(PfdistWarning, match="strange is left out: .*unknown key 'a.b'"):
+        frame = pfdist.table(tmp_path)
+    assert set(frame["run"]) == {"good"}
+    assert set(pfdist.list_runs(tmp_path)["run"]) == {"good", "strange"}
+    with pytest.raises(StoreError, match="unknown key"):
+        pfdist.table(tmp_path / "good", tmp_path / "strange")

@@ -1,7 +1,9 @@
 """Whatever is typed or a job file holds: one line that says what, got, allowed, and where."""
 
+import os
 import re
 import shutil
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -55,6 +57,8 @@ def refused(call: Callable[..., Any]) -> Refused:
         ("run {job} --set model.parameters.sd=1", 1, "unknown parameter 'sd', .* process_sd"),
         ("run {job} --results {job}", 1, r"must be a folder, got the file .* \(--results\)"),
         ("run {job} --workers -3", 1, "execution.workers .* got -3"),
+        ("run {job} --workers 99999 --pool threads", 1, "at most 1,000 on one machine, got 99,999"),
+        ("run {job} --workers 99999 --address local", 1, "at most 1,000 on one machine"),
         ("run {job} --pool dask", 2, "'dask'"),
         ("run", 2, "required: JOB"),
         ("evaluate {job}", 2, "required: --times"),
@@ -137,6 +141,11 @@ FILES = {
         _changed("[comparison]", '[[search]]\nmethod="random"\nname="a"\n' * 99 + "[comparison]"),
         "search must",
     ),
+    "a dot in a key": (b'"a.b" = 1\n' + JOB.encode(), "unknown key 'a.b', allowed: seed"),
+    "a dot in a key of a section": (
+        _changed("[filter]", '[filter]\n"a.b" = 1'),
+        r"unknown key 'a\.b' in \[filter\], allowed: particles",
+    ),
     "not UTF-8": (JOB.encode() + b"# \xff", "UTF-8, got byte 0xff"),
     "NUL alone": (b"\0" * 100, "must be TOML"),
     "16 MB of comment": (b"#" * 16_000_001, "16,000,000 bytes"),
@@ -154,6 +163,43 @@ def test_a_hostile_job_file_is_refused_in_one_line(
     assert code == 1
     assert re.search(words, line), line
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "socket", "huge"])
+@pytest.mark.parametrize(
+    "line", ["run {path}", "sweep {path}", "evaluate {job} --times 0 --set model.name={path}:m"]
+)
+def test_no_pipe_device_socket_or_huge_file_is_read(
+    kind: str, line: str, small_job: Job, tmp_path: Path, refused: Refused
+) -> None:
+    """A pipe would hang for ever, and a file of 10 GB would fill the memory."""
+    path = tmp_path / ("a.py" if "model" in line else "a.toml")
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "huge":
+        path.touch()
+        os.truncate(path, 10**10)
+    else:
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(path))
+    code, told = refused(line.format(path=path, job=small_job.path).split())
+    assert code == 1
+    words = (
+        "16,000,000 bytes is read, got 10,000,000,000" if kind == "huge" else "a plain file is read"
+    )
+    assert words in told
+
+
+def test_a_table_of_data_that_a_model_names_may_be_no_pipe(tmp_path: Path) -> None:
+    text = "from dataclasses import replace\nfrom pfdist.models.ungm import model as ungm\n"
+    (tmp_path / "a.py").write_text(f"{text}model = replace(ungm, name='a', data_files=('pipe',))")
+    os.mkfifo(tmp_path / "pipe")
+    job = tmp_path / "a.toml"
+    job.write_text(f'{JOB}[model]\nname = "a.py:model"\n')
+    with pytest.raises(pfdist.PfdistError, match="a plain file is read, got a pipe"):
+        pfdist.run(job, tmp_path / "run")
 
 
 @pytest.mark.parametrize(
