@@ -70,7 +70,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def never_killed(job: Path) -> dict[str, str]:
     whole = finish(job, job.with_name("never killed"), "--pool", "serial")
-    assert "tables/comparison/comparison-00001.parquet" in whole
+    assert any(file.startswith("tables/comparison/comparison-00001-") for file in whole)
     return whole
 
 
@@ -118,7 +118,7 @@ def test_a_run_killed_while_it_chooses_times_one_after_another_ends_with_the_sam
     few = JOB.replace("60_000", "1000").replace("4000", "400")
     job.write_text(few + ONLINE.format(draws=200))
     whole = finish(job, tmp_path / "never killed", "--pool", "serial")
-    assert "tables/online/online.times-00000.parquet" in whole
+    assert any(file.startswith("tables/online/online.times-00000-") for file in whole)
     for _ in range(2):
         with running(job, run, "--pool", pool) as driver:
             before = driver.parts("online")
