@@ -44,16 +44,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
-    with stopping.listening(ends=arguments is None):
-        encode_all_text()
-        if not (sys.argv[1:] if arguments is None else arguments):
-            print(welcome(), end="")
-            return _DONE
-        try:
-            options = make_parser().parse_args(arguments)
-        except PfdistError as error:
-            return _failed(str(error))
-        return _run(options, ends=arguments is None)
+    if arguments is None:
+        stopping.listen()
+    encode_all_text()
+    if not (sys.argv[1:] if arguments is None else arguments):
+        print(welcome(), end="")
+        return _DONE
+    try:
+        options = make_parser().parse_args(arguments)
+    except PfdistError as error:
+        return _failed(str(error))
+    return _run(options, ends=arguments is None)
 
 
 def _run(options: Namespace, *, ends: bool) -> int:
@@ -66,7 +67,7 @@ def _run(options: Namespace, *, ends: bool) -> int:
             try:
                 with stdout_for_json(options, ends=ends):
                     options.called.call(options)
-            except (PoolError, SystemExit):  # a signal has ended workers; Ray's handler raises
+            except PoolError:  # the workers have received the signal, too
                 stopping.check()
                 raise
             flush_output()
