@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import sys
+import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from hashlib import sha256
@@ -15,6 +16,7 @@ import pytest
 
 import pfdist
 from pfdist import Job, StateSpaceModel, load_job, load_model
+from pfdist.common import stopping
 from pfdist.errors import started_in
 
 ROOT = Path(__file__).parents[1]
@@ -56,6 +58,20 @@ def browser() -> Iterator[Any]:
         started = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
         yield started
         started.close()
+
+
+@pytest.fixture
+def stop(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Act as if the program had received some signals; without any, forget them."""
+    heard = threading.Event()
+    monkeypatch.setattr(stopping, "_heard", heard)
+    monkeypatch.setattr(stopping, "_received", received := list[int]())
+
+    def receive(*numbers: int) -> None:
+        received[:] = numbers
+        (heard.set if numbers else heard.clear)()
+
+    return receive
 
 
 @pytest.fixture

@@ -54,22 +54,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
-    with stopping.listening(ends=arguments is None):
-        encode_all_text()
-        words = sys.argv[1:] if arguments is None else arguments
-        if not words:
-            print(welcome(), end="")
-            return _DONE
-        try:
-            started_in(os.getcwd())  # a model may move the process
-            # Not above: the package itself makes this check, before anything imports Numba.
-            from pfdist.kernels import check_settings  # noqa: PLC0415
+    if arguments is None:
+        stopping.listen()
+    encode_all_text()
+    words = sys.argv[1:] if arguments is None else arguments
+    if not words:
+        print(welcome(), end="")
+        return _DONE
+    try:
+        started_in(os.getcwd())  # a model may move the process
+        # Not above: the package itself makes this check, before anything imports Numba.
+        from pfdist.kernels import check_settings  # noqa: PLC0415
 
-            check_settings()
-            options = make_parser().parse_args(arguments)
-        except Exception as error:
-            return _error(error, debug="--debug" in words)
-        return _run(options, ends=arguments is None)
+        check_settings()
+        options = make_parser().parse_args(arguments)
+    except Exception as error:
+        return _error(error, debug="--debug" in words)
+    return _run(options, ends=arguments is None)
 
 
 def _run(options: Namespace, *, ends: bool) -> int:
@@ -82,7 +83,7 @@ def _run(options: Namespace, *, ends: bool) -> int:
             try:
                 with stdout_for_json(options, ends=ends):
                     options.called.call(options)
-            except (PoolError, SystemExit):  # a signal has ended workers; Ray's handler raises
+            except PoolError:  # the workers have received the signal, too
                 stopping.check()
                 raise
             flush_output()

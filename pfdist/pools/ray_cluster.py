@@ -7,7 +7,6 @@ with this process, whatever ends it.
 
 import contextlib
 import logging
-import math
 import os
 import platform
 import secrets
@@ -15,7 +14,6 @@ import stat
 import sys
 import tempfile
 import threading
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -24,7 +22,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pfdist.common.stopping import check, renew
+from pfdist.common.stopping import check
 from pfdist.errors import PoolError
 
 # Before Ray is imported: by default it writes to standard error, reports its usage, and replaces
@@ -50,7 +48,6 @@ STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
 LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 _GROUP_SECONDS = 10.0  # within which Ray must find the nodes of free cores
-_RENEW_SECONDS = 0.002  # for which Ray's handlers of signals may be in force
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
 
@@ -219,23 +216,10 @@ def _init(left: threading.Event, **options: Any) -> None:
         warnings.simplefilter("ignore", FutureWarning)
         within(0.0, start)
         try:
-            _keep_handlers(started.done)
+            started.result()
         finally:
             started.exception()
     check()
-    started.result()
-
-
-def _keep_handlers(ended: Callable[[], bool], seconds: float = math.inf) -> None:
-    """Wait until something has ended, for so many seconds at most, and keep our signal handlers.
-
-    Ray's libraries set that of SIGTERM while Ray starts, and remove it while Ray ends.
-    """
-    deadline = time.monotonic() + seconds
-    while not ended() and time.monotonic() < deadline:
-        time.sleep(_RENEW_SECONDS)
-        renew()
-    renew()
 
 
 @contextlib.contextmanager
@@ -282,10 +266,9 @@ def _leave(guard: Guard) -> None:
         guard.end()
         return
     # Ray may never answer. Once the guard has ended its servers, the call returns or is abandoned.
-    shutdown = within(0.0, ray.shutdown)
-    _keep_handlers(lambda: not shutdown.is_alive(), STOP_SECONDS)
+    shutdown = within(STOP_SECONDS, ray.shutdown)
     guard.end()
-    _keep_handlers(lambda: not shutdown.is_alive(), STOP_SECONDS)
+    shutdown.join(STOP_SECONDS)
 
 
 def about() -> dict[str, Any]:

@@ -16,8 +16,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis import finite
-from pfdist.common import stopping
-from pfdist.errors import SilenceError
+from pfdist.errors import PoolError, StoreError
 from pfdist.runner.build import Built, build
 
 Call = Callable[..., Any]  # exit code, output and errors of a line
@@ -209,21 +208,30 @@ def test_an_interrupted_command_says_whether_the_same_command_goes_on(
     assert error == f"pfdist: Stopped.{saved}\n"
 
 
-@pytest.mark.parametrize("error", [SystemExit(15), SilenceError("no worker answers")])
-def test_an_error_that_a_signal_has_caused_has_the_exit_code_of_the_signal(
-    error: BaseException, monkeypatch: pytest.MonkeyPatch, call: Call
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (None, "Stopped."),
+        (PoolError("no worker is left"), "Stopped."),  # the signal has ended the workers, too
+        (StoreError("the disk is full"), "the disk is full"),
+    ],
+)
+def test_whatever_ends_a_command_after_a_signal_has_the_exit_code_of_the_signal(
+    error: Exception | None,
+    line: str,
+    stop: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    call: Call,
 ) -> None:
-    def interrupted(*arguments: object) -> None:
-        stopping.check()
-        signal.raise_signal(signal.SIGTERM)
-        while stopping.exit_code() is None:
-            time.sleep(0.001)
-        raise error
+    def interrupted(*_: object) -> None:
+        stop(signal.SIGTERM)
+        if error is not None:
+            raise error
 
-    monkeypatch.setattr("pfdist.analysis.open_run", interrupted)
+    monkeypatch.setattr("pfdist.cli.commands.reading.print_run", interrupted)
+    monkeypatch.setattr("pfdist.analysis.open_run", lambda path: path)
     code, _, said = call("status nowhere")
-    assert code == 75
-    assert said.splitlines()[-1] == "pfdist: Stopped."
+    assert (code, said) == (75, f"pfdist: {line}\n")
 
 
 def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(run: Path) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from pfdist.common.stopping import check, exit_code, listening
 from pfdist.errors import EngineWarning, SilenceError
 from pfdist.pools.base import Function, Pool, Task
 from pfdist.pools.kinds import POOLS
@@ -166,27 +165,26 @@ def test_a_run_that_is_broken_off_leaves_the_pool_to_the_next(
     assert all(outcome.task.key.startswith("again") for outcome in again)
 
 
-def test_a_signal_ends_a_run_before_the_next_outcome(make_pool: Callable[[], Pool]) -> None:
-    with listening(ends=False), make_pool() as pool:
+def test_a_signal_ends_a_run_before_the_next_outcome(
+    make_pool: Callable[[], Pool], stop: Callable[..., None]
+) -> None:
+    with make_pool() as pool:
         outcomes = pool.run(_tasks(1000))
         next(outcomes)
-        signal.raise_signal(signal.SIGTERM)
-        while exit_code() is None:
-            time.sleep(0.001)
+        stop(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             next(outcomes)
 
 
 @pytest.mark.parametrize("name", [name for name, kind in POOLS.items() if kind.takes])
 def test_a_signal_ends_a_run_while_it_waits_for_a_task(
-    name: str, request: pytest.FixtureRequest
+    name: str, stop: Callable[..., None], request: pytest.FixtureRequest
 ) -> None:
     if name == "ray":
         request.getfixturevalue("ray_cluster")
     slow = Made("import time\ndef function(work): time.sleep(3.0)")
-    with listening(ends=False), POOLS[name].make(workers=1) as pool:
-        check()
-        threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGTERM]).start()
+    with POOLS[name].make(workers=1) as pool:
+        threading.Timer(0.5, stop, [signal.SIGTERM]).start()
         with pytest.raises(KeyboardInterrupt):
             assert next(pool.run(_tasks(1, slow))) is None  # not reached
 

@@ -308,6 +308,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     task: int,
     small_job: Job,
     tmp_path: Path,
+    stop: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     record_property: Record,
@@ -319,15 +320,13 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
 
     def signalled(self: Evaluator, work: Work) -> Any:
         if len(work.measurement_times) == sets and next(calls) == task:
-            signal.raise_signal(number)
+            stop(number)
         return do(self, work)
 
-    # A shell's background jobs, as CI may be, are started with SIGINT ignored.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
         patch.setattr(Evaluator, "filtered", signalled)
         assert main([*command, str(run)]) == code
-    signal.signal(signal.SIGINT, before)
+    stop()
     assert "run the same command to resume" in capsys.readouterr().err
     kept = pfdist.open_run(run)
     assert kept.state == state

@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import signal
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -201,7 +200,11 @@ def test_errors_that_are_unknown_are_said(small_job: Job, tmp_path: Path, see: S
 
 
 def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
-    exact: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    exact: Job,
+    tmp_path: Path,
+    stop: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder, file = tmp_path / "run", tmp_path / "run" / "report.html"
     with pytest.raises(KeyboardInterrupt):
@@ -224,10 +227,7 @@ def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
     assert 'http-equiv="refresh"' not in file.read_text()
 
     def end(seconds: float) -> None:
-        stopping.check()
-        signal.raise_signal(signal.SIGTERM)
-        while stopping.exit_code() is None:
-            time.sleep(0.001)
+        stop(signal.SIGTERM)
         stopping.check()
 
     monkeypatch.setattr("pfdist.analysis.Run.state", "comparing")
