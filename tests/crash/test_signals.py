@@ -28,12 +28,17 @@ STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end
 STOPPED = "pfdist: Stopped."
 SAVED = f"{STOPPED} Finished work is saved; run the same command to resume."
 
-# As a terminal or a batch script starts it: SIGINT is not ignored.
+# As a terminal or a batch script starts it: SIGINT is not ignored, and there is one thread.
 BEGINS = """
 import os, signal, sys, threading, time
 from pfdist.cli.main import main
+from pfdist.common import stopping
 signal.signal(signal.SIGINT, signal.default_int_handler)
-{}
+listen = stopping.listen
+def begin():
+    listen()
+    exec({!r}, globals())
+stopping.listen = begin
 print("beginning", flush=True)
 sys.exit(main())
 """
@@ -41,7 +46,7 @@ sys.exit(main())
 
 @contextmanager
 def program(lines: str, *words: object) -> Iterator[subprocess.Popen[str]]:
-    """The program in a process, after some lines of Python."""
+    """The program in a process, with some lines of Python at its beginning."""
     command = [sys.executable, "-c", BEGINS.format(lines), *map(str, words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:
