@@ -58,11 +58,11 @@ def listen() -> None:
     """Note signals from now on; only the program's ``main`` calls this, before other threads start.
 
     A signal that is ignored, as SIGINT by ``nohup``, stays ignored. Threads that start later block
-    the signals, too.
+    the signals, too, and so do processes that they start without a fork in Python.
     """
     numbers = [each for each in _CODES if signal.getsignal(each) is not signal.SIG_IGN]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
-    # Ray starts its servers in forked children, which must hear the signals.
+    # Ray forks to start its servers, which must hear the signals; so must a model's own processes.
     os.register_at_fork(after_in_child=lambda: signal.pthread_sigmask(signal.SIG_SETMASK, before))
     threading.Thread(target=_listen, args=(numbers,), daemon=True).start()
 
@@ -78,13 +78,12 @@ def _listen(numbers: Iterable[int]) -> None:
         _say(_STOPPING)
         while signal.sigwait(numbers) != signal.SIGINT and time.monotonic() - since < _SAME_SECONDS:
             pass
-    else:
-        _say("Stopped.")
     _end_after(0.0)
 
 
 def _end_after(seconds: float) -> None:
     time.sleep(seconds)
+    _say("Stopped.")
     os._exit(_CODES[_received[0]])
 
 

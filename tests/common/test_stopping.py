@@ -12,6 +12,7 @@ from pfdist.common import stopping
 
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
 STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
+STOPPED = "pfdist: Stopped.\n"
 # As a terminal starts a program: a shell's background jobs, as CI may be, ignore SIGINT.
 PROGRAM = """
 import os, signal, sys, threading, time
@@ -61,13 +62,13 @@ sys.exit(exit_code())
 def test_a_signal_before_the_first_look_ends_the_process_at_once(
     number: signal.Signals, code: int
 ) -> None:
-    assert done(f"send({number:d}); time.sleep(600)") == (code, "", "pfdist: Stopped.\n")
+    assert done(f"send({number:d}); time.sleep(600)") == (code, "", STOPPED)
 
 
 def test_a_second_signal_ends_the_process_at_once_with_the_code_of_the_first() -> None:
     again = "heard(signal.{}); send(signal.{}); time.sleep(600)"
-    assert done(again.format("SIGINT", "SIGINT")) == (130, "", STOPPING)
-    assert done(again.format("SIGTERM", "SIGINT")) == (75, "", STOPPING)
+    assert done(again.format("SIGINT", "SIGINT")) == (130, "", STOPPING + STOPPED)
+    assert done(again.format("SIGTERM", "SIGINT")) == (75, "", STOPPING + STOPPED)
 
 
 def test_the_same_signal_of_a_batch_system_counts_once_within_a_second() -> None:
@@ -80,12 +81,12 @@ stopping._SAME_SECONDS = 0.0  # as if it were later
 send(signal.SIGTERM)
 time.sleep(600)
 """
-    assert done(lines) == (75, "alive\n", STOPPING)
+    assert done(lines) == (75, "alive\n", STOPPING + STOPPED)
 
 
 def test_after_the_notice_of_a_batch_system_the_process_ends_whatever_it_does() -> None:
     lines = "heard(signal.SIGUSR1); time.sleep(600)"
-    assert done(lines, "stopping._NOTICE_SECONDS = 0.1") == (75, "", STOPPING)
+    assert done(lines, "stopping._NOTICE_SECONDS = 0.1") == (75, "", STOPPING + STOPPED)
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
