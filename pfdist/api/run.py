@@ -25,7 +25,7 @@ from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.progress import Say, Show, heard
 from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
-from pfdist.store import add_to_provenance
+from pfdist.store import add_to_provenance, forget_pages
 from pfdist.store.folder import has_report, remove_figures
 
 _OF_FIGURES = ("pfdist.answers.pictures", "pfdist.documents.html", "scipy.special")
@@ -171,14 +171,17 @@ def compute(
         prover is None or prover.has_proved(open_run(path)) or _is_long(session, prover)
     ):
         return False
+    forget_pages(path)
     remove_report(path)
-    if unfinished:
-        remove_figures(path)  # they show fewer draws
     note_processor(path, built, say)
     if prover is not None:
         session.reporter.foresee(prover.steps, prover.steps)
     with noted(session):
+        if unfinished:
+            remove_figures(path)  # they show fewer draws
         yield from drive(session)
+        if unfinished:
+            remove_figures(path)  # somebody may have drawn them meanwhile
         if prover is not None and not _is_long(session, prover):
             session.reporter.note(optional=0.0)
             run = open_run(path)

@@ -209,8 +209,7 @@ def _examine(
         for part, of_a_part in zip(_PARTS, parts, strict=True):
             rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}
-    for name, table in tables.items():
-        store.publish(name, WHY_PHASE, [table])
+    store.publish_together(WHY_PHASE, {name: [table] for name, table in tables.items()})
     frames = {name: frame_of(table) for name, table in tables.items()}
     return Why(run.path, drawn, pd.DataFrame(answers), **frames, figures=[])
 

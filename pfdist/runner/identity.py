@@ -31,6 +31,7 @@ from pfdist.store import (
 )
 from pfdist.store.about import check_version_of, recorded_key
 from pfdist.store.folder import ABOUT, FILES
+from pfdist.store.listing import read_listing
 
 _HASH = re.compile("[0-9a-f]{16,64}")
 _LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
@@ -47,16 +48,21 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
-    lacks = [name for name in ABOUT if not (path / name).exists()]
-    if lacks:
-        _check_free(path, key)
+    _check_free(path, key)
     with held(path):
         check_entries(path)
-        check_version_of(path)
-        store = store_of(built, path, key)
+        _check_free(path, key)
+        lacks = [name for name in ABOUT if not (path / name).exists()]
         # Until the folder is known to hold this run, nothing in it is changed.
         if not lacks and (run_key(path) or recorded_key(path)) != key:
+            if not (path / FILES).exists():
+                raise StoreError(
+                    f"{path} has lost its {FILES}, and its job is another one, or was changed: use "
+                    "another folder for the results",
+                    argument="results",
+                )
             _check_same(path, built, identity, 0)
+        store = store_of(built, path, key)
         store.recover()
         committed = _committed(store)
         if not lacks:
@@ -68,7 +74,7 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
         try:
             yield store
         finally:
-            record_pages(path, is_held=True)
+            record_pages(path, locked=True)
 
 
 def is_sealed(path: Path, built: Built) -> bool:
@@ -173,16 +179,23 @@ def changed_fingerprints(run: Mapping[str, Any], built: Built) -> dict[str, str]
 
 
 def _check_free(path: Path, key: str) -> None:
-    """Raise a `StoreError` if a folder that lacks job.toml or run.json holds no run of this key."""
+    """Raise a `StoreError` if a folder lacks job.toml or run.json, and holds no run of this key.
+
+    A start that was killed before it wrote run.json leaves files.json, and perhaps its job.toml.
+    """
     if path.exists() and not path.is_dir():
         raise StoreError(f"results must be a folder, got the file {path}", argument="results")
     check_version_of(path)
-    # A start that was killed before it wrote run.json leaves these entries.
-    strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", FILES}
-    if run_key(path) == key:
-        strange = set()
-    elif not any(path.glob("[pt]a*/*/*")):
-        strange -= {"parts", "tables"}
+    strange = {entry.name for entry in path.glob("[!.]*")}
+    if strange >= {*ABOUT} or not strange:
+        return
+    with contextlib.suppress(StoreError):  # a damaged files.json may be a file of the user
+        listing = read_listing(path)
+        if listing is not None and listing.run == key:
+            return
+        if listing is not None:
+            is_left = listing.about.get("job.toml") and not any(path.glob("[pt]a*/*/*"))
+            strange -= {FILES, *(["job.toml", "parts", "tables"] if is_left else [])}
     if strange:
         raise StoreError(
             f"results must be a new folder, an empty one or a run's, got {path} "

@@ -44,7 +44,8 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         ]
         if not damaged:
             return parse_json(texts["run.json"]), parse_toml(texts["job.toml"])
-    raise unreadable(path, damaged[0], "its content has another hash")
+    name = FILES if len(damaged) == len(ABOUT) else damaged[0]  # a list of another run fits neither
+    raise unreadable(path, name, "its content has another hash")
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
@@ -107,10 +108,10 @@ def run_key(path: Path) -> str | None:
 
 def recorded_key(path: Path) -> str | None:
     """The key that run.json and job.toml give; it serves if files.json, which has it, is lost."""
-    run, job = parse_json(_read(path, "run.json")), parse_toml(_read(path, "job.toml"))
     try:
+        run, job = parse_json(_read(path, "run.json")), parse_toml(_read(path, "job.toml"))
         return key_of({k: v for k, v in run.items() if k != "provenance"}, job)
-    except (KeyError, TypeError, AttributeError):
+    except (KeyError, TypeError, AttributeError, ValueError):
         return None
 
 

@@ -50,7 +50,7 @@ def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[
                 temporary.unlink(missing_ok=True)
         raise StoreError(
             f"cannot {action} {path}: {error.strerror or error}; what was committed is kept, "
-            "run the same command again once this is mended"
+            "run the same command again once this is fixed"
         ) from error
 
 
@@ -139,11 +139,6 @@ def digest(path: Path) -> str:
     """SHA-256 of a plain file; errors are those of `open_plain`."""
     with open(open_plain(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def is_temporary(path: Path) -> bool:
-    """Whether a path is that of an unfinished file."""
-    return _TEMPORARY.fullmatch(path.name) is not None
 
 
 def remove_unfinished(folder: Path) -> None:

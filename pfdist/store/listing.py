@@ -59,13 +59,13 @@ def read_listing(folder: Path) -> Listing | None:
                 {name: tuple(hashes) for name, hashes in content["about"].items()},
                 dict(content["pages"]),
             )
+            if content == _content(listing) and all(map(_PUBLISHED.fullmatch, listing.files)):
+                return listing
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _damaged(path) from error
-    if content != _content(listing) or not all(map(_PUBLISHED.fullmatch, listing.files)):
-        raise _damaged(path)
-    return listing
+    raise _damaged(path)
 
 
 def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None:
@@ -86,17 +86,25 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
     files.write_file(folder / FILES, lambda file: file.write_text(text, encoding="utf-8"))
 
 
-def record_pages(folder: Path, *, is_held: bool = False) -> None:
-    """List the figures and the report of a run, unless another command computes it.
+def record_pages(folder: Path, *, locked: bool = False) -> None:
+    """List the figures and the report of a run, unless another command may write to the run.
 
-    `is_held` says that the caller holds the run's lock. A driver lists the pages at its end; what
-    cannot be listed is made again by a command, so it is no error.
+    `locked` is whether the caller holds the run's lock. A driver lists the pages at its end. A page
+    that cannot be listed is no error: a command makes it again.
     """
-    with contextlib.suppress(StoreError), nullcontext() if is_held else held(folder, patience=0.0):
+    lock = nullcontext(True) if locked else held(folder, patience=0.0)
+    with contextlib.suppress(StoreError, OSError), lock as is_locked:
         pages = {str(page.relative_to(folder)): files.digest(page) for page in pages_in(folder)}
         listing = read_listing(folder)
-        if listing is not None and listing.pages != pages:
+        if is_locked and listing is not None and listing.pages != pages:
             change_listing(folder, pages=pages)
+
+
+def forget_pages(folder: Path) -> None:
+    """List no pages of a run, whose lock the caller holds, because they will be made again."""
+    listing = read_listing(folder)
+    if listing is not None and listing.pages:
+        change_listing(folder, pages={})
 
 
 def _content(listing: Listing) -> dict[str, Any]:

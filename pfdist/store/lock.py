@@ -25,22 +25,22 @@ _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 
 @contextlib.contextmanager
-def held(folder: Path, patience: float = 1.0) -> Iterator[None]:
+def held(folder: Path, patience: float = 1.0) -> Iterator[bool]:
     """Hold the lock of a run's folder; the lock ends with this process, however it ends.
 
-    Another command may hold it for a moment, to list the pages that it wrote: this one waits so
-    many seconds.
+    It yields whether there is a lock. Another command may hold it for a moment, to list the pages
+    that it wrote: `patience` is the number of seconds to wait for it.
 
-    If the file system has no locks, a warning says so, and the driver goes on. Raises `BusyError`
+    If the file system has no locks, a warning says so, and the driver continues. Raises `BusyError`
     if another driver holds the lock; the error says who, and since when.
     """
     files.make_folder(folder)
     with files.writing("lock", folder):
         lock = files.open_plain(folder / _LOCK, os.O_RDWR | os.O_CREAT)
     try:
-        _take(lock, fcntl.LOCK_EX, folder, patience)
+        is_locked = _take(lock, fcntl.LOCK_EX, folder, patience)
         _sign(lock, folder)
-        yield
+        yield is_locked
     finally:
         os.close(lock)  # this unlocks it
 
@@ -72,7 +72,8 @@ def try_lock(path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> None:
+def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> bool:
+    """Take a lock; whether the file system has any."""
     deadline = time.monotonic() + patience
     with files.writing("lock", folder):
         while True:
@@ -94,9 +95,9 @@ def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> None:
                     PfdistWarning,
                     stacklevel=2,
                 )
-                return
+                return False
             else:
-                return
+                return True
 
 
 def _sign(lock: int, folder: Path) -> None:

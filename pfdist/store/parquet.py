@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -30,7 +30,7 @@ from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.about import run_key as folder_key
 from pfdist.store.listing import change_listing, read_listing
-from pfdist.store.schema import KEYS, QUESTIONS, ClockColumns, frame_of, keys_of, schema
+from pfdist.store.schema import KEYS, QUESTIONS, TABLES, ClockColumns, frame_of, keys_of, schema
 from pfdist.store.tables import (
     HASH_DIGITS,
     NAME,
@@ -106,7 +106,7 @@ class Store:
         for path in there - known:
             files.remove(path)
         for path in self._parts("*", "*"):  # lost parts are no damage: they are computed again
-            if not self._read(path, []):
+            if path.is_file() and not self._read(path, []):
                 files.remove(path)
 
     def commit(self, table: str, phase: str, rows: pa.Table) -> None:
@@ -127,19 +127,27 @@ class Store:
         The pieces have all rows of the phase in their order, in any sizes. If the process dies
         meanwhile, parts remain, and the next call writes the same files.
         """
-        folder, written = self.path / "tables" / table, set[Path]()
-        for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
-            prepared = self._prepared(folder, rows.combine_chunks())
-            path = folder / f"{phase}-{number:05d}-{prepared.sha256[:HASH_DIGITS]}.parquet"
-            files.give_name(prepared, path)
-            written.add(path)
-            if table == "draws":
-                self._note_holder(path, rows)
+        self.publish_together(phase, {table: pieces})
+
+    def publish_together(self, phase: str, pieces: Mapping[str, Iterable[pa.Table]]) -> None:
+        """Publish a phase in several tables, by name: a reader sees all of them before or after."""
+        written, old, parts = set[Path](), set[Path](), list[Path]()
+        for table, stream in pieces.items():
+            folder, length = self.path / "tables" / table, ROWS_IN_A_FILE.get(table, _MANY)
+            for number, rows in enumerate(cut_rows(stream, length)):
+                prepared = self._prepared(folder, rows.combine_chunks())
+                path = folder / f"{phase}-{number:05d}-{prepared.sha256[:HASH_DIGITS]}.parquet"
+                files.give_name(prepared, path)
+                written.add(path)
+                if table == "draws":
+                    self._note_holder(path, rows)
+            former = self._published(table) | {p for p in self._listed() if p.parent == folder}
+            old |= {path for path in former if path.name.startswith(f"{phase}-")}
+            parts += self._parts(table, phase)
         # The list comes after all files and before the first part goes: at any instant every row is
-        # in a part or in a file that is listed.
-        old = {path for path in self._published(table) if path.name.startswith(f"{phase}-")}
+        # in a part or in a file that is listed. Parts go last: they show that this was cut short.
         self._list(self._listed() - old | written)
-        gone = [*self._parts(table, phase), *(old - written)]
+        gone = [*(old - written), *parts]
         for path in gone:
             files.remove(path)
         holders = self._holders or {}
@@ -206,23 +214,27 @@ class Store:
 
     def check_published(self) -> None:
         """Read every published file; raises a `StoreError` that names the first damaged one."""
-        for path in sorted(self._listed()):
-            self._read(path, [])
+        for fault in self.damages():
+            raise StoreError(fault)
 
     def damages(self) -> Iterator[str]:
         """The faults of published files, a line each; every byte is read."""
-        listed = self._listed()
-        for path in sorted(listed):
+        for path in sorted(self._listed()):
             try:
                 self._read(path, [])
             except FileNotFoundError:
                 yield f"{path} is missing: run the same command again to compute its rows"
             except StoreError as error:
                 yield str(error)
+
+    def strangers(self) -> Iterator[Path]:
+        """What lies among published files and is not listed, but for what a kill may leave."""
+        listed, parts = self._listed(), self._parts("*", "*")
+        begun = {(part.parent.name, part.name.partition("-")[0]) for part in parts}
         for path in sorted((self.path / "tables").glob("*/[!.]*")):
-            is_left = self.has_parts(path.parent.name, path.name.partition("-")[0])  # by a kill
-            if path not in listed and not is_left:
-                yield f"{path} is not a file of this run, as files.json lists them: remove it"
+            is_left = (path.parent.name, path.name.partition("-")[0]) in begun
+            if path not in listed and not is_left and not path.name.startswith(QUESTIONS):
+                yield path
 
     def phases_of(self, table: str, start: str) -> list[str]:
         """Phases with parts of a table whose names begin so; these names have no hyphen."""
@@ -312,12 +324,13 @@ class Store:
         return unique(pieces, KEYS["error_sums"])
 
     def _parts(self, table: str, phase: str) -> list[Path]:
-        return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
+        found = (self.path / "parts").glob(f"{table}/{phase}-*.parquet")
+        return sorted(filter(_is_own, found))
 
     def _published(self, table: str = "*") -> set[Path]:
         """Files with names of published files, whether they are listed or not."""
         found = (self.path / "tables").glob(f"{table}/*-?????-*.parquet")
-        return {path for path in found if NAME.fullmatch(path.name)}
+        return set(filter(_is_own, found))
 
     def _listed(self) -> set[Path]:
         """Published files, as files.json lists them."""
@@ -405,3 +418,8 @@ class Store:
         if self._holders is not None:
             for id_ in rows["evaluation"].unique().to_pylist():
                 self._holders[id_].add(path)
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file has the name of a file of a table; other files belong to the user."""
+    return path.parent.name in TABLES and NAME.fullmatch(path.name) is not None

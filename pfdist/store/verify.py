@@ -33,10 +33,14 @@ def verify_run(path: Path) -> Iterator[str]:
     store = Store(path)
     damages = list(store.damages())
     yield from damages or _wrong_rows(store)
+    for stranger in store.strangers():
+        yield f"{stranger} is not a file of this run, as files.json lists them: remove it"
     listing = read_listing(path)
     for name, sha256 in listing.pages.items() if listing is not None else ():
         page = path / name
-        if page.exists() and files.digest(page) != sha256:
+        with files.reading(page):
+            differs = page.exists() and files.digest(page) != sha256
+        if differs:
             command = "report" if name == REPORT else "plot"
             yield f"{page} is not what was written: `pfdist {command} {path}` makes it again"
 

@@ -42,7 +42,7 @@ faults = pytest.mark.parametrize(
     "fault", ["ended", "ENOSPC", pytest.param("EIO", marks=pytest.mark.slow)]
 )
 SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error); what"
-SAYS += r" was committed is kept, run the same command again once this is mended$"
+SAYS += r" was committed is kept, run the same command again once this is fixed$"
 
 
 @pytest.fixture

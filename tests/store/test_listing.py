@@ -1,7 +1,9 @@
 """files.json: it lists what must be there, and a kill between two steps costs nothing."""
 
+import errno
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from pfdist.errors import StoreError
+from pfdist.errors import PfdistWarning, StoreError
 from pfdist.store import Store, comparison_schema, files, schema, tables
 from pfdist.store.about import add_to_provenance, read_run, write_about
-from pfdist.store.listing import change_listing, read_listing
+from pfdist.store.listing import change_listing, read_listing, record_pages
 
 KEY = "0123456789abcdef"
 RUN = {"schema_version": 3, "provenance": {}}
@@ -113,7 +115,7 @@ def test_a_kill_between_two_steps_of_publishing_loses_no_row_and_leaves_the_same
     listed = read_listing(store.path)
     assert listed is not None
     assert _files(store.path) == sorted(listed.files)
-    assert not list(again.damages())
+    assert not [*again.damages(), *again.strangers()]
 
 
 @pytest.mark.parametrize("at", range(5))
@@ -198,7 +200,7 @@ def test_what_is_not_listed_is_not_read_and_goes_with_the_next_driver(store: Sto
     mine = published.with_name("notes.txt")
     mine.write_text("mine")
     assert len(store.read("draws")) == 8
-    assert [line.partition(" is not a file")[0] for line in store.damages()] == [
+    assert [*map(str, store.strangers())] == [
         str(stranger), str(mine),
     ]  # fmt: skip
     store.recover()
@@ -210,7 +212,7 @@ def test_a_part_with_another_hash_is_no_damage(store: Store) -> None:
     (part,) = store.path.glob("parts/draws/*")
     part.write_bytes(part.read_bytes()[:-1])
     assert len(store.read("draws")) == 5
-    assert not list(store.damages())
+    assert not [*store.damages(), *map(str, store.strangers())]
     store.recover()
     assert not part.exists()
 
@@ -255,3 +257,55 @@ def test_columns_are_those_of_the_schema(
     store.commit("draws", "genetic", rows)
     with pytest.raises(StoreError, match=words):
         store.read("draws")
+
+
+def test_files_that_are_not_of_tables_are_never_removed(store: Store, tmp_path: Path) -> None:
+    """Neither a user's own files, nor those behind a link."""
+    other = Store(tmp_path / "other", "f" * 16)
+    other.publish("draws", "genetic", [_draws("z", 0, 1)])
+    for place in ("tables", "parts"):
+        (store.path / place / "mine").symlink_to(other.path / "tables" / "draws")
+        (store.path / place / "draws" / "my-copy.parquet").write_text("mine")
+    (store.path / "parts" / "draws" / f"a-{'0' * 16}.parquet").mkdir()
+    before = _files(store.path)
+    store.recover()
+    assert _files(store.path) == before
+    assert len(store.read("draws")) == 8
+
+
+def test_without_locks_no_page_is_listed_beside_a_driver(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The list of a command that draws could replace that of a driver."""
+
+    def no_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    (store.path / "figures").mkdir()
+    (store.path / "figures" / "cost.svg").write_text("a figure")
+    before = (store.path / "files.json").read_text()
+    with pytest.warns(PfdistWarning, match="only one command at a time"):
+        record_pages(store.path)
+    assert (store.path / "files.json").read_text() == before
+    record_pages(store.path, locked=True)
+    assert "cost.svg" in (store.path / "files.json").read_text()
+
+
+def test_several_tables_are_published_together(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kill leaves the answer before or the one after, in all tables."""
+    tables_of_answer = ("draws", "comparison")
+    for number, at in enumerate(range(12)):
+        rows = {"draws": [_draws("w", 0, number + 1)], "comparison": [_compared(0, number + 1)]}
+        _killed_at(lambda: store.publish_together("why", rows), at, monkeypatch)  # noqa: B023
+        sizes = {
+            sum(path.name.startswith("why-") for path in store._listed() if table in path.parts)
+            for table in tables_of_answer
+        }
+        assert len(sizes) == 1
+        if sizes == {1}:
+            answer = store.read("draws").query("evaluation == 'w'")
+            assert len(answer) == len(store.read("comparison"))
+        store.recover()

@@ -145,6 +145,7 @@ def verify_command(options: Namespace) -> None:
         raise StoreError(f"{path}: problems found: {len(damages)}")
     run = open_run(path)
     parts = len(list(path.glob("parts/*/*.parquet")))
-    unfinished = f"; not finished ({run.state}, {parts} parts)" if parts else ""
+    is_finished = run.state == "finished"
+    unfinished = "" if is_finished else f"; not finished ({run.state}, {parts} parts)"
     whole = "all files are unchanged, and no row or key is missing"
     print(f"{one_line(options.run)}: {whole}{unfinished}")
