@@ -157,12 +157,12 @@ def test_the_seconds_of_evaluate_are_those_of_the_draws(
     run: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
     def slowly(job: Job) -> Built:  # as where all must be compiled
-        time.sleep(1.5)
+        time.sleep(5.0)
         return build(job)
 
     monkeypatch.setattr("pfdist.api.evaluate.build", slowly)
     line = f"evaluate {run}/job.toml --times 0,3 --json"
-    assert min(json.loads(call(line).out)["seconds"] for _ in range(3)) < 1.0
+    assert json.loads(call(line).out)["seconds"] < 5.0
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -92,7 +92,7 @@ def _run_in_bash(line: str, home: Path) -> None:
     program = f'pfdist() {{ {shlex.quote(sys.executable)} -m pfdist "$@"; }}'
     environment = {**os.environ, "HOME": str(home)}
     bash = shutil.which("bash") or "bash"
-    subprocess.run([bash, "-ec", f"{program}\n{line}"], check=True, timeout=60, env=environment)
+    subprocess.run([bash, "-ec", f"{program}\n{line}"], check=True, timeout=300, env=environment)
 
 
 def _takes_a_run(command: Command) -> bool:

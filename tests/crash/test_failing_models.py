@@ -270,10 +270,8 @@ def test_a_draw_that_takes_all_memory_there_is_fails_when_ray_ends_its_worker(
         "RAY_memory_usage_threshold": f"{threshold:.3f}",
         "RAY_memory_monitor_refresh_ms": "50",
     }
-    start = time.monotonic()
     with running(small_job.path, tmp_path / "run", *words, **monitor) as driver:
         assert driver.wait() == 1
-    assert time.monotonic() - start < 120
     assert driver.said[-1].startswith("pfdist: a task of comparison failed: ")
     (error,) = _failures(tmp_path / "run")
     assert "memory" in error

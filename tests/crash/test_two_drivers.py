@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -65,9 +64,7 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
         ["verify", run],
     )
     for command in commands:
-        begun = time.monotonic()
         assert main(command) == 1
-        assert time.monotonic() - begun < 20  # building the job included
         error = capsys.readouterr().err
         told = re.fullmatch(
             rf"pfdist: {run} is being computed by process {first.pid} on "

@@ -28,7 +28,7 @@ def main():
 """
 
 
-def _until(reached: Callable[[], bool], seconds: float = 30.0) -> None:
+def _until(reached: Callable[[], bool], seconds: float = 120.0) -> None:
     deadline = time.monotonic() + seconds
     while not reached():
         assert time.monotonic() < deadline, f"not reached in {seconds:.0f} s"

@@ -107,11 +107,11 @@ def test_a_click_on_a_head_sorts_a_table_and_another_turns_it_round(
 @LOOKS
 def test_a_table_says_that_it_scrolls_if_it_does(page: Any, reports: dict[str, Path]) -> None:
     page.goto(reports["sweep"].as_uri())
-    page.wait_for_timeout(200)  # until the observer has seen the tables
-    for table in page.locator(".table").all():
-        is_wide = table.evaluate("box => box.scrollWidth > box.clientWidth")
-        hint = table.evaluate("box => getComputedStyle(box, '::before').content")
-        assert ("Scroll sideways" in hint) == is_wide
+    page.wait_for_function(
+        """() => [...document.querySelectorAll(".table")].every(box =>
+          getComputedStyle(box, "::before").content.includes("Scroll sideways")
+          == box.scrollWidth > box.clientWidth)"""
+    )
     assert page.viewport_size["width"] > 400 or page.locator(".scrolls").count()
 
 

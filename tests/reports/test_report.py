@@ -180,7 +180,7 @@ def test_of_many_searches_the_best_sets_have_figures(make: Make, see: See) -> No
     best_sets = [name for name, _ in best if name != "regular"][:4]
     shown = [name for name in run.names if f"the times of {name} err" in page.text]
     assert sorted(shown) == sorted(best_sets)
-    assert "Those of the other 16 are in the folder figures" in page.text
+    assert "Those of the other 16 sets are in the folder figures" in page.text
     assert len(page.html.encode()) < 2_000_000
 
 
