@@ -136,3 +136,9 @@ def test_a_command_that_python_calls_listens_to_nothing() -> None:
     assert ([*map(signal.getsignal, numbers)], signal.pthread_sigmask(0, [])) == before
     stopping.check()
     assert stopping.exit_code() is None
+
+
+def test_the_program_has_no_other_thread_when_it_begins_to_listen() -> None:
+    lines = 'import pfdist.cli.main; print(os.listdir("/proc/self/task") == [str(os.getpid())])'
+    command = [sys.executable, "-c", f"import os; {lines}"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "True\n"

@@ -32,8 +32,12 @@ SAVED = f"{STOPPED} Finished work is saved; run the same command to resume."
 BEGINS = """
 import os, signal, sys, threading, time
 from pfdist.cli.main import main
+from pfdist.common import stopping
 signal.signal(signal.SIGINT, signal.default_int_handler)
-{}
+def listen(original=stopping.listen):
+    original()  # before NumPy starts threads
+    exec({!r}, globals())
+stopping.listen = listen
 print("beginning", flush=True)
 sys.exit(main())
 """
@@ -41,7 +45,7 @@ sys.exit(main())
 
 @contextmanager
 def program(lines: str, *words: object) -> Iterator[subprocess.Popen[str]]:
-    """The program in a process, after some lines of Python."""
+    """The program in a process, which runs some lines of Python when it has begun."""
     command = [sys.executable, "-c", BEGINS.format(lines), *map(str, words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:
