@@ -20,7 +20,7 @@ from collections.abc import Iterable
 _CODES: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 75, signal.SIGUSR1: 75}  # exit codes
 _STOPPING = "Stopping after the work in flight; press Ctrl-C again to end now"
 # A batch script may hand on the signal that its whole group has received.
-_SAME_SECONDS = 1.0
+_SAME_SECONDS = 0.2
 _NOTICE_SECONDS = 25.0  # Slurm kills 30 s after SIGTERM
 _heard = threading.Event()  # `check` raises
 _at_work = threading.Event()  # `check` was called

@@ -71,8 +71,9 @@ def test_a_second_signal_ends_the_process_at_once_with_the_code_of_the_first() -
     assert done(again.format("SIGTERM", "SIGINT")) == (75, "", STOPPING + STOPPED)
 
 
-def test_the_same_signal_of_a_batch_system_counts_once_within_a_second() -> None:
+def test_a_signal_of_a_batch_system_that_is_handed_on_at_once_counts_once() -> None:
     lines = """
+stopping._SAME_SECONDS = 60.0
 heard(signal.SIGTERM)
 send(signal.SIGTERM)
 send(signal.SIGTERM)
@@ -136,3 +137,9 @@ def test_a_command_that_python_calls_listens_to_nothing() -> None:
     assert ([*map(signal.getsignal, numbers)], signal.pthread_sigmask(0, [])) == before
     stopping.check()
     assert stopping.exit_code() is None
+
+
+def test_the_program_has_no_other_thread_when_it_begins_to_listen() -> None:
+    lines = 'import pfdist.cli.main; print(os.listdir("/proc/self/task") == [str(os.getpid())])'
+    command = [sys.executable, "-c", f"import os; {lines}"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "True\n"

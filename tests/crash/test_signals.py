@@ -34,11 +34,10 @@ import os, signal, sys, threading, time
 from pfdist.cli.main import main
 from pfdist.common import stopping
 signal.signal(signal.SIGINT, signal.default_int_handler)
-listen = stopping.listen
-def begin():
-    listen()
+def listen(original=stopping.listen):
+    original()  # before NumPy starts threads
     exec({!r}, globals())
-stopping.listen = begin
+stopping.listen = listen
 print("beginning", flush=True)
 sys.exit(main())
 """
@@ -46,7 +45,7 @@ sys.exit(main())
 
 @contextmanager
 def program(lines: str, *words: object) -> Iterator[subprocess.Popen[str]]:
-    """The program in a process, with some lines of Python at its beginning."""
+    """The program in a process, which runs some lines of Python when it has begun."""
     command = [sys.executable, "-c", BEGINS.format(lines), *map(str, words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, **pipes) as process:
