@@ -340,7 +340,8 @@ class Execution(Section):
     pool : str
         The pool, which computes the tasks.
     workers : int
-        Number of workers or threads; 0 means all cores that the process may use.
+        Number of workers or threads, at most 1,000 on one machine; 0 means all cores that the
+        process may use.
     address : str
         Address of a Ray cluster, as HOST:PORT, ``auto`` or ``local``.
     wait_for_cores : int

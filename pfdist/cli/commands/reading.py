@@ -59,7 +59,7 @@ def _add_runs(parser: ArgumentParser) -> None:
         nargs="+",
         metavar="RUN",
         help="folders of runs, finished or not; a folder with runs or sweeps in it stands for all "
-        "these runs",
+        "these runs that can be read",
     )
     parser.add_argument(
         "--out",
