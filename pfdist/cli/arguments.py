@@ -86,7 +86,8 @@ def add_pool(parser: ArgumentParser) -> None:
         "--workers",
         type=whole,
         metavar="N",
-        help="number of workers, at most 1,000 on one machine; 0 is one for each core (default: execution.workers of the job)",
+        help="number of workers, at most 1,000 on one machine; 0 is one for each core "
+        "(default: execution.workers of the job)",
     )
     parser.add_argument(
         "--address",
