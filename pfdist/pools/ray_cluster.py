@@ -22,7 +22,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pfdist.common.stopping import check
+from pfdist.common.stopping import check, exit_code
 from pfdist.errors import PoolError
 
 # Before Ray is imported: by default it writes to standard error, reports its usage, and replaces
@@ -47,6 +47,8 @@ START_SECONDS = 120.0
 STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
 LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
+_ABANDON_SECONDS = 8.0  # after a signal, for which Ray may still start
+_LOOK_SECONDS = 0.1  # between two looks whether a signal was received
 _GROUP_SECONDS = 10.0  # within which Ray must find the nodes of free cores
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
@@ -198,8 +200,8 @@ def _init(left: threading.Event, **options: Any) -> None:
     """Start Ray in a thread of its own, which waits until the cluster is left.
 
     In the main thread, Ray would take the handler of SIGTERM. The servers that Ray starts end with
-    the thread that started them. A half-started Ray cannot be left: signals wait, also Ctrl-C in a
-    notebook, until it has started.
+    the thread that started them. A half-started Ray cannot be left at once: a signal waits for some
+    seconds, also Ctrl-C in a notebook.
     """
     started = Future[None]()
 
@@ -216,10 +218,14 @@ def _init(left: threading.Event, **options: Any) -> None:
         warnings.simplefilter("ignore", FutureWarning)
         within(0.0, start)
         try:
-            started.result()
+            while exit_code() is None and not started.done():
+                with contextlib.suppress(TimeoutError):
+                    started.exception(_LOOK_SECONDS)
         finally:
-            started.exception()
+            with contextlib.suppress(TimeoutError):  # its servers may have received the signal, too
+                started.exception(_ABANDON_SECONDS)
     check()
+    started.result()
 
 
 @contextlib.contextmanager
