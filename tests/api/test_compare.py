@@ -195,7 +195,7 @@ def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(
     job = problem.job(search=search, comparison={"draws": 40})
     run = pfdist.run(job, tmp_path / "object", pool="serial", figures=False)
     found = compare(problem, run, times={"late": "6:12:2"}, pool="serial")
-    assert found.path == Path("results/my_walk-compare")
+    assert found.path == Path("results/my_walk-compare").absolute()
     assert pfdist.why(found, draws=2, figures=False).sets["name"].tolist() == found.names
 
 

@@ -58,9 +58,15 @@ def test_its_own_folder_unless_the_job_is_the_same(
     monkeypatch.chdir(tmp_path)
     changes = [*EXACT, "comparison.draws=2"]
     job = pfdist.load_job(unnamed).with_changes(changes)
-    assert pfdist.plan(unnamed, changes=changes, figures=False).path == Path("results/unnamed")
-    assert pfdist.plan(job, figures=False).path == Path("results/unnamed")
-    assert pfdist.plan(small_job, changes=changes, figures=False).path == Path("results/small-plan")
+    assert (
+        pfdist.plan(unnamed, changes=changes, figures=False).path
+        == Path("results/unnamed").absolute()
+    )
+    assert pfdist.plan(job, figures=False).path == Path("results/unnamed").absolute()
+    assert (
+        pfdist.plan(small_job, changes=changes, figures=False).path
+        == Path("results/small-plan").absolute()
+    )
 
 
 @pytest.mark.usefixtures("no_figures")

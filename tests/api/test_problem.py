@@ -253,7 +253,7 @@ def test_questions_about_a_problem_need_its_object_and_find_its_run(
         pfdist.why(job, draws=20)
     run = pfdist.run(job, figures=False)
     found = pfdist.why(job, draws=20, figures=False)
-    assert found.run == Path("results/robot")
+    assert found.run == Path("results/robot").absolute()
     assert set(found.sets["name"]) == {"regular", "random"}
     pd.testing.assert_frame_equal(found.worth, pfdist.why(run, draws=20, figures=False).worth)
     measured = pd.DataFrame({"t": [0], "y0": [0.3]})

@@ -62,13 +62,13 @@ def why(*arguments: Any, **options: Any) -> Any:
 
 def test_a_question_finds_the_run_of_its_job(there: Path) -> None:
     found = why("jobs/small.toml")
-    assert found.run == Path("results/small")
+    assert found.run == Path("results/small").absolute()
     shutil.move("results/small", "elsewhere")
     again = why("jobs/small.toml", results="elsewhere")
     pd.testing.assert_frame_equal(found.worth, again.worth)
     of_kept = why("elsewhere/job.toml", changes=())  # a run's own job stands for this run
     pd.testing.assert_frame_equal(found.worth, of_kept.worth)
-    assert of_kept.run == Path("elsewhere")
+    assert of_kept.run == Path("elsewhere").absolute()
 
 
 def test_a_plan_is_found_if_the_job_was_not_run(there: Path, error: Callable[..., str]) -> None:
@@ -83,7 +83,7 @@ def test_a_plan_is_found_if_the_job_was_not_run(there: Path, error: Callable[...
     )
     changes = ["comparison.draws=20", "filter.particles=10"]
     made = pfdist.plan("jobs/small.toml", changes=changes, figures=False, bound_draws=0)
-    assert made.path == Path("results/small-plan")
+    assert made.path == Path("results/small-plan").absolute()
     assert why("jobs/small.toml", changes=changes).run == made.path
 
 

@@ -229,8 +229,8 @@ def test_results_have_the_name_of_the_sweep_file(
     monkeypatch.chdir(tmp_path)
     sweep = partial(pfdist.sweep, changes=EXACT[:2], report=False)
     sweep_file.write_text('job = "small.toml"\n[over]\nseed = [3]\n')
-    assert sweep(sweep_file).path == Path("results/study")
-    assert sweep(small_job, {"seed": [3]}).path == Path("results/small-sweep")
+    assert sweep(sweep_file).path == Path("results/study").absolute()
+    assert sweep(small_job, {"seed": [3]}).path == Path("results/small-sweep").absolute()
 
 
 # --- In parts -----------------------------------------------------------------------------------

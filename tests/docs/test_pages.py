@@ -256,7 +256,7 @@ def test_the_example_of_the_page_about_python_runs_and_its_run_goes_on(
     exec(compile(code, script, "exec"), scope)
     run: Any = scope["run"]
     assert isinstance(run, pfdist.Run)
-    assert run.path == Path("results/robot")
+    assert run.path == Path("results/robot").absolute()
     for times in run.sets.values():
         assert len(times) == 5
         assert not set(times) & set(range(8, 12))

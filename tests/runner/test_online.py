@@ -287,15 +287,17 @@ def test_a_job_without_the_section_gets_its_defaults_and_a_folder_of_its_own(
     head, _, rest = JOB.partition("[online]")
     path.write_text(head + rest[rest.index("[execution]") :])
     run = pfdist.online(path, draws=2, figures=False)
-    assert run.path == Path("results/plain-online")
+    assert run.path == Path("results/plain-online").absolute()
     assert len(run.table("online")) == 2
     assert run.job["online"]["search"]["method"] == "corridor"
     with pytest.raises(JobError, match=r"comparison\.draws = 30, got 1000"):
         pfdist.online(path, figures=False)
     changes = ["online.draws=2"]
-    assert pfdist.online(job, changes=changes, figures=False).path == Path("results/online")
+    assert (
+        pfdist.online(job, changes=changes, figures=False).path == Path("results/online").absolute()
+    )
     given = pfdist.online(load_job(path), changes=changes, figures=False)
-    assert given.path == Path("results/plain-online")
+    assert given.path == Path("results/plain-online").absolute()
 
 
 @pytest.mark.slow
