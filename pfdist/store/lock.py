@@ -89,12 +89,13 @@ def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> bool:
             except OSError as error:
                 if error.errno not in _NO_LOCKS:
                     raise
-                warnings.warn(
-                    f"the file system of {folder} has no locks (flock: {error.strerror}): only one "
-                    "command at a time may write to this run",
-                    PfdistWarning,
-                    stacklevel=2,
-                )
+                if kind == fcntl.LOCK_EX:  # who only reads need not know
+                    warnings.warn(
+                        f"the file system of {folder} has no locks (flock: {error.strerror}): "
+                        "only one command at a time may write to this run",
+                        PfdistWarning,
+                        stacklevel=2,
+                    )
                 return False
             else:
                 return True
