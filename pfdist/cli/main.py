@@ -54,13 +54,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
-    if arguments is None:
-        stopping.listen()
     encode_all_text()
     words = sys.argv[1:] if arguments is None else arguments
     if not words:
         print(welcome(), end="")
         return _DONE
+    if arguments is None:
+        stopping.listen()
     try:
         started_in(os.getcwd())  # a model may move the process
         # Not above: the package itself makes this check, before anything imports Numba.

@@ -229,7 +229,7 @@ def test_a_run_in_a_folder_that_cannot_be_read_is_left_out(
     for name in ("good", "strange"):
         shutil.copytree(finished(), tmp_path / name)
     job = tmp_path / "strange" / "job.toml"
-    job.write_text('"a.b" = 1\n' + job.read_text())
+    rewrite(job, '"a.b" = 1\n' + job.read_text())
     with pytest.warns(PfdistWarning, match="strange is left out: .*unknown key 'a.b'"):
         frame = pfdist.table(tmp_path)
     assert set(frame["run"]) == {"good"}

@@ -161,7 +161,7 @@ def test_data_that_is_read_travels_in_the_constants(write: Write, tmp_path: Path
 @pytest.mark.parametrize(
     ("data", "says"),
     [
-        (("c.txt",), "data_files must name files that can be read, got 'c.txt': .*no such file"),
+        (("c.txt",), "data_files must name files that can be read, got 'c.txt': .*No such file"),
         *(
             (wrong, "data_files must be a tuple of names relative to")
             for wrong in (("../c.txt",), ("/etc/passwd",), "c.txt", (3,), ("",))
