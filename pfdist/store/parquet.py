@@ -228,7 +228,7 @@ class Store:
                 yield str(error)
 
     def strangers(self) -> Iterator[Path]:
-        """Files among the published ones that are not listed, but for those that a kill may leave."""
+        """Files among the published ones that are not listed, unless a kill may leave them."""
         listed, parts = self._listed(), self._parts("*", "*")
         begun = {(part.parent.name, part.name.partition("-")[0]) for part in parts}
         for path in sorted((self.path / "tables").glob("*/[!.]*")):
