@@ -148,7 +148,7 @@ def own_store(
     run : Run
     built : Built
     say : callable
-        Receives a line for each damaged file, and if nothing is stored in the run's folder.
+        Receives a line if nothing is stored in the run's folder.
     must_be : bool
         Whether the folder must be fit for writing; otherwise a temporary store takes its place.
 

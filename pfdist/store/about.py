@@ -30,7 +30,7 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     damaged.
     """
     check_version_of(path)
-    # A driver may replace a file between the two readings: then the second attempt sees both anew.
+    # A driver may replace a file between the readings: then the second attempt sees the new ones.
     for _ in range(2):
         texts = {name: _read(path, name) for name in ("run.json", "job.toml")}
         listing = read_listing(path)

@@ -7,9 +7,10 @@ report. It is replaced as a whole, so a reader sees the list before a change or 
 Only the process that holds the run's lock writes it. These are the orders, and what a kill between
 two steps costs:
 
-- A table is published: its files get their names, files.json lists them, the parts are removed, and
-  last the files that are not listed any more. A kill before the list costs nothing: the parts are
-  still there, and the next start removes the files that are not listed.
+- A table is published: its files get their names, files.json lists them, the files that are not
+  listed any more are removed, and last the parts. A kill before the list costs nothing: the parts
+  or the former files are still there, and the next start removes what is not listed. After a kill
+  behind the list, parts may be left: their phase is published again, with the same bytes.
 - job.toml or run.json is replaced: files.json lists the hashes of the old and the new content, then
   the file gets its name. The next list keeps only the hash of the file that is there.
 """

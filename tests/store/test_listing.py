@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from oracles.stored_rows import compared_rows
 from pfdist.errors import PfdistWarning, StoreError
 from pfdist.store import Store, comparison_schema, files, schema, tables
 from pfdist.store.about import add_to_provenance, read_run, write_about
@@ -24,12 +25,6 @@ def _draws(evaluation: str, first: int, last: int) -> pa.Table:
     draw = np.arange(first, last)
     columns = {"evaluation": [evaluation] * draw.size, "draw": draw, "mse": 1.0 + draw}
     return pa.table({**columns, "degenerate": draw < 0}, schema=schema("draws"))
-
-
-def _compared(first: int, last: int) -> pa.Table:
-    draw = np.arange(first, last)
-    columns = {"draw": draw, "mse_a": draw / 2, "degenerate_a": draw < 0}
-    return pa.table(columns, schema=comparison_schema(["a"]))
 
 
 @pytest.fixture
@@ -220,7 +215,7 @@ def test_a_part_with_another_hash_is_no_damage(store: Store) -> None:
 def test_a_file_of_another_table_or_run_is_named(store: Store, tmp_path: Path) -> None:
     other = Store(tmp_path / "other", "f" * 16)
     other.commit("draws", "genetic", _draws("z", 0, 1))
-    store.commit("comparison", "genetic", _compared(0, 3))
+    store.commit("comparison", "genetic", compared_rows(0, 3))
     for file, kind in (
         (next(other.path.glob("parts/draws/*")), "run"),
         (next(store.path.glob("parts/comparison/*")), "table"),
@@ -233,7 +228,7 @@ def test_a_file_of_another_table_or_run_is_named(store: Store, tmp_path: Path) -
 
 
 def test_a_draw_of_any_number_costs_neither_time_nor_memory(store: Store) -> None:
-    rows = _compared(0, 3).set_column(0, "draw", pa.array([0, 1, 3_000_000_000_000]))
+    rows = compared_rows(0, 3).set_column(0, "draw", pa.array([0, 1, 3_000_000_000_000]))
     store.commit("comparison", "comparison", rows.cast(comparison_schema(["a"])))
     assert store.numbers("comparison", "draw").tolist() == [0, 1, 3_000_000_000_000]
     blocks = [block["draw"].to_pylist() for block in store.blocks("comparison", "draw", 10)]
@@ -298,7 +293,7 @@ def test_several_tables_are_published_together(
     """A kill leaves the answer before or the one after, in all tables."""
     tables_of_answer = ("draws", "comparison")
     for number, at in enumerate(range(12)):
-        rows = {"draws": [_draws("w", 0, number + 1)], "comparison": [_compared(0, number + 1)]}
+        rows = {"draws": [_draws("w", 0, number + 1)], "comparison": [compared_rows(0, number + 1)]}
         _killed_at(lambda: store.publish_together("why", rows), at, monkeypatch)  # noqa: B023
         sizes = {
             sum(path.name.startswith("why-") for path in store._listed() if table in path.parts)

@@ -8,13 +8,13 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from oracles.bytes_of import hashes
+from oracles.stored_rows import compared_rows
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import StoreError
 from pfdist.store import (
@@ -34,12 +34,6 @@ from pfdist.store.tables import cut_rows
 def _draws(evaluation: str, first: int, last: int) -> pa.Table:
     rows = [{"evaluation": evaluation, "draw": d, "mse": 1.0 + d} for d in range(first, last)]
     return pa.Table.from_pylist(rows, schema=schema("draws"))
-
-
-def _compared(first: int, last: int) -> pa.Table:
-    draw = np.arange(first, last)
-    columns = {"draw": draw, "mse_a": draw / 2, "degenerate_a": draw < 0}
-    return pa.table(columns, schema=comparison_schema(["a"]))
 
 
 @pytest.fixture
@@ -105,7 +99,7 @@ def test_draws_are_found_by_their_evaluation_in_parts_and_tables_in_order_and_ea
 
 def test_blocks_are_sorted_and_have_each_row_once(store: Store) -> None:
     for first, last in ((10, 20), (0, 10), (5, 15), (31, 40)):
-        store.commit("comparison", "comparison", _compared(first, last))
+        store.commit("comparison", "comparison", compared_rows(first, last))
     blocks = [rows["draw"].to_pylist() for rows in store.blocks("comparison", "draw", 7, 36)]
     assert blocks == [
         list(range(7)), list(range(7, 14)), list(range(14, 20)), list(range(31, 35)), [35],
@@ -227,7 +221,7 @@ def test_what_cannot_be_read_is_an_error_that_says_why(store: Store) -> None:
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(StoreError, match=rf"{path.name} is damaged: .*; remove it, and run the"):
         Store(store.path).read("draws")
-    rows = _compared(0, 1)
+    rows = compared_rows(0, 1)
     newer = {**rows.schema.metadata, b"pfdist_schema_version": str(SCHEMA_VERSION + 1).encode()}
     store.publish("comparison", "comparison", [rows.replace_schema_metadata(newer)])
     with pytest.raises(StoreError, match="use the newer pfdist"):
