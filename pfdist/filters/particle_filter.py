@@ -143,40 +143,36 @@ def _filter(
 
     The other arrays that are wanted are filled.
     """
-    mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
+    truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
+    mse = np.empty((len(draws.index), len(planned.measured)))
     degenerate = np.zeros(mse.shape, np.bool_)
+    prior, chosen, prior_weight = _prior(draws, stream, settings)
     request = Request(
         np.array(filter_streams(stream, settings.estimator), np.uint64),
         draws.index.start,
         draws.start,
-        _prior(draws, stream, settings),
+        prior,
+        chosen,
+        prior_weight,
         draws.x,
         draws.y,
         draws.z,
+        np.array([part.y.start for part in model.parts]),
         settings.particles,
+        list(ALL_SCHEMES).index(scheme.name),
+        scheme.sorts,
+        scheme.holds_truth,
+        settings.guides(model),
+        settings.threshold,
         ALL_ESTIMATORS[settings.estimator].weights,
         draws.instant_weights,
-        settings.threshold,
-        flat_parameters(model.parameters, draws.instants.stop),
-        flat_parameters(truth.parameters, draws.instants.stop),
+        codes_of(model.initial_noise),
+        codes_of(model.process_noise),
+        codes_of(model.proposal_variates),
     )
-    estimate, variance = wanted.moments
-    at = np.zeros(2, np.int64)
-    results = Results(mse, degenerate, estimate, variance, *wanted[1:], at)
-
-    def again() -> str:
-        """Filter the failed draw in NumPy."""
-        row, number = at
-        sensors = len(model.parts)
-        measured = measurements_of(planned.measured[number], sensors)
-        times = tuple(draws.start * sensors + measurement for measurement in measured)
-        end, draw = draws.start + planned.ends[number] - 1, draws[row : row + 1]
-        plain.filter_checked_sets(model, draw, [times], [end], stream, settings)
-        return f"the filter of draw {draw.index.start}"
-
-    with compiled_formulas(model.name, again):
-        compiled_filter(model, truth, settings)(request, planned, results)
-    if ALL_SCHEMES[settings.resampling].holds_truth:
+    compiled = filter_blocks(model, truth, settings, draws.instants)
+    filter_all(compiled, request, planned, Results(mse, degenerate, *wanted.moments, *wanted[1:]))
+    if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate
 
@@ -190,48 +186,18 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
     return plan(tuple(sets), instants, stops, sensors)
 
 
-def _prior(draws: Draws, stream: int, settings: Estimation) -> Prior:
-    """The particles from which each draw's filter starts."""
+def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:
+    """States, choice and weights of the prior's particles; see `pfdist.kernels.filter.Request`."""
     if settings.prior is None:
-        return FROM_INITIAL
+        return np.empty((draws.x.shape[2], 0)), np.empty((0, 0, 0), np.int64), np.empty(0)
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
     prior, particles = settings.prior, settings.particles
+    states = np.ascontiguousarray(prior.x)
+    keys = filter_streams(stream, settings.estimator)
     weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
-        as_it_is = np.broadcast_to(np.arange(particles), (2, len(draws.index), particles))
-        return Prior(np.ascontiguousarray(prior.x), np.ascontiguousarray(as_it_is), weight)
-    chosen = [
-        prior.chosen_for_filters(particles, draws.index, key)
-        for key in filter_streams(stream, settings.estimator)
-    ]
-    return Prior(np.ascontiguousarray(prior.x), np.stack(chosen), np.empty(0))
-
-
-def compiled_filter(
-    model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation
-) -> WithScratch:
-    """The compiled filter of a model, whose errors the truth defines."""
-    proposal: tuple[Any, ...] = ()
-    noise_kinds: tuple[tuple[str, ...], ...] = (model.initial_noise, model.process_noise)
-    if settings.guides(model):
-        proposal = (model.proposal, model.proposal_log_density)
-        noise_kinds = (*noise_kinds, model.proposal_variates)
-    formulas = FilterFormulas(
-        model.initial,
-        model.transition,
-        model.quantity_of_interest,
-        truth.formulas["error"],
-        tuple(part.model.log_likelihood for part in model.parts),
-        proposal,
-    )
-    states, _, quantities = model.components
-    return fused_filter(
-        formulas,
-        noise_kinds,
-        (states, tuple(part.model.components[1] for part in model.parts), quantities),
-        (parameter_names(model.parameters), parameter_names(truth.parameters)),
-        settings.resampling,
-        truth.is_angle,
-        settings.carries,
-    )
+        as_it_is = np.broadcast_to(np.arange(particles), (len(keys), len(draws.index), particles))
+        return states, np.ascontiguousarray(as_it_is), weight
+    chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
+    return states, np.stack(chosen), np.empty(0)

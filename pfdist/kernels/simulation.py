@@ -1,0 +1,106 @@
+"""The simulation of draws of any model; it is compiled once a machine.
+
+Draws take the places of a filter's particles, so a block computes several of them at a time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.kernels.blocks import call
+from pfdist.kernels.cached import compiled
+from pfdist.kernels.variates import (
+    TRUTH_INITIAL,
+    TRUTH_MEASUREMENT,
+    TRUTH_PROCESS,
+    fill_of_draws,
+)
+
+INITIAL, TRANSITION, QUANTITY, MEASUREMENT = range(4)
+"""Rows of `pfdist.kernels.blocks.Blocks`. The measurements of further sensors follow."""
+
+TOGETHER = 256
+"""Draws that are simulated side by side."""
+
+
+class Request(NamedTuple):
+    """Which D draws are simulated, at T+1 instants."""
+
+    stream: int  # key of the noise
+    first_draw: int  # index of the first draw in its stream
+    start: int  # first instant
+    has_begun: bool  # whether the first states are given
+    first_components: NDArray[np.int64]  # (sensors + 1,): of y, and their number
+    first_noises: NDArray[np.int64]  # (sensors,): of v, for each sensor
+    initial_noise: NDArray[np.int64]  # kinds of the components
+    process_noise: NDArray[np.int64]
+    measurement_noise: NDArray[np.int64]
+
+
+@compiled
+def simulate_draws(blocks, request, x, y, z, states, values, noise):
+    """Fill x (D, T+1, n), y (D, T+1, m) and z (D, T+1, q).
+
+    `states` (2 * n * TOGETHER,), `values` and `noise`, with a row for each component, are scratch.
+    """
+    stride, half = TOGETHER, x.shape[2] * TOGETHER
+    for begin in range(0, x.shape[0], stride):
+        draws, here = min(stride, x.shape[0] - begin), 0
+        _begin(blocks, request, x, states, noise, begin, draws)
+        for k in range(x.shape[1]):
+            first = here * half
+            _fill(noise, request, request.measurement_noise, begin, draws, k, TRUTH_MEASUREMENT)
+            _spread(states, first, x, begin, draws, k, 0, x.shape[2])
+            for sensor in range(request.first_noises.size):
+                _evaluate(
+                    blocks, MEASUREMENT + sensor, k, values, 0, states, first, noise,
+                    request.first_noises[sensor] * stride,
+                )  # fmt: skip
+                component = request.first_components[sensor]
+                count = request.first_components[sensor + 1] - component
+                _spread(values, 0, y, begin, draws, k, component, count)
+            _evaluate(blocks, QUANTITY, k, values, 0, states, first, noise, 0)
+            _spread(values, 0, z, begin, draws, k, 0, z.shape[2])
+            if k + 1 < x.shape[1]:
+                _fill(noise, request, request.process_noise, begin, draws, k, TRUTH_PROCESS)
+                _evaluate(blocks, TRANSITION, k, states, half - first, states, first, noise, 0)
+                here = 1 - here
+
+
+@compiled
+def _begin(blocks, request, x, states, noise, begin, draws):
+    if request.has_begun:
+        for c in range(x.shape[2]):
+            for d in range(TOGETHER):
+                states[c * TOGETHER + d] = x[begin + min(d, draws - 1), 0, c]
+    else:
+        _fill(noise, request, request.initial_noise, begin, draws, -request.start, TRUTH_INITIAL)
+        _evaluate(blocks, INITIAL, 0, states, 0, states, 0, noise, 0)
+
+
+@compiled
+def _fill(noise, request, kinds, begin, draws, k, role):
+    for c in range(kinds.size):
+        fill_of_draws(
+            noise, c * TOGETHER, kinds[c], request.stream, request.start + k, role, c,
+            request.first_draw + begin, draws,
+        )  # fmt: skip
+
+
+@compiled
+def _evaluate(blocks, block, k, values, to, states, first, noise, first_noise):
+    """Call a block for all draws that are simulated side by side."""
+    call(
+        blocks.addresses[block, k], values, to, TOGETHER, states, first, TOGETHER,
+        noise, first_noise, TOGETHER, states, 0, 0, 0, blocks.table, blocks.places[block, k],
+        1, TOGETHER,
+    )  # fmt: skip
+
+
+@compiled
+def _spread(values, first, result, begin, draws, k, component, count):
+    """Copy rows of draws into an array (draws, instants, components)."""
+    for c in range(count):
+        for d in range(draws):
+            result[begin + d, k, component + c] = values[first + c * TOGETHER + d]
