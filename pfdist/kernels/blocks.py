@@ -7,7 +7,7 @@ instant.
 
 import ctypes
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,13 +15,13 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from pfdist.kernels.lowering import FUNCTION, Code, Half, Layout, machine_code, split
+from pfdist.kernels.lowering import FUNCTION, Code, Layout, machine_code, split
 from pfdist.kernels.vectors import LANES
 from pfdist.models.parameters import Parameter
-from pfdist.models.program import Program, merged
+from pfdist.models.program import Array, evaluate, merged
 from pfdist.models.tracing import Traced
 
-_SAFE = 2.0**1000  # the reciprocals of smaller numbers have all digits
+_LARGE = 2.0**1000  # the reciprocals of smaller numbers have all digits
 
 
 class Blocks(NamedTuple):
@@ -53,24 +53,24 @@ def compile_blocks(sources: Sequence[Source | None], instants: range) -> Compile
 
     A formula that was traced for fewer instants has its last block at the others.
     """
-    given = [(number, each) for number, each in enumerate(sources) if each is not None]
-    halves = [
+    programs = [
         (number, source, _Program(source, which))
-        for number, source in given
+        for number, source in enumerate(sources)
+        if source is not None
         for which in range(len(source.traced.programs))
     ]
-    needed = (half for _, _, program in halves for half in program.split.compiled)
-    code = machine_code((*dict.fromkeys(needed),))
+    halves = [half for *_, program in programs for half in program.split[::2]]
+    code = machine_code((*dict.fromkeys(half for half in halves if half.outputs),))
     addresses, places = np.zeros((2, len(sources), len(instants)), np.int64)
     table, size = [np.zeros(1)], 1
-    for number, source, program in halves:
-        rows = program.table(code)
-        table.append(rows.ravel())
-        traced = source.traced
+    for number, source, program in programs:
+        rows, traced = program.table(code), source.traced
         last = np.minimum(np.arange(len(instants)), traced.which.size - 1)
-        here = traced.which[last] == program.which
+        is_here = traced.which == program.which
+        row, here = (np.cumsum(is_here) - 1)[last], is_here[last]
         addresses[number, here] = code.addresses[program.split.particles]
-        places[number, here] = size + traced.row[last][here] * rows.shape[1]
+        places[number, here] = size + row[here] * rows.shape[1]
+        table.append(rows.ravel())
         size += rows.size
     return Compiled(Blocks(addresses, places, np.concatenate(table)), code)
 
@@ -79,31 +79,84 @@ class _Program:
     """One of the programs of a source, in its two halves."""
 
     def __init__(self, source: Source, which: int) -> None:
-        self.source, self.which = source, which
-        program = merged(source.traced.programs[which])
-        self._program, (here,) = program, np.nonzero(source.traced.which == which)
-        # The instants of the rows of the program's constants.
-        self._instants = np.array(source.traced.instants)[here]
-        self.split = split(program, source.layout, exact=self._has_large_denominators())
+        self._source, self.which = source, which
+        self._program = merged(source.traced.programs[which])
+        self._instants = np.array(source.traced.instants)[source.traced.which == which]
+        self.split = split(self._program, source.layout, exact=self._divides_by_extremes())
 
-    def _has_large_denominators(self) -> bool:
-        """Whether a reciprocal that is the same for all particles may have fewer digits."""
+    def _divides_by_extremes(self) -> bool:
+        """Whether the reciprocal of a number for all particles may have fewer digits."""
         program = self._program
-        outputs = tuple(program.shared_denominators)
-        if not outputs:
-            return False
-        values = self._columns(outputs)
-        size = np.abs(values[np.isfinite(values)])
-        return bool(np.any((size > _SAFE) | ((size < 1 / _SAFE) & (size > 0.0))))
+        divisors = {
+            arguments[1]
+            for name, arguments, _ in program.operations
+            if name == "divide" and program.is_shared[arguments[1]]
+        }
+        sizes = np.abs(np.concatenate([*self._leaves(tuple(divisors)), [1.0]]))
+        return bool(((sizes < 1.0 / _LARGE) | (sizes > _LARGE)).any())
 
-    def table(self, code: Code) -> NDArray[np.float64]:
-        """The row of the table for each instant of the program, (K, entries)."""
+    def _leaves(self, operations: tuple[int, ...]) -> list[Array]:
+        """Values that are the same for all particles, by NumPy, for each instant."""
+        some = replace(self._program, outputs=operations)
+        parameters, rows = self._source.parameters, np.arange(len(some.constants))
+        values = evaluate(merged(some), {}, self._instants, parameters, rows)
+        return [np.broadcast_to(each, self._instants.shape) for each in values]
+
+    def table(self, code: Code) -> Array:
+        """A row for each instant of the program, with the numbers that its block needs."""
         shared, count = self.split.shared, self._instants.size
-        width = -(-count // LANES) * LANES
-        slots = np.zeros((max(1, len(self.split.leaves)), width))
-        slots[: len(self.split.leaves), :count] = self._columns(self.split.leaves)
-        slots[:, count:] = slots[:, :1]
-        rows = np.zeros((max(1, len(shared.outputs)), width))
-        if shared.outputs:
-            run(code.addresses[shared], rows, slots)
-        return np.ascontiguousarray(rows[: len(shared.outputs), :count].T)
+        if not shared.outputs:
+            return np.empty((count, 0))
+        slots = np.zeros((max(1, len(self.split.leaves)), -(-count // LANES) * LANES))
+        for row, values in zip(slots, self._leaves(self.split.leaves), strict=False):
+            row[:count], row[count:] = values, values[0]
+        out = np.empty((len(shared.outputs), slots.shape[1]))
+        address, width = code.addresses[shared], slots.shape[1]
+        arrays = out, width, slots, width, slots, 0, slots, 0, 0, slots
+        _CALL(address)(*map(_argument, arrays), 1, width)
+        return np.ascontiguousarray(out[:, :count].T)
+
+
+def _argument(value: Any) -> int:
+    return value.ctypes.data if isinstance(value, np.ndarray) else value
+
+
+_CALL = ctypes.CFUNCTYPE(
+    None, *(ctypes.c_void_p if kind == "pointer" else ctypes.c_int64 for kind in (
+        "pointer", "", "pointer", "", "pointer", "", "pointer", "", "", "pointer", "", "",
+    )),
+)  # fmt: skip
+
+
+# --- the call of a block in functions that Numba compiles -------------------------------------------
+
+
+@intrinsic
+def call(
+    context, address, out, out_at, out_stride, slots, slots_at, slots_stride,
+    noise, noise_at, noise_stride, given, given_at, draw_stride, component_stride,
+    table, place, draws, width,
+):  # fmt: skip
+    """Call a block by its address; see `pfdist.kernels.lowering.ARGUMENTS`.
+
+    An array is followed by the place at which the block begins to read or write.
+    """
+    arguments = (
+        address, out, out_at, out_stride, slots, slots_at, slots_stride, noise, noise_at,
+        noise_stride, given, given_at, draw_stride, component_stride, table, place, draws, width,
+    )  # fmt: skip
+
+    def generate(context, builder, signature, values):
+        kinds = [types.unliteral(kind) for kind in signature.args]
+        numbers = []
+        for number, (kind, value) in enumerate(zip(kinds, values, strict=True)):
+            if isinstance(kind, types.Array):
+                data = context.make_array(kind)(context, builder, value).data
+                numbers.append(builder.gep(data, [values[number + 1]]))
+            elif not isinstance(kinds[number - 1], types.Array):
+                numbers.append(value)
+        function = builder.inttoptr(numbers[0], FUNCTION.as_pointer())
+        builder.call(function, numbers[1:])
+        return context.get_dummy_value()
+
+    return types.none(*arguments), generate

@@ -4,6 +4,7 @@ What is the same for all particles is computed before, once for each instant, by
 of our own: `split` separates these two halves of a program.
 """
 
+import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,8 +17,8 @@ import numpy as np
 from llvmlite import ir
 
 from pfdist.kernels.functions import FUNCTIONS
-from pfdist.kernels.vectors import LANES, Vector, constant, splat
-from pfdist.models.program import MASKS, Operation, Program
+from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, splat
+from pfdist.models.program import GROUPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
 """Where a function finds the arguments of a formula: for each group, an array and the first row.
@@ -64,12 +65,16 @@ class _Writer:
     """Collects different operations."""
 
     def __init__(self) -> None:
-        self.operations: dict[Operation, int] = {}
+        self.operations: list[Operation] = []
+        self._numbers: dict[Operation, int] = {}
 
     def add(self, name: str, arguments: tuple[int, ...] = (), which: Any = None) -> int:
         """The number of an operation, which is written if it is new."""
         operation = Operation(name, arguments, which)
-        return self.operations.setdefault(operation, len(self.operations))
+        number = self._numbers.setdefault(operation, len(self.operations))
+        if number == len(self.operations):
+            self.operations.append(operation)
+        return number
 
     def number(self, value: float) -> int:
         """The number of a leaf that is the same at all instants."""
@@ -95,7 +100,7 @@ def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
     def entry(value: int, *, reciprocal: bool = False) -> int:
         """A shared value, as the particles' half reads it."""
         number, is_mask = shared_at[value], program.operations[value].name in MASKS
-        operation = [*shared.operations][number]
+        operation = shared.operations[number]
         if operation.name == "number":
             numeral = _value(operation)
             return particles.number(1.0 / numeral if reciprocal else numeral)
@@ -106,20 +111,19 @@ def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
         read = particles.add("shared", (), table.setdefault(number, len(table)))
         return particles.add("not_equal", (read, particles.number(0.0))) if is_mask else read
 
-    is_shared = program.is_uniform
+    is_shared = program.is_shared
     for value, (name, arguments, which) in enumerate(program.operations):
         if is_shared[value]:
             if name in _SHARED:
-                column = program.constants[:, which] if name == "constant" else np.arange(2)
-                if (column.view(np.int64) == column.view(np.int64)[0]).all():
-                    shared_at[value] = shared.number(column[0])
+                if name == "constant" and _is_constant(program.constants[:, which]):
+                    shared_at[value] = shared.number(program.constants[0, which])
                     continue
                 shared_at[value] = shared.add("slots", (), len(leaves))
                 leaves.append(value)
             else:
                 moved = tuple(shared_at[each] for each in arguments)
                 shared_at[value] = shared.add(name, moved, which)
-        elif name in layout:
+        elif name in GROUPS:
             array, first = layout[name]
             particle_at[value] = particles.add(array, (), first + which)
         else:
@@ -140,6 +144,11 @@ def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
     )
 
 
+def _is_constant(column: Any) -> bool:
+    bits = np.ascontiguousarray(column).view(np.int64)
+    return bool((bits == bits[0]).all())
+
+
 # --- machine code ---------------------------------------------------------------------------------
 
 
@@ -150,7 +159,7 @@ class Code:
         module = ir.Module("blocks")
         module.triple = llvm.get_process_triple()
         for number, half in enumerate(halves):
-            _write_function(module, f"block{number}", half)
+            _Function(module, f"block{number}", half).write()
         parsed, machine = llvm.parse_assembly(str(module)), _machine()
         options = llvm.create_pipeline_tuning_options(speed_level=2)
         options.loop_vectorization = options.slp_vectorization = False
@@ -201,46 +210,84 @@ FUNCTION = ir.FunctionType(
 )
 
 
-def _write_function(module: ir.Module, name: str, half: Half) -> None:
-    function = ir.Function(module, FUNCTION, name)
-    given = dict(zip((name for name, _ in ARGUMENTS), function.args, strict=True))
-    given["out"].add_attribute("noalias")
-    builder = ir.IRBuilder(function.append_basic_block("entry"))
-    values = dict[int, Vector]()
-    rows = {"slots": "slots_stride", "noise": "noise_stride"}
+class _Function:
+    """Writes the function of half a program."""
 
-    def load(array: str, place: Any) -> Vector:
-        address = builder.gep(given[array], [place])
-        return splat(Vector(builder, builder.load(address, align=8)), LANES)
+    def __init__(self, module: ir.Module, name: str, half: Half) -> None:
+        function = ir.Function(module, FUNCTION, name)
+        self._given = dict(zip((name for name, _ in ARGUMENTS), function.args, strict=True))
+        self._given["out"].add_attribute("noalias")
+        self._builder = ir.IRBuilder(function.append_basic_block("entry"))
+        self._half, self._values = half, dict[int, Vector]()
 
-    def compute(position: Any) -> None:
-        for number, operation in enumerate(half.operations):
-            if operation.name in rows:
-                stride = given[rows[operation.name]]
-                place = builder.add(builder.mul(_index(operation.which), stride), position)
-                values[number] = load_vector(builder, given[operation.name], place)
-            elif number not in values:
-                arguments = [values[each] for each in operation.arguments]
-                values[number] = _applied(builder, half, operation, arguments)
-        for row, output in enumerate(half.outputs):
-            place = builder.add(builder.mul(_index(row), given["out_stride"]), position)
-            store_vector(builder, given["out"], place, values[output])
+    def write(self) -> None:
+        """Write loops over draws and over particles; what does not change is loaded before them."""
+        builder, given = self._builder, self._given
+        for number, operation in enumerate(self._half.operations):
+            if operation.name == "number":
+                self._values[number] = constant(builder, "f8", LANES, _value(operation))
+            elif operation.name == "shared":
+                self._values[number] = self._spread("shared", _index(operation.which))
+        with _loop(builder, given["draws"], 1) as draw:
+            first = builder.mul(draw, given["draw_stride"])
+            for number, operation in enumerate(self._half.operations):
+                if operation.name == "given":
+                    component = builder.mul(_index(operation.which), given["component_stride"])
+                    self._values[number] = self._spread("given", builder.add(first, component))
+            origin = builder.mul(draw, given["width"])
+            with _loop(builder, given["width"], LANES) as particle:
+                self._compute(builder.add(origin, particle))
+        builder.ret_void()
 
-    for number, operation in enumerate(half.operations):
-        if operation.name == "number":
-            values[number] = constant(builder, "f8", LANES, _value(operation))
-        elif operation.name == "shared":
-            values[number] = load("shared", _index(operation.which))
-    with _loop(builder, given["draws"], 1) as draw:
-        for number, operation in enumerate(half.operations):
-            if operation.name == "given":
-                first = builder.mul(draw, given["draw_stride"])
-                component = builder.mul(_index(operation.which), given["component_stride"])
-                values[number] = load("given", builder.add(first, component))
-        origin = builder.mul(draw, given["width"])
-        with _loop(builder, given["width"], LANES) as particle:
-            compute(builder.add(origin, particle))
-    builder.ret_void()
+    def _spread(self, array: str, place: Any) -> Vector:
+        number = self._array(array).load(Vector(self._builder, place, "i8"), 0)
+        return splat(number, LANES)
+
+    def _array(self, name: str) -> Array:
+        return Array(self._builder, self._given[name], "f4" if name == "noise" else "f8")
+
+    def _row(self, array: str, row: int, position: Any) -> Vector:
+        """The place of a vector in a row."""
+        stride = self._given[f"{array}_stride"]
+        place = self._builder.add(self._builder.mul(_index(row), stride), position)
+        return Vector(self._builder, place, "i8")
+
+    def _compute(self, position: Any) -> None:
+        for number, (name, arguments, which) in enumerate(self._half.operations):
+            if name in ("slots", "noise"):
+                vector = self._array(name).load(self._row(name, which, position), LANES)
+                self._values[number] = vector.to("f8")
+            elif name == "take":
+                (index,) = (self._values[each] for each in arguments)
+                self._values[number] = self._take(index, which)
+            elif number not in self._values:
+                given = (self._values[each] for each in arguments)
+                self._values[number] = FUNCTIONS[name](*given)
+        for row, output in enumerate(self._half.outputs):
+            value = self._values[output]
+            self._array("out").store(self._row("out", row, position), value.to("f8"))
+
+    def _take(self, index: Vector, which: int) -> Vector:
+        """Entries of a table by a whole number; NaN where it lies outside."""
+        size, content = self._half.tables[which]
+        module, name = self._builder.module, f"table{hash((size, content)) & (2**63 - 1)}"
+        table = module.globals.get(name)
+        if table is None:
+            kind = ir.ArrayType(KINDS["f8"], size)
+            table = ir.GlobalVariable(module, kind, name)
+            table.linkage, table.global_constant = "internal", True
+            table.initializer = ir.Constant(kind, np.frombuffer(content).tolist())
+        inside = (index >= 0.0) & (index < float(size))
+        safe = inside.select(index, index.number(0.0)).to("i8")
+        vector = index.number(0.0)
+        for lane in range(LANES):
+            place = safe.lane(lane).value
+            address = self._builder.gep(table, [_index(0), place])
+            entry = self._builder.load(address, align=8)
+            lane_number = ir.Constant(KINDS["i4"], lane)
+            value = self._builder.insert_element(vector.value, entry, lane_number)
+            vector = Vector(self._builder, value, "f8")
+        return inside.select(vector, index.number(math.nan))
 
 
 def _index(number: int) -> Any:

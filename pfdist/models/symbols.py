@@ -1,0 +1,542 @@
+"""Symbols, which stand for values while a formula is called, and record what it computes.
+
+NumPy hands its functions over to symbols by two public protocols, ``__array_ufunc__`` and
+``__array_function__``. Arrays of symbols have the dtype object: NumPy calls the operators and
+methods of each.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from pfdist.models.program import MASKS, Operation, Program
+
+MOST_OPERATIONS: Final = 50_000
+_NUMBERS = (bool, int, float, np.number, np.bool_)
+_LARGEST_TABLE = 64  # entries of a table whose entries are symbols
+
+
+class RefusedError(TypeError):
+    """A formula asks a symbol for what it cannot give; the message says what to write instead."""
+
+
+class Recording:
+    """The operations that a formula has computed so far."""
+
+    def __init__(self) -> None:
+        self.operations: list[Operation] = []
+        self.is_shared: list[bool] = []
+        self.constants: list[float] = []
+        self.tables: dict[bytes, int] = {}
+        self.is_open = True
+
+    def add(self, name: str, arguments: tuple[int, ...], which: Any = None) -> int:
+        """The number of a new operation."""
+        if not self.is_open:
+            raise RefusedError("a value is kept from another call: compute it again in this one")
+        if len(self.operations) >= MOST_OPERATIONS:
+            raise RefusedError(
+                f"a formula must have at most {MOST_OPERATIONS:,} operations: a loop that never "
+                "ends, or too many steps"
+            )
+        shared = self.is_shared
+        shared.append(all([shared[each] for each in arguments]))
+        self.operations.append(Operation(name, arguments, which))
+        return len(self.operations) - 1
+
+    def leaf(self, name: str, which: Any = None, *, shared: bool = False) -> int:
+        """The number of a new leaf."""
+        number = self.add(name, (), which)
+        self.is_shared[number] = shared
+        return number
+
+    def number(self, value: Any) -> int:
+        """The number of a new constant."""
+        self.constants.append(float(value))
+        return self.leaf("constant", len(self.constants) - 1, shared=True)
+
+    def table(self, values: Any) -> int:
+        """The number of a table."""
+        content = np.ascontiguousarray(values, np.float64).tobytes()
+        return self.tables.setdefault(content, len(self.tables))
+
+    def closed(self, outputs: Sequence[Any]) -> Program:
+        """The program that gives some values, symbols or numbers; nothing can be added to it."""
+        numbers = tuple(
+            each.number if isinstance(each, Symbol) else self.number(each) for each in outputs
+        )
+        self.is_open = False
+        constants = np.array([self.constants], np.float64).reshape(1, -1)
+        tables = tuple(np.frombuffer(content) for content in self.tables)
+        return Program(tuple(self.operations), numbers, constants, tables)
+
+
+class Symbol:
+    """A value of a formula: a floating-point number, a whole number or a mask."""
+
+    __slots__ = ("kind", "number", "recording")
+
+    def __init__(self, recording: Recording, number: int, kind: str = "float") -> None:
+        self.recording, self.number, self.kind = recording, number, kind
+
+    def __repr__(self) -> str:
+        name, _, which = self.recording.operations[self.number]
+        return f"<symbol {name}{'' if which is None else f'[{which}]'}>"
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether all particles have this value."""
+        return self.recording.is_shared[self.number]
+
+    @property
+    def shape(self) -> tuple[()]:
+        """The shape of a single number."""
+        return ()
+
+    ndim, size = 0, 1
+
+    # --- what a symbol cannot be ------------------------------------------------------------------
+
+    def __bool__(self) -> bool:
+        raise RefusedError(
+            "a condition on a value of particles, as in if, and, or, min, max or 0 < x < 1: write "
+            "pfdist.where(condition, a, b), & and |, np.minimum and np.maximum"
+        )
+
+    def __float__(self) -> float:
+        raise RefusedError(
+            "a value of particles as a number of Python: write np.sin and not math.sin, and "
+            "np.array([a, b]) and not an assignment into an array of numbers"
+        )
+
+    def __int__(self) -> int:
+        raise RefusedError("int of a value of particles: write value.astype(int)")
+
+    def __index__(self) -> int:
+        raise RefusedError(
+            "an index, range or repetition by a value of particles: write "
+            "np.take(table, value.astype(int))"
+        )
+
+    def __round__(self, digits: int | None = None) -> Any:
+        raise RefusedError("round of a value of particles: write np.round")
+
+    def __hash__(self) -> int:
+        raise RefusedError(
+            "a value of particles as a key: write np.take(table, value.astype(int)) or pfdist.where"
+        )
+
+    def __iter__(self) -> Any:
+        raise RefusedError("a loop over, or the parts of, a value of particles: it is one number")
+
+    def __len__(self) -> int:
+        raise RefusedError("the length of a value of particles: it is one number")
+
+    def __getitem__(self, index: Any) -> Any:
+        raise RefusedError("an index of a value of particles: it is one number")
+
+    def __array__(self, *arguments: Any, **keywords: Any) -> Any:
+        if arguments and np.dtype(arguments[0]) != object:
+            self.__float__()
+        array = np.empty((), object)
+        array[()] = self
+        return array
+
+    # --- operators --------------------------------------------------------------------------------
+
+    def __add__(self, other: Any) -> Any:
+        return _binary("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return _binary("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return _binary("subtract", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return _binary("subtract", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return _binary("multiply", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return _binary("multiply", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return _binary("divide", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _binary("divide", other, self)
+
+    def __floordiv__(self, other: Any) -> Any:
+        return _binary("floor_divide", self, other)
+
+    def __rfloordiv__(self, other: Any) -> Any:
+        return _binary("floor_divide", other, self)
+
+    def __mod__(self, other: Any) -> Any:
+        return _binary("remainder", self, other)
+
+    def __rmod__(self, other: Any) -> Any:
+        return _binary("remainder", other, self)
+
+    def __divmod__(self, other: Any) -> Any:
+        return self // other, self % other
+
+    def __rdivmod__(self, other: Any) -> Any:
+        return other // self, other % self
+
+    def __pow__(self, other: Any) -> Any:
+        return _power(self, other)
+
+    def __rpow__(self, other: Any) -> Any:
+        return _power(other, self)
+
+    def __neg__(self) -> Any:
+        return _unary("negative", self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __abs__(self) -> Any:
+        return _unary("absolute", self)
+
+    def __floor__(self) -> Any:
+        return _unary("floor", self)
+
+    def __ceil__(self) -> Any:
+        return _unary("ceil", self)
+
+    def __trunc__(self) -> Any:
+        return _unary("trunc", self)
+
+    def __lt__(self, other: Any) -> Any:
+        return _binary("less", self, other)
+
+    def __le__(self, other: Any) -> Any:
+        return _binary("less_equal", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return _binary("greater", self, other)
+
+    def __ge__(self, other: Any) -> Any:
+        return _binary("greater_equal", self, other)
+
+    def __eq__(self, other: object) -> Any:
+        return _binary("equal", self, other)
+
+    def __ne__(self, other: object) -> Any:
+        return _binary("not_equal", self, other)
+
+    def __and__(self, other: Any) -> Any:
+        return _logical("logical_and", self, other)
+
+    def __or__(self, other: Any) -> Any:
+        return _logical("logical_or", self, other)
+
+    def __xor__(self, other: Any) -> Any:
+        return _logical("logical_xor", self, other)
+
+    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
+
+    def __invert__(self) -> Any:
+        return _logical("logical_not", self)
+
+    def astype(self, kind: Any, *_: Any, **__: Any) -> Any:
+        """The value as a number of another kind: ``int`` cuts off what follows the point."""
+        wanted = np.dtype(kind).kind
+        if wanted == "b":
+            return _as_mask(self)
+        if wanted in "iu":
+            whole = _record("trunc", self)
+            whole.kind = "whole"
+            return whole
+        return _as_float(self)
+
+    # --- NumPy's protocols ------------------------------------------------------------------------
+
+    def __array_ufunc__(self, function: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
+        name = function.__name__
+        if method != "__call__" or keywords or name not in UFUNCS:
+            called = f"np.{name}" if method == "__call__" else f"np.{name}.{method}"
+            given = f" with {', '.join(keywords)}" if keywords else ""
+            raise RefusedError(f"{called}{given} of a value of particles: write it with operators")
+        if any(isinstance(each, np.ndarray | list | tuple) and np.ndim(each) for each in inputs):
+            return elementwise(UFUNCS[name], *inputs)
+        return UFUNCS[name](*inputs)
+
+    def __array_function__(
+        self, function: Any, kinds: Any, arguments: Sequence[Any], keywords: dict[str, Any]
+    ) -> Any:
+        name = function.__name__
+        if name in FUNCTIONS:
+            return FUNCTIONS[name](*arguments, **keywords)
+        if name in _OF_ARRAYS:
+            return function(*map(_in_arrays, arguments), **keywords)
+        raise RefusedError(f"np.{name} of a value of particles: write it with operators")
+
+
+def _add_method(name: str) -> None:
+    """Give symbols a method, which NumPy calls on arrays of objects."""
+
+    def method(self: Symbol, *others: Any) -> Any:
+        return UFUNCS[name](self, *others)
+
+    setattr(Symbol, name, method)
+
+
+# --- operations -----------------------------------------------------------------------------------
+
+
+def elementwise(function: Callable[..., Any], *inputs: Any) -> Any:
+    """The values of a function for the entries of arrays, which may be symbols."""
+    return np.frompyfunc(function, len(inputs), 1)(*map(_in_arrays, inputs))
+
+
+def _in_arrays(argument: Any) -> Any:
+    if isinstance(argument, Symbol):
+        return argument.__array__()
+    if isinstance(argument, list | tuple):
+        return type(argument)(map(_in_arrays, argument))
+    return argument
+
+
+def _plain(value: Any) -> Any:
+    """A symbol or a number; an array of one entry counts as it."""
+    if isinstance(value, (Symbol, *_NUMBERS)):
+        return value
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        return value[()]
+    return None
+
+
+def _record(name: str, *values: Any) -> Symbol:
+    """Record an operation on symbols and numbers."""
+    recording = next(each.recording for each in values if isinstance(each, Symbol))
+    numbers = []
+    for each in values:
+        if isinstance(each, Symbol):
+            if each.recording is not recording:
+                raise RefusedError(
+                    "a value is kept from another call: compute it again in this one"
+                )
+            numbers.append(each.number)
+        else:
+            numbers.append(recording.number(each))
+    kind = "mask" if name in MASKS else "float"
+    return Symbol(recording, recording.add(name, tuple(numbers)), kind)
+
+
+def _as_float(value: Any) -> Any:
+    """A mask as 1 and 0; other values as they are."""
+    return _record("float", value) if getattr(value, "kind", "") == "mask" else value
+
+
+def _as_mask(value: Any) -> Any:
+    if isinstance(value, Symbol):
+        return value if value.kind == "mask" else _record("not_equal", value, 0.0)
+    return bool(value)
+
+
+_WHOLE = frozenset({"add", "subtract", "multiply", "floor_divide", "remainder"})
+
+
+def _binary(name: str, first: Any, second: Any) -> Any:
+    a, b = _plain(first), _plain(second)
+    if a is None or b is None:
+        return NotImplemented
+    result = _record(name, _as_float(a), _as_float(b))
+    if name in _WHOLE and _is_whole(a) and _is_whole(b):
+        result.kind = "whole"
+    return result
+
+
+def _is_whole(value: Any) -> bool:
+    return getattr(value, "kind", "") == "whole" or isinstance(value, int | np.integer)
+
+
+def _unary(name: str, value: Any) -> Any:
+    return _record(name, _as_float(value))
+
+
+def _logical(name: str, *values: Any) -> Any:
+    given = [_plain(each) for each in values]
+    if any(each is None for each in given):
+        return NotImplemented
+    masks = [_as_mask(each) for each in given]
+    symbol = next(each for each in masks if isinstance(each, Symbol))
+    return _record(name, *(_mask_of(symbol, each) for each in masks))
+
+
+def _mask_of(symbol: Symbol, value: Any) -> Symbol:
+    """A mask that is a symbol, also of a number."""
+    if isinstance(value, Symbol):
+        return value
+    recording = symbol.recording
+    numbers = recording.number(value), recording.number(0.0)
+    return Symbol(recording, recording.add("not_equal", numbers), "mask")
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    """A power; squares and other simple powers are products, roots and reciprocals."""
+    a, b = _plain(base), _plain(exponent)
+    if a is None or b is None:
+        return NotImplemented
+    a, b = _as_float(a), _as_float(b)
+    if isinstance(b, Symbol):
+        return _record("power", a, b)
+    simple: dict[float, Callable[[], Any]] = {
+        -1.0: lambda: 1.0 / a,
+        0.0: lambda: _record("power", a, 0.0),
+        0.5: lambda: _record("sqrt", a),
+        1.0: lambda: a,
+        2.0: lambda: a * a,
+        3.0: lambda: a * a * a,
+        4.0: lambda: (a * a) * (a * a),
+    }
+    make = simple.get(float(b))
+    return make() if make else _record("power", a, b)
+
+
+def choose(condition: Any, if_true: Any, if_false: Any) -> Any:
+    """The first value where a condition holds, and the second elsewhere."""
+    values = condition, if_true, if_false
+    if any(_plain(each) is None for each in values):
+        return elementwise(choose, *values)
+    if not isinstance(condition, Symbol):
+        return if_true if condition else if_false
+    a, b = _as_float(_plain(if_true)), _as_float(_plain(if_false))
+    return _record("where", _as_mask(condition), a, b)
+
+
+def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Any:
+    result = default
+    for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
+        result = choose(condition, choice, result)
+    return result
+
+
+def _clip(value: Any, low: Any = None, high: Any = None, **limits: Any) -> Any:
+    low, high = limits.get("min", low), limits.get("max", high)
+    value = value if low is None else np.maximum(value, low)
+    return value if high is None else np.minimum(value, high)
+
+
+def _take(table: Any, index: Any, axis: int | None = None, **_: Any) -> Any:
+    """Entries of a table by a whole number; NaN where it lies outside."""
+    values = np.asarray(table)
+    if axis is not None and values.ndim > 1:
+        rows = np.moveaxis(values, axis, 0)
+        columns = rows.reshape(len(rows), -1).T
+        taken = np.array([_take(column, index) for column in columns], object)
+        return taken.reshape(rows.shape[1:])
+    if not _is_whole(index):
+        raise RefusedError("an index must be a whole number: write np.take(table, x.astype(int))")
+    if not isinstance(index, Symbol):
+        return np.take(values, index)
+    flat = values.ravel()
+    if flat.dtype == object:
+        if flat.size > _LARGEST_TABLE:
+            raise RefusedError(
+                f"a table of values of particles must have at most {_LARGEST_TABLE} entries, got "
+                f"{flat.size}"
+            )
+        return _select([index == k for k in range(flat.size)], list(flat), math.nan)
+    recording = index.recording
+    number = recording.add("take", (index.number,), recording.table(flat))
+    return Symbol(recording, number)
+
+
+def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
+    """Linear interpolation in a table, whose place is found by bisection."""
+    knots, values = (np.asarray(each, np.float64) for each in (xp, fp))
+    slopes = np.append(np.diff(values) / np.diff(knots), 0.0)
+    place: Any = Symbol(x.recording, x.recording.number(0.0), "whole")
+    step = 1 << max(0, knots.size - 1).bit_length()
+    while step:
+        following = place + step
+        place = choose(_take(knots, following) <= x, following, place)
+        place.kind = "whole"
+        step >>= 1
+    found = _take(slopes, place) * (x - _take(knots, place)) + _take(values, place)
+    found = choose(x < knots[0], values[0] if left is None else left, found)
+    return choose(x > knots[-1], values[-1] if right is None else right, found)
+
+
+def _round(value: Any, decimals: int = 0, **_: Any) -> Any:
+    if not decimals:
+        return np.rint(value)
+    return np.rint(value * 10.0**decimals) / 10.0**decimals
+
+
+def _logaddexp(a: Any, b: Any) -> Any:
+    apart = np.maximum(a, b) + np.log1p(np.exp(-abs(a - b)))
+    return choose(a == b, a + math.log(2.0), apart)
+
+
+def _heaviside(x: Any, at_zero: Any) -> Any:
+    return choose(x < 0.0, 0.0, choose(x == 0.0, at_zero, choose(x > 0.0, 1.0, math.nan)))
+
+
+def _recorded(name: str) -> Callable[..., Any]:
+    """The function that records an operation of this name."""
+
+    def record(*values: Any) -> Any:
+        return _record(name, *(_as_float(_plain(each)) for each in values))
+
+    return record
+
+
+_SAME = (
+    *("negative", "absolute", "sqrt", "cbrt", "fmod", "sign", "copysign", "exp", "exp2", "expm1"),
+    *("log", "log2", "log10", "log1p", "sin", "cos", "tan", "arcsin", "arccos", "arctan"),
+    *("arctan2", "hypot", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
+    *("floor", "ceil", "trunc", "rint", "maximum", "minimum", "fmax", "fmin"),
+    *("isnan", "isinf", "isfinite", "signbit"),
+)
+"""Functions of NumPy that are recorded as they are."""
+
+_OPERATORS = (
+    *("add", "subtract", "multiply", "divide", "floor_divide", "remainder"),
+    *("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"),
+)
+
+UFUNCS: dict[str, Callable[..., Any]] = {
+    **{name: _recorded(name) for name in _SAME},
+    **{name: partial(_binary, name) for name in _OPERATORS},
+    "true_divide": partial(_binary, "divide"), "power": _power, "float_power": _power,
+    "divmod": lambda a, b: (_binary("floor_divide", a, b), _binary("remainder", a, b)),
+    "square": lambda x: _power(x, 2.0), "reciprocal": lambda x: 1.0 / x,
+    "positive": lambda x: x, "fabs": abs,
+    **{
+        f"{kind}_{name}": partial(_logical, f"logical_{name}")
+        for kind in ("logical", "bitwise") for name in ("and", "or", "xor")
+    },
+    **dict.fromkeys(("logical_not", "invert"), partial(_logical, "logical_not")),
+    "deg2rad": lambda x: x * (math.pi / 180.0), "radians": lambda x: x * (math.pi / 180.0),
+    "rad2deg": lambda x: x * (180.0 / math.pi), "degrees": lambda x: x * (180.0 / math.pi),
+    "logaddexp": _logaddexp, "heaviside": _heaviside,
+}  # fmt: skip
+"""What is recorded for each universal function of NumPy."""
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "where": choose, "select": _select, "clip": _clip, "take": _take, "interp": _interp,
+    "round": _round, "around": _round, "ndim": lambda _: 0, "shape": lambda _: (),
+    "size": lambda *_: 1, "real": lambda x: x,
+}  # fmt: skip
+"""What is recorded for other functions of NumPy."""
+
+_OF_ARRAYS = frozenset(
+    {
+        *("stack", "concatenate", "hstack", "vstack", "column_stack", "atleast_1d", "atleast_2d"),
+        *("sum", "prod", "mean", "cumsum", "dot", "vdot", "inner", "outer", "cross", "trace"),
+        *("transpose", "reshape", "ravel", "broadcast_to", "append", "diff", "copy"),
+    }
+)
+"""Functions of NumPy that compute with arrays of objects."""
+
+for _name in (*_SAME, "square", "reciprocal", "logical_not"):
+    _add_method(_name)

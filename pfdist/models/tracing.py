@@ -1,0 +1,309 @@
+"""Tracing: a formula is called with symbols, and what it computes becomes a program.
+
+The time t and the parameters are symbols, too, the same for all particles. A formula that needs t
+as a number, because it looks into a dictionary or branches on t, is traced again for each instant.
+If it also needs parameters as numbers, it gets these, too. Programs of single instants with the
+same operations become one, whose constants are rows of a table.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.stopping import check
+from pfdist.errors import ModelError, TraceError
+from pfdist.models.mistakes import error_line, place_of, remedy
+from pfdist.models.parameters import Parameter, named_parameters
+from pfdist.models.program import MASKS, Program, evaluate
+from pfdist.models.symbols import Recording, RefusedError, Symbol
+
+MOST_STRUCTURES: Final = 32
+MOST_CONSTANTS: Final = 2**23  # numbers of a formula, 64 MiB
+_CLOSE = 1e-9  # relative difference of a formula with numbers in the place of t and parameters
+_TRIED = np.array([[0.3, -1.7, 0.9, 2.1, -0.4], [-0.8, 0.6, 1.3, -0.2, 0.7]])
+
+MODES: Final = ("t and parameters are symbols", "t is a number", "t and parameters are numbers")
+"""How a formula can be called, in the order in which tracing tries them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """A formula as it was traced at successive instants.
+
+    Parameters
+    ----------
+    instants : range
+    programs : tuple of Program
+        With different operations.
+    which : array of int64, (instants,)
+        The program of each instant.
+    row : array of int64, (instants,)
+        The row of the program's constants at each instant.
+    mode : str
+        One of `MODES`.
+    """
+
+    instants: range
+    programs: tuple[Program, ...]
+    which: NDArray[np.int64]
+    row: NDArray[np.int64]
+    mode: str
+
+    def values(
+        self, groups: Mapping[str, Sequence[Any]], t: int, parameters: Mapping[str, Parameter]
+    ) -> tuple[Any, ...]:
+        """The values of the formula for arrays, by NumPy's functions: its plain twin."""
+        at = self.instants.index(t)
+        return evaluate(self.programs[self.which[at]], groups, t, parameters, self.row[at])
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula to be traced.
+
+    Parameters
+    ----------
+    function : callable
+    name : str
+        As errors name it.
+    arguments : mapping of str to int
+        Number of components of each argument that is a tuple, in the order of the arguments; 0 for
+        t and p.
+    parameters : mapping of str to float or sequence of float
+        Those that vary with t have an entry for each instant 0..T.
+    model : str
+        Name of the model.
+    """
+
+    function: Callable[..., Any]
+    name: str
+    arguments: Mapping[str, int]
+    parameters: Mapping[str, Parameter]
+    model: str
+
+    @cached_property
+    def _numbers(self) -> Any:
+        return named_parameters(self.parameters)
+
+    def recorded(self, mode: str, t: int) -> Program:
+        """The program of one call at the instant t."""
+        recording = Recording()
+        given = [self._given(name, count, recording, mode, t) for name, count in self._items]
+        return recording.closed(self._outputs(self.function(*given)))
+
+    @property
+    def _items(self) -> Any:
+        return self.arguments.items()
+
+    def _given(self, name: str, count: int, recording: Recording, mode: str, t: int) -> Any:
+        """An argument of a call."""
+        if name == "t":
+            return _instant(recording) if mode == MODES[0] else t
+        if name == "p":
+            numbers = mode == MODES[2]
+            return self._numbers if numbers else _Parameters(recording, self.parameters)
+        return tuple(Symbol(recording, recording.leaf(name, i)) for i in range(count))
+
+    def _outputs(self, value: Any) -> list[Any]:
+        """The results of a call, as symbols and numbers."""
+        components = [value]
+        if isinstance(value, tuple) or (isinstance(value, np.ndarray) and value.ndim):
+            components = list(value)
+        outputs = [_result(each) for each in components]
+        if not outputs or any(each is None for each in outputs):
+            wrong = next((each for each, one in zip(components, outputs) if one is None), value)
+            raise RefusedError(f"{self.name} must give numbers, got {type(wrong).__name__}")
+        return outputs
+
+
+def _result(value: Any) -> Any:
+    """A component of a result; None if it is no number."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, Symbol):
+        return value
+    return value if isinstance(value, bool | int | float | np.number | np.bool_) else None
+
+
+def _instant(recording: Recording) -> Symbol:
+    return Symbol(recording, recording.leaf("t", shared=True), "whole")
+
+
+class _Parameters:
+    """Parameters as symbols, which a formula reads as ``p.sd`` and ``p.rate[t]``."""
+
+    def __init__(self, recording: Recording, parameters: Mapping[str, Parameter]) -> None:
+        self._recording, self._parameters = recording, parameters
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._parameters:
+            raise AttributeError(f"'Parameters' object has no attribute '{name}'")
+        if isinstance(self._parameters[name], tuple):
+            return _Covariate(self._recording, name, len(self._parameters[name]))
+        return Symbol(self._recording, self._recording.leaf("parameter", name, shared=True))
+
+
+class _Covariate:
+    """A parameter with an entry for each instant."""
+
+    def __init__(self, recording: Recording, name: str, size: int) -> None:
+        self._recording, self._name, self._size = recording, name, size
+
+    def __getitem__(self, index: Any) -> Symbol:
+        """The entry of an instant: of t itself, or of a number."""
+        recording = self._recording
+        if isinstance(index, Symbol):
+            if recording.operations[index.number].name != "t":
+                raise RefusedError("an entry of a parameter at another instant than t")
+            number = index.number
+        else:
+            number = recording.number(range(self._size)[index])
+        return Symbol(recording, recording.add("covariate", (number,), self._name))
+
+    def __getattr__(self, name: str) -> Any:
+        raise RefusedError(f"{self._name} as an array of numbers")
+
+
+def trace(formula: Formula, instants: range) -> Traced:
+    """Trace a formula at successive instants, with as many symbols as possible.
+
+    Raises
+    ------
+    TraceError
+        The formula fails, does not always compute the same, asks a value of particles for what it
+        cannot give, or is too large. The error names the formula, t and the user's line.
+    """
+    for mode in MODES:
+        try:
+            return _TRACERS[mode](formula, mode, instants)
+        except TraceError:
+            raise
+        except Exception as error:  # a formula may raise whatever it likes
+            if mode == MODES[-1]:
+                raise _explained(formula, error) from error
+    raise AssertionError
+
+
+class _DiffersError(Exception):
+    """A formula computes something else with numbers than with symbols."""
+
+
+def _symbolic(formula: Formula, mode: str, instants: range) -> Traced:
+    """Trace with symbols alone."""
+    program = formula.recorded(mode, instants[0])
+    _check_same(formula, program, formula.recorded(mode, instants[0]), None)
+    _check_numbers(formula, instants, lambda t: (program, 0))
+    zeros = np.zeros(len(instants), np.int64)
+    return Traced(instants, (program,), zeros, zeros, mode)
+
+
+def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
+    """Trace each instant by itself; equal programs become one."""
+    structures, which, row = dict[Any, int](), list[int](), list[int]()
+    firsts, constants, size = list[Program](), list[list[Any]](), 0
+    for t in instants:
+        check()
+        program = _at(formula, mode, t)
+        number = structures.setdefault(program.structure, len(structures))
+        if number == len(firsts):
+            firsts.append(program)
+            constants.append([])
+        which.append(number)
+        row.append(len(constants[number]))
+        constants[number].append(program.constants[0])
+        size += program.constants.size
+        _check_limits(formula, len(firsts), size)
+    programs = tuple(
+        Program(first.operations, first.outputs, np.array(rows), first.tables)
+        for first, rows in zip(firsts, constants, strict=True)
+    )
+    traced = Traced(instants, programs, np.array(which), np.array(row), mode)
+    for t in _few(instants):
+        number, at = which[t - instants.start], row[t - instants.start]
+        first = programs[number]
+        before = Program(first.operations, first.outputs, first.constants[at : at + 1], first.tables)
+        _check_same(formula, before, _at(formula, mode, t), t)
+    if mode != MODES[-1]:
+        index = instants.index
+        _check_numbers(formula, instants, lambda t: (programs[which[index(t)]], row[index(t)]))
+    return traced
+
+
+_TRACERS: dict[str, Callable[[Formula, str, range], Traced]] = {
+    MODES[0]: _symbolic,
+    MODES[1]: _by_instants,
+    MODES[2]: _by_instants,
+}
+
+
+def _at(formula: Formula, mode: str, t: int) -> Program:
+    """The program of an instant; with numbers alone, an error names t."""
+    try:
+        return formula.recorded(mode, t)
+    except Exception as error:
+        if mode == MODES[-1]:
+            raise _explained(formula, error, t) from error
+        raise
+
+
+def _few(instants: range) -> list[int]:
+    """The first, the middle and the last instant."""
+    return sorted({instants[0], instants[len(instants) // 2], instants[-1]})
+
+
+def _check_same(formula: Formula, first: Program, second: Program, t: int | None) -> None:
+    """Raise a `TraceError` if two calls did not compute the same."""
+    if first.hash != second.hash:
+        at = "" if t is None else f" at t = {t}"
+        raise TraceError(
+            f"model {formula.model}: {formula.name} must compute the same whenever it is called, "
+            f"got two different programs{at}: a formula takes randomness from the noise it is "
+            f"given, and changes nothing outside"
+        )
+
+
+def _check_numbers(
+    formula: Formula, instants: range, program_at: Callable[[int], tuple[Program, int]]
+) -> None:
+    """Raise an error if a formula computes something else with numbers than with symbols."""
+    groups = {
+        name: [np.roll(_TRIED[i % 2], i // 2) for i in range(count)]
+        for name, count in formula.arguments.items()
+        if name not in "tp"
+    }
+    for t in _few(instants):
+        program, row = program_at(t)
+        by_symbols = evaluate(program, groups, t, formula.parameters, row)
+        by_numbers = evaluate(formula.recorded(MODES[-1], t), groups, t, formula.parameters)
+        for a, b in zip(by_symbols, by_numbers, strict=True):
+            if not np.allclose(a, b, rtol=_CLOSE, atol=0.0, equal_nan=True):
+                raise _DiffersError
+
+
+def _check_limits(formula: Formula, structures: int, size: int) -> None:
+    if structures > MOST_STRUCTURES:
+        raise TraceError(
+            f"model {formula.model}: {formula.name} must compute at most {MOST_STRUCTURES} "
+            "different things at different instants, got more: write pfdist.where, or a parameter "
+            "with a value for each instant, and not a branch on t"
+        )
+    if size > MOST_CONSTANTS:
+        raise TraceError(
+            f"model {formula.model}: {formula.name} must have at most {MOST_CONSTANTS:,} constants "
+            "over all instants, got more: a smaller horizon helps"
+        )
+
+
+def _explained(formula: Formula, error: Exception, t: int | None = None) -> TraceError:
+    """The error of a formula in one line, with t, the user's line and what to write instead."""
+    what = str(error) if isinstance(error, RefusedError) else f"{error_line(error)}{remedy(error)}"
+    at = "" if t is None else f" at t = {t}"
+    return TraceError(
+        f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "
+        "filter.engine = 'numpy' computes it as it is"
+    )
