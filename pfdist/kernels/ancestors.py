@@ -1,0 +1,634 @@
+"""Weights, and resampling: from log-weights to the ancestor of each particle.
+
+Arrays of particles are flat: a draw has `width` entries from its origin on, a multiple of `LANES`,
+see `pfdist.kernels.filter`. All sums have a fixed order of additions.
+
+A scheme places P points in (0, 1). The ancestor of a point u is the first particle whose cumulative
+weight exceeds u times the total. Points and weights are compared as 31-bit numbers. The systematic
+scheme instead computes the number of points below each weight by a formula.
+
+================= ===========================================================================
+multinomial       independent points in ascending order
+stratified        one point in each of P equal intervals, independent
+systematic        one point in each of P equal intervals, all at the same position in them
+residual          particle j has floor(P w_j) children; the others are multinomial, with the
+                  remaining weights
+sorted_systematic systematic, after the particles were sorted by their states, which are scalar
+conditional       particle 0 has itself as ancestor, and the others are multinomial
+================= ===========================================================================
+
+References
+----------
+Douc, Cappe, Moulines, "Comparison of resampling schemes for particle filtering", 2005. Devroye,
+"Non-uniform random variate generation", 1986, section V.3 (ascending uniforms). Malik, Pitt,
+"Particle filters for continuous likelihood evaluation and maximisation", Journal of Econometrics
+165, 2011 (sorting).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.kernels import schemes
+from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.schemes import ALL_SCHEMES
+from pfdist.kernels.variates import RESAMPLING, SPARE, fill_exponentials, fill_uniforms
+from pfdist.kernels.vectors import LANES, Array, Vector, constant, iota, splat, vectorised
+
+_BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
+_LEAST_TOTAL = 1e-100  # prevents a division by 0 if all weights are 0
+_SHARES = 2.0**31 - 2.0**8  # the whole weight, in units that fit into 31 bits
+_POINTS = 2.0**31 - 2.0**10  # points lie below the last share
+_NOTHING_PASSES = np.int32(2**31 - 1)
+_COMPONENT = np.int64(0)  # of the noise that places the points
+
+MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED, CONDITIONAL = (
+    np.int64([*ALL_SCHEMES].index(each.name))
+    for each in (
+        schemes.MULTINOMIAL, schemes.STRATIFIED, schemes.SYSTEMATIC, schemes.RESIDUAL,
+        schemes.SORTED_SYSTEMATIC, schemes.CONDITIONAL,
+    )
+)  # fmt: skip
+
+
+class Resampling(NamedTuple):
+    """Arrays that resampling works in; `span` entries for each draw."""
+
+    span: int
+    ancestor: NDArray[np.int32]  # (draws * span,): receives the ancestors
+    points: NDArray[np.int32]  # (2 * span,)
+    shares: NDArray[np.int32]  # (2 * span,)
+    sums: NDArray[np.float64]  # (span,)
+    noise: NDArray[np.float32]  # (span,)
+    chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
+    counts: NDArray[np.int64]  # (2, LEVELS ** 0.5): of the sort
+
+
+def resampling_scratch(draws: int, width: int) -> Resampling:
+    """The arrays for a batch of draws."""
+    span = width + _BEHIND + SPARE
+    integers = [np.zeros(size, np.int32) for size in (draws * span, 2 * span, 2 * span)]
+    sums, noise = np.zeros(span), np.zeros(span, np.float32)
+    return Resampling(
+        span, *integers, sums, noise, np.zeros(draws, np.int64), np.zeros((2, _DIGITS), np.int64)
+    )
+
+
+# --- weights --------------------------------------------------------------------------------------
+
+
+def _prefix(x: Vector, zero: Vector) -> Vector:
+    """Sums of the first lanes: two steps in each four lanes, and two across.
+
+    LLVM does not know that `zero` is 0; else it makes slow instructions of the shuffles.
+    """
+    lanes, zeros, unknown = range(LANES), x.number(0.0), splat(zero, LANES)
+    for step in (1, 2):
+        x = x + x.shuffled([i - step if i % 4 >= step else LANES for i in lanes], zeros)
+    x = x + x.shuffled([i // 4 * 4 - 1 if i >= 4 else LANES for i in lanes], unknown)
+    return x + x.shuffled([LANES if i < 8 else 3 if i < 12 else 7 for i in lanes], unknown)
+
+
+def _first_lanes(left: Vector) -> Vector:
+    """The mask of so many first lanes."""
+    return iota(left.builder, "i8", LANES) < left
+
+
+@vectorised("16 f8")
+def _numbers(value: Vector) -> Vector:
+    """A number in all lanes."""
+    return splat(value, LANES)
+
+
+@vectorised("16 f8")
+def _larger(highest: Vector, log_weight: Array, i: Vector, left: Vector) -> Vector:
+    """The larger of each lane and of a finite log-weight."""
+    value = log_weight.load(i, LANES)
+    counts = (value.call("fabs") < math.inf) & _first_lanes(left) & (value > highest)
+    return counts.select(value, highest)
+
+
+@vectorised("f8")
+def _largest(values: Vector) -> Vector:
+    """The largest of all lanes."""
+    return values.reduced(lambda a, b: (a > b).select(a, b))
+
+
+@vectorised("f8")
+def _total(values: Vector) -> Vector:
+    """The sum of all lanes."""
+    return values.sum()
+
+
+def _exp2(x: Vector) -> Vector:
+    """2 to the x for x in -126..0, in float32; relative error 2e-7."""
+    shift = 12582912.0  # 2^23 + 2^22: the low bits of x + shift are the nearest integer
+    shifted = x + shift
+    f = x - (shifted - shift)
+    p = f.number(0.0013264726724487791)
+    for coefficient in (0.009671512899506962, 0.05550733744505766, 0.24022242079714387,
+                        0.6931469775989006, 1.0):  # fmt: skip
+        p = p.fma(f, coefficient)
+    return (p.bits("i4") + (shifted.bits("i4") << 23)).bits("f4")
+
+
+@vectorised("16 f8")
+def _weigh(
+    carry: Vector, log_weight: Array, i: Vector, left: Vector, highest: Vector,
+    weight: Array, cumulative: Array,
+) -> Vector:  # fmt: skip
+    """Weights of some particles, and cumulative sums from those before."""
+    value = log_weight.load(i, LANES)
+    excess = (value - highest).to("f4") * 1.4426950408889634
+    possible = (excess > -125.0) & _first_lanes(left) & (value < math.inf)
+    weights = possible.select(_exp2(possible.select(excess, excess.number(0.0))), excess.number(0.0))
+    weight.store(i, weights)
+    sums = _prefix(weights, (highest - highest).to("f4")).to("f8")
+    cumulative.store(i, sums + carry)
+    return carry + splat(sums.lane(LANES - 1), LANES)
+
+
+@compiled
+def weigh(log_weight, origin, width, particles, weight, cumulative):
+    """Compute weights and cumulative weights of a draw, and return their total.
+
+    The largest weight is 1. Only finite log-weights count. If there is none, the total is 0, and
+    the weights are left as they are.
+    """
+    highest = _numbers(-np.inf)
+    for i in range(np.int64(0), width, np.int64(LANES)):
+        highest = _larger(highest, log_weight, origin + i, particles - i)
+    largest = _largest(highest)
+    if largest == -np.inf:
+        return 0.0
+    carry = _numbers(0.0)
+    for i in range(np.int64(0), width, np.int64(LANES)):
+        left = particles - i
+        carry = _weigh(carry, log_weight, origin + i, left, largest, weight, cumulative)
+    return _total(carry) / LANES
+
+
+@vectorised("16 f8")
+def _cumulate(carry: Vector, weight: Array, i: Vector, cumulative: Array, zero: Vector) -> Vector:
+    """Cumulative sums of some weights from those before."""
+    sums = _prefix(weight.load(i, LANES), zero.to("f4")).to("f8")
+    cumulative.store(i, sums + carry)
+    return carry + splat(sums.lane(LANES - 1), LANES)
+
+
+@compiled
+def cumulate(weight, origin, width, cumulative):
+    """Compute cumulative weights of a draw, and return their total, with the bits of `weigh`."""
+    carry = _numbers(0.0)
+    for i in range(origin, origin + width, np.int64(LANES)):
+        carry = _cumulate(carry, weight, i, cumulative, 0.0)
+    return _total(carry) / LANES
+
+
+@vectorised("16 f8")
+def _add_weighted(total: Vector, weight: Array, values: Array, i: Vector) -> Vector:
+    """Add weighted values; a value of weight 0 does not count, even if it is infinite."""
+    weights, numbers = weight.load(i, LANES).to("f8"), values.load(i, LANES)
+    return weights.fma((weights > 0.0).select(numbers, numbers.number(0.0)), total)
+
+
+@compiled
+def weighted_sum(weight, values, origin, width):
+    """The sum of weights times values of a draw."""
+    total = _numbers(0.0)
+    for i in range(origin, origin + width, np.int64(LANES)):
+        total = _add_weighted(total, weight, values, i)
+    return _total(total)
+
+
+@vectorised("16 f8")
+def _add_first(total: Vector, values: Array, i: Vector, left: Vector) -> Vector:
+    """Add so many of some values."""
+    numbers = values.load(i, LANES)
+    return total + _first_lanes(left).select(numbers, numbers.number(0.0))
+
+
+@compiled
+def sum_of_first(values, origin, particles):
+    """The sum of the values of a draw, all of the weight 1."""
+    total = _numbers(0.0)
+    for i in range(np.int64(0), particles, np.int64(LANES)):
+        total = _add_first(total, values, origin + i, particles - i)
+    return _total(total)
+
+
+@vectorised("16 f8")
+def _add_squares(total: Vector, weight: Array, i: Vector) -> Vector:
+    weights = weight.load(i, LANES).to("f8")
+    return weights.fma(weights, total)
+
+
+@compiled
+def sum_of_squares(weight, origin, width):
+    """The sum of squared weights of a draw."""
+    total = _numbers(0.0)
+    for i in range(origin, origin + width, np.int64(LANES)):
+        total = _add_squares(total, weight, i)
+    return _total(total)
+
+
+# --- from counts of children to ancestors ---------------------------------------------------------
+
+
+@vectorised()
+def _store_starts(
+    cumulative: Array, i: Vector, scale: Vector, shift: Vector, most: Vector,
+    starts: Array, to: Vector,
+) -> None:  # fmt: skip
+    """The number of systematic points below each of some cumulative weights."""
+    below = (cumulative.load(i, LANES) * scale - shift).call("ceil")
+    limit = splat(most, LANES)
+    starts.store(to, (below < limit).select(below, limit).to("i4"))
+
+
+@vectorised("16 i4")
+def _integers(value: Vector) -> Vector:
+    return splat(value.to("i4"), LANES)
+
+
+@vectorised()
+def _store_same(out: Array, i: Vector, value: Vector) -> None:
+    out.store(i, splat(value.to("i4"), LANES))
+
+
+@vectorised("16 i4")
+def _spread(carry: Vector, marks: Array, i: Vector, ancestor: Array, to: Vector) -> Vector:
+    """Running maxima of marks, from those before."""
+    value, zeros, lanes = marks.load(i, LANES), carry.number(0), range(LANES)
+
+    def larger(a: Vector, b: Vector) -> Vector:
+        return (a > b).select(a, b)
+
+    for step in (1, 2):
+        shifted = value.shuffled([k - step if k % 4 >= step else LANES for k in lanes], zeros)
+        value = larger(value, shifted)
+    for step in (4, 8):
+        shifted = value.shuffled([k // step * step - 1 if k >= step else k for k in lanes])
+        value = larger(value, shifted)
+    value = larger(value, carry)
+    ancestor.store(to, value)
+    return splat(value.lane(LANES - 1), LANES)
+
+
+@compiled
+def _expand(starts, particles, count, marks, ancestor, origin):
+    """Find the ancestors of `count` particles from the position of each particle's first child.
+
+    Each first child is marked with its parent; a later particle overwrites the mark of a childless
+    one. A running maximum carries the marks to the other children.
+    """
+    for i in range(np.int64(0), count + 1, np.int64(LANES)):
+        _store_same(marks, i, np.int64(0))
+    for j in range(particles):
+        marks[starts[j]] = j
+    carry = _integers(np.int64(0))
+    for i in range(np.int64(0), count, np.int64(LANES)):
+        carry = _spread(carry, marks, i, ancestor, origin + i)
+
+
+# --- from points to ancestors ---------------------------------------------------------------------
+
+
+@vectorised("16 f8")
+def _add_noise(carry: Vector, noise: Array, i: Vector, sums: Array, zero: Vector) -> Vector:
+    """Sums of exponential variates, from those before."""
+    part = _prefix(noise.load(i, LANES), zero.to("f4")).to("f8")
+    sums.store(i, part + carry)
+    return carry + splat(part.lane(LANES - 1), LANES)
+
+
+@vectorised()
+def _store_scaled(
+    values: Array, i: Vector, scale: Vector, most: Vector, out: Array, to: Vector
+) -> None:
+    """Values in units, as integers."""
+    scaled, limit = values.load(i, LANES) * scale, splat(most, LANES)
+    out.store(to, (scaled < limit).select(scaled, limit).to("i4"))
+
+
+@compiled
+def _ascending_points(scratch, to, stream, draw, key, count):
+    """Fill points with ordered uniforms: sums of exponentials over the last sum."""
+    width = (count + np.int64(LANES)) // np.int64(LANES) * np.int64(LANES)  # count + 1 variates
+    fill_exponentials(
+        scratch.noise, np.int64(0), width, stream, key, RESAMPLING, _COMPONENT, draw, np.int64(1)
+    )
+    carry = _numbers(0.0)
+    for i in range(np.int64(0), width, np.int64(LANES)):
+        carry = _add_noise(carry, scratch.noise, i, scratch.sums, 0.0)
+    scale = _POINTS / scratch.sums[count]
+    for i in range(np.int64(0), width, np.int64(LANES)):
+        _store_scaled(scratch.sums, i, scale, _POINTS, scratch.points, to + i)
+
+
+@compiled
+def _stratified_points(scratch, to, stream, draw, key, count):
+    """Fill points with a point in each of `count` equal intervals."""
+    width = (count + np.int64(LANES - 1)) // np.int64(LANES) * np.int64(LANES)
+    fill_uniforms(
+        scratch.noise, np.int64(0), width, stream, key, RESAMPLING, _COMPONENT, draw, np.int64(1)
+    )
+    for i in range(count):
+        scratch.points[to + i] = np.int32((i + np.float64(scratch.noise[i])) * (_POINTS / count))
+
+
+@vectorised()
+def _add_ranks(
+    shares: Array, first: Vector, points: Array, begin: Vector, ranks: Array, to: Vector
+) -> None:
+    """Add to some ranks the number of shares, of as many, that do not exceed each point."""
+    point = points.load(begin, LANES)
+    sums = [point.number(0)] * 4
+    for lane in range(LANES):
+        share = splat(shares.load(first, 0, lane), LANES)
+        sums[lane % 4] = sums[lane % 4] + (share <= point).to("i4")
+    ranks.store(to, ranks.load(to, LANES) + ((sums[0] + sums[1]) + (sums[2] + sums[3])))
+
+
+@vectorised("i8")
+def _passes(shares: Array, first: Vector, points: Array, begin: Vector) -> Vector:
+    """1 if the last of some points passes the last of some shares, else 0."""
+    return (shares.load(first, 0, LANES - 1) <= points.load(begin, 0, LANES - 1)).to("i8")
+
+
+@compiled
+def _prepare_merge(scratch, number, weights, origin, total, particles, count):
+    """Fill shares from cumulative weights, and entries that end the merge."""
+    base = number * scratch.span
+    scale = _SHARES / max(total, _LEAST_TOTAL)
+    for i in range(np.int64(0), particles, np.int64(LANES)):
+        _store_scaled(weights, origin + i, scale, _SHARES, scratch.shares, base + i)
+    behind = (particles + np.int64(LANES - 1)) // np.int64(LANES) * np.int64(LANES)
+    for j in range(particles - 1, behind):
+        scratch.shares[base + j] = _NOTHING_PASSES  # nothing passes the last particle
+    for i in range(count, (count + np.int64(LANES - 1)) // np.int64(LANES) * np.int64(LANES)):
+        scratch.points[base + i] = _NOTHING_PASSES - 1
+
+
+@compiled
+def _merge(scratch, number, count, to):
+    """Find the ancestors of ascending points, by merging the points with the shares.
+
+    In a merge of single numbers each step waits for the step before it. So here a step compares all
+    pairs of `LANES` shares and `LANES` points, and goes on to the next shares or points.
+    """
+    shares, points, ancestor = scratch.shares, scratch.points, scratch.ancestor
+    first = base = number * scratch.span
+    begin, lanes = np.int64(0), np.int64(LANES)
+    _store_same(ancestor, to, np.int64(0))
+    while begin < count:
+        _store_same(ancestor, to + begin + lanes, first - base)
+        _add_ranks(shares, first, points, base + begin, ancestor, to + begin)
+        passed = _passes(shares, first, points, base + begin)
+        first += lanes * passed
+        begin += lanes - lanes * passed
+
+
+@compiled
+def _merge_two(scratch, count, to, other):
+    """Merge two draws side by side, so that neither waits."""
+    shares, points, ancestor = scratch.shares, scratch.points, scratch.ancestor
+    first, base, lanes = np.int64(0), scratch.span, np.int64(LANES)
+    second, begin, start = base, np.int64(0), np.int64(0)
+    most = (count + lanes - 1) // lanes * lanes
+    _store_same(ancestor, to, np.int64(0))
+    _store_same(ancestor, other, np.int64(0))
+    while min(begin, start) < count:
+        _store_same(ancestor, to + begin + lanes, first)
+        _store_same(ancestor, other + start + lanes, second - base)
+        _add_ranks(shares, first, points, begin, ancestor, to + begin)
+        _add_ranks(shares, second, points, base + start, ancestor, other + start)
+        passed = _passes(shares, first, points, begin)
+        second_passed = _passes(shares, second, points, base + start)
+        first += lanes * passed
+        second += lanes * second_passed
+        begin = min(begin + lanes - lanes * passed, most)
+        start = min(start + lanes - lanes * second_passed, most)
+
+
+# --- the schemes ----------------------------------------------------------------------------------
+
+
+@compiled
+def find_ancestors(
+    scheme, cumulative, total, resamples, stream, first, key, draws, width, particles, scratch
+):
+    """Find the ancestors of the particles of consecutive draws.
+
+    A draw without the flag `resamples` keeps its particles. The ancestors of draw d begin at
+    ``d * scratch.span``, and count from its first particle. `scheme` is a position in
+    `ALL_SCHEMES`, and `key` that of the noise.
+    """
+    some, span = 0, scratch.span
+    for d in range(draws):
+        if resamples[d]:
+            scratch.chosen[some] = d
+            some += 1
+        else:
+            for i in range(width):
+                scratch.ancestor[d * span + i] = i
+    if scheme == SYSTEMATIC or scheme == SORTED:
+        for number in range(some):
+            d = scratch.chosen[number]
+            _systematic(cumulative, d * width, total[d], stream, first + d, key, particles, scratch, d * span)
+    elif scheme == RESIDUAL:
+        for number in range(some):
+            d = scratch.chosen[number]
+            _residual(cumulative, d * width, total[d], stream, first + d, key, particles, scratch, d * span)
+    else:
+        _by_points(scheme, cumulative, total, stream, first, key, width, particles, scratch, some)
+
+
+@compiled
+def _systematic(cumulative, origin, total, stream, draw, key, particles, scratch, to):
+    fill_uniforms(
+        scratch.noise, np.int64(0), np.int64(LANES), stream, key, RESAMPLING, _COMPONENT, draw,
+        np.int64(1),
+    )  # fmt: skip
+    shift, starts = np.float64(scratch.noise[0]), scratch.points
+    scale = particles / max(total, _LEAST_TOTAL)
+    starts[0] = 0
+    for i in range(np.int64(0), particles, np.int64(LANES)):
+        _store_starts(cumulative, origin + i, scale, shift, float(particles), starts, i + 1)
+    _expand(starts, particles, particles, scratch.shares, scratch.ancestor, to)
+
+
+@compiled
+def _residual(cumulative, origin, total, stream, draw, key, particles, scratch, to):
+    starts, rests, before, certain, rest = scratch.points, scratch.sums, 0.0, 0, 0.0
+    starts[0] = 0
+    whole = max(total, _LEAST_TOTAL)
+    for j in range(particles):
+        # This order of operations does not round a whole number away.
+        expected = (cumulative[origin + j] - before) * particles / whole
+        before = cumulative[origin + j]
+        children = math.floor(expected)
+        certain += children
+        rest += expected - children
+        starts[j + 1] = min(certain, particles)
+        cumulative[origin + j] = rest
+    certain = min(certain, particles)
+    if certain > 0:
+        _expand(starts, particles, certain, scratch.shares, scratch.ancestor, to)
+    count = particles - certain
+    if count > 0:
+        _ascending_points(scratch, np.int64(0), stream, draw, key, count)
+        _prepare_merge(scratch, np.int64(0), cumulative, origin, rest, particles, count)
+        _merge(scratch, np.int64(0), count, to + certain)
+
+
+@compiled
+def _by_points(scheme, cumulative, total, stream, first, key, width, particles, scratch, some):
+    """Multinomial, stratified and conditional ancestors, of two draws at a time."""
+    skipped = np.int64(1) if scheme == CONDITIONAL else np.int64(0)
+    count, span, chosen = particles - skipped, scratch.span, scratch.chosen
+    for number in range(np.int64(0), some, np.int64(2)):
+        pair = min(np.int64(2), some - number)
+        for k in range(pair):
+            d, base = chosen[number + k], k * span
+            if scheme == STRATIFIED:
+                _stratified_points(scratch, base, stream, first + d, key, count)
+            else:
+                # P - 1 points for the others of a conditional cloud. One of P sorted points cannot
+                # simply be left out: the point at a given position is not uniform.
+                _ascending_points(scratch, base, stream, first + d, key, count)
+            _prepare_merge(scratch, k, cumulative, d * width, total[d], particles, count)
+        to = chosen[number] * span + skipped
+        if pair == 2:
+            _merge_two(scratch, count, to, chosen[number + 1] * span + skipped)
+        else:
+            _merge(scratch, np.int64(0), count, to)
+        if skipped:
+            for k in range(pair):
+                scratch.ancestor[chosen[number + k] * span] = 0
+
+
+@vectorised()
+def _take_four(
+    ancestor: Array, a: Vector, source: Array, origin: Vector, target: Array, to: Vector
+) -> None:
+    for lane in range(4):
+        index = ancestor.load(a, 0, lane).to("i8")
+        target.store(to, source.load(origin + index, 0), lane)
+
+
+@compiled
+def take(scratch, source, target, draws, width):
+    """Copy the state of each particle's ancestor to another row."""
+    for d in range(draws):
+        origin, ancestors = d * width, d * scratch.span
+        for i in range(np.int64(0), width, np.int64(4)):
+            _take_four(scratch.ancestor, ancestors + i, source, origin, target, origin + i)
+
+
+# --- sorting by states ----------------------------------------------------------------------------
+
+_BITS = 7
+_DIGITS = 2**_BITS
+LEVELS = 2 ** (2 * _BITS)
+"""States are sorted by so many equal steps from the least to the largest that has a weight."""
+
+
+@compiled
+def sort_by_state(source, target, weight, cumulative, origin, width, particles, weighs, scratch):
+    """Sort a draw's particles and weights by the states, into another row.
+
+    Particles of one level keep their order, so a radix sort of two digits is enough. The cumulative
+    weights are computed again. Without the flag `weighs` the particles are copied as they are.
+    """
+    low, high, order, keys = np.inf, -np.inf, scratch.shares, scratch.points
+    half_sorted = scratch.ancestor
+    if weighs:
+        for i in range(origin, origin + particles):
+            if weight[i] > 0.0 and abs(source[i]) < np.inf:
+                low, high = min(low, source[i]), max(high, source[i])
+    scale = (LEVELS - 1) / (high - low)
+    counts = scratch.counts
+    for digit in range(_DIGITS):
+        counts[0, digit] = counts[1, digit] = 0
+    for i in range(particles):
+        level = (source[origin + i] - low) * scale if weighs else 0.0
+        level = level if level > 0.0 else 0.0  # also what is not a number
+        level = level if level < LEVELS - 1.0 else LEVELS - 1.0
+        keys[i] = np.int32(level)
+        counts[0, keys[i] & (_DIGITS - 1)] += 1
+        counts[1, keys[i] >> _BITS] += 1
+    first = second = 0
+    for digit in range(_DIGITS):
+        counts[0, digit], first = first, first + counts[0, digit]
+        counts[1, digit], second = second, second + counts[1, digit]
+    for i in range(particles):
+        digit = keys[i] & (_DIGITS - 1)
+        half_sorted[counts[0, digit]] = i
+        counts[0, digit] += 1
+    for place in range(particles):
+        i = half_sorted[place]
+        digit = keys[i] >> _BITS
+        order[counts[1, digit]] = i
+        counts[1, digit] += 1
+    for i in range(particles):
+        target[origin + i] = source[origin + order[i]]
+        scratch.noise[i] = weight[origin + order[i]]
+    for i in range(particles, width):
+        target[origin + i] = target[origin]
+    if weighs:
+        for i in range(particles):
+            weight[origin + i] = scratch.noise[i]
+        cumulate(weight, origin, width, cumulative)
+
+
+# --- for engines that compute in NumPy ------------------------------------------------------------
+
+
+@entry
+def _weigh_rows(log_weight, particles, weight, cumulative, totals):
+    width = log_weight.shape[1]
+    for d in range(log_weight.shape[0]):
+        totals[d] = weigh(log_weight[d], np.int64(0), width, particles, weight[d], cumulative[d])
+
+
+@entry
+def _find_rows(scheme, weight, cumulative, resamples, stream, first, key, particles, totals, scratch):
+    draws, width = weight.shape
+    for d in range(draws):
+        totals[d] = cumulate(weight[d], np.int64(0), width, cumulative[d])
+    find_ancestors(
+        scheme, cumulative.ravel(), totals, resamples, stream, first, key, np.int64(draws),
+        np.int64(width), particles, scratch,
+    )  # fmt: skip
+
+
+def _padded(values: Any, dtype: Any) -> NDArray[Any]:
+    draws, particles = values.shape
+    padded = np.zeros((draws, -(-particles // LANES) * LANES), dtype)
+    padded[:, :particles] = values
+    return padded
+
+
+def weights_of(log_weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (D, P) from log-weights, the largest of each draw 1; all 0 if none is finite."""
+    padded = _padded(log_weight, np.float64)
+    weight, cumulative = np.zeros(padded.shape, np.float32), np.empty(padded.shape)
+    _weigh_rows(padded, log_weight.shape[1], weight, cumulative, np.empty(len(padded)))
+    return weight[:, : log_weight.shape[1]].astype(np.float64)
+
+
+def ancestors_of(
+    scheme: str, weight: NDArray[np.float64], stream: int, draws: range, key: int
+) -> NDArray[np.intp]:
+    """Ancestors of the particles of consecutive draws, (D, P), from their weights (D, P)."""
+    count, particles = weight.shape
+    padded = _padded(weight, np.float32)
+    scratch = resampling_scratch(count, padded.shape[1])
+    number = [*ALL_SCHEMES].index(scheme)
+    arguments = np.uint64(stream), draws.start, key, particles, np.empty(count), scratch
+    _find_rows(number, padded, np.empty(padded.shape), np.ones(count, np.bool_), *arguments)
+    ancestors = scratch.ancestor[: count * scratch.span].reshape(count, -1)[:, :particles]
+    return ancestors.astype(np.intp)
