@@ -1,5 +1,6 @@
 """The formulas of simulations and filters, traced and compiled for the instants at hand."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -7,13 +8,12 @@ import numpy as np
 
 from pfdist.filters.work import Estimation
 from pfdist.kernels import filter as rows
-from pfdist.kernels import simulation
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
-from pfdist.kernels.guiding import log_density
-from pfdist.kernels.lowering import Layout
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
-from pfdist.models.tracing import trace
+from pfdist.models.tracing import Formula, trace
+
+_LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
 
 
 def filter_blocks(
@@ -23,13 +23,100 @@ def filter_blocks(
 
     A `TraceError` says that a formula cannot be traced.
     """
-    guided = settings.guides(model)
-    key = "filter", instants, guided, truth.formulas["error"], truth.parameters, truth.is_angle
-    ...
+    guided, error = settings.guides(model), truth.formulas["error"]
+    key = "filter", instants, guided, error, tuple(truth.parameters.items()), truth.is_angle
+    if key not in model.derived:
+        model.derived[key] = _filter_blocks(model, truth, guided, instants)
+    compiled: Compiled = model.derived[key]
+    return compiled
 
 
-def _at_slots(*groups: str, **first: int) -> Layout:
-    """Groups whose components are rows of slots, one group after another."""
+def _filter_blocks(
+    model: StateSpaceModel, truth: StateSpaceModel, guided: bool, instants: range
+) -> Compiled:
+    states, (own, once) = model.components[0], (_Formulas(model, truth.is_angle), instants[:1])
+    quantities, angles = len(truth.is_angle), sum(truth.is_angle)
+    w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
+    x, u = {"x": states}, {"u": len(model.proposal_variates)}
+    z = "quantity_of_interest"
+    sources = dict[int, Source | None](
+        {
+            rows.INITIAL: _source(model, "initial", model.initial, w0, range(1)),
+            rows.TRANSITION: _source(
+                model, "transition", model.transition, {**x, "t": 0, **w}, instants[:-1]
+            ),
+            rows.QUANTITY: _source(model, z, own.quantity, {**x, "t": 0}, instants),
+            rows.DEVIATIONS: _source(
+                model, z, own.deviations, {**x, "y": quantities, "t": 0}, instants
+            ),
+            rows.ESTIMATE: _source(
+                model, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
+            ),
+            rows.ERROR: _source(
+                truth,
+                "error",
+                truth.formulas["error"],
+                {"z": quantities, "estimate": quantities, "t": 0},
+                instants,
+            ),
+            rows.DISTANCE: _source(model, "distance", own.distance, {"x": 3 * quantities}, once),
+            rows.LOGARITHM: _source(model, "logarithm", _logarithm, {"w": 1}, once),
+        }
+    )
+    for number, (_, sensor, measured, _) in enumerate(model.parts):
+        y = {"y": measured.stop - measured.start, **x, "t": 0}
+        sources[rows.SENSORS + number] = _source(
+            sensor, "log_likelihood", sensor.log_likelihood, y, instants
+        )
+    if guided:
+        given = {**x, "y": model.components[1], "t": 0, **u}
+        sources[rows.GUIDED] = _source(model, "proposal", own.guided, given, instants[:-1])
+    return compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
+
+
+def simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
+    """The blocks of a simulation; see `pfdist.kernels.simulation`.
+
+    A `TraceError` says that a formula cannot be traced.
+    """
+    key = "simulation", instants
+    if key not in model.derived:
+        w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
+        x = {"x": model.components[0], "t": 0}
+        z = "quantity_of_interest"
+        sources = [
+            _source(model, "initial", model.initial, w0, range(1)),
+            _source(model, "transition", model.transition, {**x, **w}, instants[:-1]),
+            _source(model, z, model.quantity_of_interest, x, instants),
+        ]
+        for _, sensor, _, variates in model.parts:
+            v = {**x, "v": variates.stop - variates.start}
+            sources.append(_source(sensor, "measurement", sensor.measurement, v, instants))
+        model.derived[key] = compile_blocks(sources, instants)
+    compiled: Compiled = model.derived[key]
+    return compiled
+
+
+def _source(
+    model: StateSpaceModel,
+    name: str,
+    function: Callable[..., Any],
+    arguments: dict[str, int],
+    instants: range,
+) -> Source | None:
+    """A traced formula, whose last argument is p; None without instants.
+
+    Groups of components that are rows of slots follow one another.
+    """
+    if not instants:
+        return None
+    layout, first = dict[str, tuple[str, int]](), 0
+    for group, count in arguments.items():
+        array = {"y": "given", "w": "noise", "v": "noise", "u": "noise"}.get(group, "slots")
+        layout[group] = array, first if array == "slots" else 0
+        first += count if array == "slots" else 0
+    formula = Formula(function, name, {**arguments, "p": 0}, model.parameters, model.name)
+    return Source(trace(formula, instants), layout, model.parameters)
 
 
 class _Formulas:
@@ -44,7 +131,7 @@ class _Formulas:
         angles = [value for value, is_angle in zip(z, self.is_angle, strict=True) if is_angle]
         return (*z, *(part(angle) for angle in angles for part in (np.cos, np.sin)))
 
-    def estimate(self, x: Any, t: Any, p: Any) -> tuple[Any, ...]:
+    def estimate(self, x: Any, p: Any) -> tuple[Any, ...]:
         """The mean of z from the weighted means of `quantity`."""
         means, directions = x[: len(self.is_angle)], iter(x[len(self.is_angle) :])
         return tuple(
@@ -60,7 +147,7 @@ class _Formulas:
             for value, mean, is_angle in zip(z, y, self.is_angle, strict=True)
         )
 
-    def distance(self, x: Any, t: Any, p: Any) -> Any:
+    def distance(self, x: Any, p: Any) -> Any:
         """The squared distance of the means of two filters; see `pfdist.filters.interface`."""
         count, total = len(self.is_angle), 0.0
         of_components = zip(x[:count], x[count : 2 * count], x[2 * count :], self.is_angle)
@@ -75,6 +162,18 @@ class _Formulas:
         by_model = log_density(self.model.process_noise, w)
         by_proposal = self.model.proposal_log_density(w, x, y, t, p)
         return (*self.model.transition(x, t, w, p), by_model - by_proposal)
+
+
+def log_density(kinds: Sequence[str], w: Sequence[Any]) -> Any:
+    """Log-density of noise of these kinds."""
+    total: Any = 0.0
+    for kind, value in zip(kinds, w, strict=True):
+        if kind == "normal":
+            total = total + (-0.5 * value * value - _LOG_OF_ROOT)
+        else:
+            centre = 0.5 if kind == "uniform" else 0.0
+            total = total + np.where(np.abs(value - centre) <= 0.5, 0.0, -math.inf)
+    return total
 
 
 def _direction(cosine: Any, sine: Any) -> Any:

@@ -1,7 +1,7 @@
 """The intermittent particle filter (paper, section 2.1).
 
 Sampling importance resampling: particles are propagated by the model, and weighted and resampled
-only at the measurement times. `pfdist.kernels.fused_filter` compiles it. `pfdist.filters.plain`
+only at the measurement times. `pfdist.kernels.filter` computes it. `pfdist.filters.plain`
 holds the same filter in plain NumPy, for reading.
 
 Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4
@@ -15,28 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import PriorError
-from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking
+from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.work import Estimation, filter_streams
-from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS
-from pfdist.kernels.formulas import compiled_formulas
-from pfdist.kernels.fused_filter import Request, Results, fused_filter
-from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
+from pfdist.kernels.filter import Request, Results, filter_all
+from pfdist.kernels.prefixes import Plan, Planned, plan
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.scratch import WithScratch
+from pfdist.kernels.variates import codes_of
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import flat_parameters, parameter_names
 from pfdist.times.measurement_times import Times
 
-KERNEL_VERSION = 5
+KERNEL_VERSION = 6
 """Number of changes after which the same keys give other figures; part of a run's identity."""
 
 
 class _Wanted(NamedTuple):
-    """Arrays that the filter fills besides the mse; see `pfdist.kernels.fused_filter.Results`."""
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.filter.Results`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
@@ -166,12 +163,12 @@ def _filter(
         settings.threshold,
         ALL_ESTIMATORS[settings.estimator].weights,
         draws.instant_weights,
-        codes_of(model.initial_noise),
-        codes_of(model.process_noise),
-        codes_of(model.proposal_variates),
+        codes_of(model.initial_noise, model.process_noise, model.proposal_variates),
     )
     compiled = filter_blocks(model, truth, settings, draws.instants)
-    filter_all(compiled, request, planned, Results(mse, degenerate, *wanted.moments, *wanted[1:]))
+    rows = len(truth.is_angle) + 2 * sum(truth.is_angle)
+    results = Results(mse, degenerate, *wanted.moments, *wanted[1:])
+    filter_all(compiled.blocks, rows, request, planned, results)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate

@@ -34,14 +34,16 @@ from numpy.typing import NDArray
 from pfdist.kernels import schemes
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.variates import RESAMPLING, SPARE, fill_exponentials, fill_uniforms
+from pfdist.kernels.variates import EXPONENTIAL, RESAMPLING, SPARE, UNIFORM, fill, words_of
 from pfdist.kernels.vectors import LANES, Array, Vector, constant, iota, splat, vectorised
 
 _BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
+_IMPOSSIBLE = -np.finfo(np.float64).max
 _LEAST_TOTAL = 1e-100  # prevents a division by 0 if all weights are 0
 _SHARES = 2.0**31 - 2.0**8  # the whole weight, in units that fit into 31 bits
 _POINTS = 2.0**31 - 2.0**10  # points lie below the last share
 _NOTHING_PASSES = np.int32(2**31 - 1)
+_MARKS = 8  # particles that are marked together
 _COMPONENT = np.int64(0)  # of the noise that places the points
 
 MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED, CONDITIONAL = (
@@ -62,6 +64,7 @@ class Resampling(NamedTuple):
     shares: NDArray[np.int32]  # (2 * span,)
     sums: NDArray[np.float64]  # (span,)
     noise: NDArray[np.float32]  # (span,)
+    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
     chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
     counts: NDArray[np.int64]  # (2, LEVELS ** 0.5): of the sort
 
@@ -70,9 +73,9 @@ def resampling_scratch(draws: int, width: int) -> Resampling:
     """The arrays for a batch of draws."""
     span = width + _BEHIND + SPARE
     integers = [np.zeros(size, np.int32) for size in (draws * span, 2 * span, 2 * span)]
-    sums, noise = np.zeros(span), np.zeros(span, np.float32)
+    sums, noise, words = np.zeros(span), np.zeros(span, np.float32), words_of(1, span)
     return Resampling(
-        span, *integers, sums, noise, np.zeros(draws, np.int64), np.zeros((2, _DIGITS), np.int64)
+        span, *integers, sums, noise, words, np.zeros(draws, np.int64), np.zeros((2, _DIGITS), np.int64)
     )
 
 
@@ -103,11 +106,17 @@ def _numbers(value: Vector) -> Vector:
 
 
 @vectorised("16 f8")
-def _larger(highest: Vector, log_weight: Array, i: Vector, left: Vector) -> Vector:
-    """The larger of each lane and of a finite log-weight."""
+def _larger(highest: Vector, log_weight: Array, i: Vector) -> Vector:
+    """The larger of each lane and of a log-weight that is finite."""
     value = log_weight.load(i, LANES)
-    counts = (value.call("fabs") < math.inf) & _first_lanes(left) & (value > highest)
-    return counts.select(value, highest)
+    return ((value > highest) & (value < math.inf)).select(value, highest)
+
+
+@vectorised()
+def _leave_out(log_weight: Array, i: Vector, left: Vector) -> None:
+    """Make all but the first of some log-weights `_IMPOSSIBLE`."""
+    value = log_weight.load(i, LANES)
+    log_weight.store(i, _first_lanes(left).select(value, value.number(_IMPOSSIBLE)))
 
 
 @vectorised("f8")
@@ -136,18 +145,16 @@ def _exp2(x: Vector) -> Vector:
 
 @vectorised("16 f8")
 def _weigh(
-    carry: Vector, log_weight: Array, i: Vector, left: Vector, highest: Vector,
-    weight: Array, cumulative: Array,
-) -> Vector:  # fmt: skip
+    carry: Vector, log_weight: Array, i: Vector, highest: Vector, weight: Array, cumulative: Array
+) -> Vector:
     """Weights of some particles, and cumulative sums from those before."""
-    value = log_weight.load(i, LANES)
-    excess = (value - highest).to("f4") * 1.4426950408889634
-    possible = (excess > -125.0) & _first_lanes(left) & (value < math.inf)
-    weights = possible.select(_exp2(possible.select(excess, excess.number(0.0))), excess.number(0.0))
+    excess = (log_weight.load(i, LANES) - highest).to("f4") * 1.4426950408889634
+    possible, zeros = (excess > -125.0) & (excess <= 0.0), excess.number(0.0)
+    weights = possible.select(_exp2(possible.select(excess, zeros)), zeros)
     weight.store(i, weights)
-    sums = _prefix(weights, (highest - highest).to("f4")).to("f8")
-    cumulative.store(i, sums + carry)
-    return carry + splat(sums.lane(LANES - 1), LANES)
+    sums = _prefix(weights, (highest - highest).to("f4"))
+    cumulative.store(i, sums.to("f8") + carry)
+    return carry + splat(sums.lane(LANES - 1).to("f8"), LANES)
 
 
 @compiled
@@ -155,18 +162,19 @@ def weigh(log_weight, origin, width, particles, weight, cumulative):
     """Compute weights and cumulative weights of a draw, and return their total.
 
     The largest weight is 1. Only finite log-weights count. If there is none, the total is 0, and
-    the weights are left as they are.
+    the weights are left as they are. Log-weights behind the last particle are changed.
     """
-    highest = _numbers(-np.inf)
-    for i in range(np.int64(0), width, np.int64(LANES)):
-        highest = _larger(highest, log_weight, origin + i, particles - i)
+    if particles < width:
+        _leave_out(log_weight, origin + width - LANES, particles - width + LANES)
+    highest = _numbers(_IMPOSSIBLE)
+    for i in range(origin, origin + width, np.int64(LANES)):
+        highest = _larger(highest, log_weight, i)
     largest = _largest(highest)
-    if largest == -np.inf:
+    if largest == _IMPOSSIBLE:
         return 0.0
     carry = _numbers(0.0)
-    for i in range(np.int64(0), width, np.int64(LANES)):
-        left = particles - i
-        carry = _weigh(carry, log_weight, origin + i, left, largest, weight, cumulative)
+    for i in range(origin, origin + width, np.int64(LANES)):
+        carry = _weigh(carry, log_weight, i, largest, weight, cumulative)
     return _total(carry) / LANES
 
 
@@ -277,6 +285,14 @@ def _spread(carry: Vector, marks: Array, i: Vector, ancestor: Array, to: Vector)
     return splat(value.lane(LANES - 1), LANES)
 
 
+@vectorised()
+def _mark(starts: Array, j: Vector, marks: Array) -> None:
+    """Mark the first children of some particles with these; behind the last nothing counts."""
+    for more in range(_MARKS):
+        number = (j + more).to("i4")
+        marks.store(starts.load(j, 0, more).to("i8"), number)
+
+
 @compiled
 def _expand(starts, particles, count, marks, ancestor, origin):
     """Find the ancestors of `count` particles from the position of each particle's first child.
@@ -286,8 +302,8 @@ def _expand(starts, particles, count, marks, ancestor, origin):
     """
     for i in range(np.int64(0), count + 1, np.int64(LANES)):
         _store_same(marks, i, np.int64(0))
-    for j in range(particles):
-        marks[starts[j]] = j
+    for j in range(np.int64(0), particles, np.int64(_MARKS)):
+        _mark(starts, j, marks)
     carry = _integers(np.int64(0))
     for i in range(np.int64(0), count, np.int64(LANES)):
         carry = _spread(carry, marks, i, ancestor, origin + i)
@@ -314,12 +330,19 @@ def _store_scaled(
 
 
 @compiled
+def _fill_noise(scratch, width, kind, stream, draw, key):
+    """Fill the noise that places the points of a draw."""
+    fill(
+        scratch.words, scratch.noise, width, kind, stream, key, RESAMPLING, _COMPONENT, draw,
+        np.int64(1),
+    )  # fmt: skip
+
+
+@compiled
 def _ascending_points(scratch, to, stream, draw, key, count):
     """Fill points with ordered uniforms: sums of exponentials over the last sum."""
     width = (count + np.int64(LANES)) // np.int64(LANES) * np.int64(LANES)  # count + 1 variates
-    fill_exponentials(
-        scratch.noise, np.int64(0), width, stream, key, RESAMPLING, _COMPONENT, draw, np.int64(1)
-    )
+    _fill_noise(scratch, width, EXPONENTIAL, stream, draw, key)
     carry = _numbers(0.0)
     for i in range(np.int64(0), width, np.int64(LANES)):
         carry = _add_noise(carry, scratch.noise, i, scratch.sums, 0.0)
@@ -332,9 +355,7 @@ def _ascending_points(scratch, to, stream, draw, key, count):
 def _stratified_points(scratch, to, stream, draw, key, count):
     """Fill points with a point in each of `count` equal intervals."""
     width = (count + np.int64(LANES - 1)) // np.int64(LANES) * np.int64(LANES)
-    fill_uniforms(
-        scratch.noise, np.int64(0), width, stream, key, RESAMPLING, _COMPONENT, draw, np.int64(1)
-    )
+    _fill_noise(scratch, width, UNIFORM, stream, draw, key)
     for i in range(count):
         scratch.points[to + i] = np.int32((i + np.float64(scratch.noise[i])) * (_POINTS / count))
 
@@ -448,16 +469,21 @@ def find_ancestors(
 
 @compiled
 def _systematic(cumulative, origin, total, stream, draw, key, particles, scratch, to):
-    fill_uniforms(
-        scratch.noise, np.int64(0), np.int64(LANES), stream, key, RESAMPLING, _COMPONENT, draw,
-        np.int64(1),
-    )  # fmt: skip
+    _fill_noise(scratch, np.int64(LANES), UNIFORM, stream, draw, key)
     shift, starts = np.float64(scratch.noise[0]), scratch.points
     scale = particles / max(total, _LEAST_TOTAL)
     starts[0] = 0
     for i in range(np.int64(0), particles, np.int64(LANES)):
         _store_starts(cumulative, origin + i, scale, shift, float(particles), starts, i + 1)
+    _end_starts(starts, particles, particles)
     _expand(starts, particles, particles, scratch.shares, scratch.ancestor, to)
+
+
+@compiled
+def _end_starts(starts, particles, count):
+    """Let the particles behind the last begin behind all children."""
+    for j in range(particles, particles + _MARKS):
+        starts[j] = count
 
 
 @compiled
@@ -476,6 +502,7 @@ def _residual(cumulative, origin, total, stream, draw, key, particles, scratch, 
         cumulative[origin + j] = rest
     certain = min(certain, particles)
     if certain > 0:
+        _end_starts(starts, particles, certain)
         _expand(starts, particles, certain, scratch.shares, scratch.ancestor, to)
     count = particles - certain
     if count > 0:

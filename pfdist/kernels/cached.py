@@ -34,6 +34,10 @@ def compiled(function: Callable[..., Any]) -> Any:
     return numba.njit(function, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
+def inlined(function: Callable[..., Any]) -> Any:
+    return numba.njit(function, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+
+
 def entry(function: Callable[..., Any]) -> Any:
     folder, before = _folder(), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before

@@ -19,18 +19,20 @@ from pfdist.kernels.ancestors import (
     Resampling,
     find_ancestors,
     sort_by_state,
+    cumulate,
+    resampling_scratch,
     sum_of_first,
     sum_of_squares,
-    sum_of_values,
     take,
     weigh,
     weighted_sum,
 )
-from pfdist.kernels.blocks import Compiled, call
-from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.blocks import Blocks, call
+from pfdist.kernels.cached import entry, inlined
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, fill
+from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, fill, words_of
+from pfdist.kernels.vectors import LANES
 
 INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
     np.arange(10)  # NumPy's: Numba compiles a function anew for each integer of Python
@@ -132,6 +134,7 @@ class Batch(NamedTuple):
     total: int
     error: int
     flags: NDArray[np.bool_]  # (4, row), of draws: WEIGHTED, WEIGHS, RESAMPLES, DEGENERATE
+    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
     first_means: NDArray[np.float64]  # (U, T+1, q, row) of two filters; else empty
     resampling: Resampling
 
@@ -196,7 +199,7 @@ def filter_draws(blocks, request, plan, results, batch, saved):
                 _finish(request, plan, results, batch, at, here, s)
 
 
-@compiled
+@inlined
 def _filter_instant(blocks, request, results, batch, at, here, t, s, sensors, resamples):
     """Propagate, weight, estimate and resample; the half that then counts.
 
@@ -226,7 +229,7 @@ def _filter_instant(blocks, request, results, batch, at, here, t, s, sensors, re
 # --- the first cloud, and steps -------------------------------------------------------------------
 
 
-@compiled
+@inlined
 def _resume(saved, batch, slot):
     """Fill the first half from a saved batch."""
     for c in range(saved.particles.shape[1]):
@@ -238,7 +241,7 @@ def _resume(saved, batch, slot):
         _copy(saved.flags[slot, flag], batch.flags[flag])
 
 
-@compiled
+@inlined
 def _save(saved, batch, here, slot):
     """Save the batch, because a later set resumes from it."""
     for c in range(saved.particles.shape[1]):
@@ -250,14 +253,14 @@ def _save(saved, batch, here, slot):
         _copy(batch.flags[flag], saved.flags[slot, flag])
 
 
-@compiled
+@inlined
 def _copy(source, target):
     """Copy a row; Numba compiles this much faster than the assignment of a slice."""
     for i in range(source.size):
         target[i] = source[i]
 
 
-@compiled
+@inlined
 def _begin(blocks, request, batch, at):
     """Fill the first half with the prior, or with x(0)."""
     for d in range(at.draws):
@@ -271,7 +274,7 @@ def _begin(blocks, request, batch, at):
     _of_particles(blocks, batch, INITIAL, np.int64(0), np.int64(0), np.int64(0), at.draws)
 
 
-@compiled
+@inlined
 def _take_prior(request, batch, at):
     states, weight = request.prior.shape[0], batch.singles[batch.weight]
     for d in range(at.draws):
@@ -285,32 +288,33 @@ def _take_prior(request, batch, at):
                 is_particle = i < request.particles
                 weight[origin + i] = request.prior_weight[i] if is_particle else 0.0
             batch.flags[WEIGHTED, d] = True
-            batch.numbers[batch.total, d] = sum_of_values(weight, origin, batch.width)
+            cumulative = batch.particles[batch.cumulative]
+            batch.numbers[batch.total, d] = cumulate(weight, origin, batch.width, cumulative)
 
 
-@compiled
+@inlined
 def _fill_noise(request, batch, at, process, t, role):
     """A row of noise for each component of a process."""
     for c in range(request.kinds.shape[1]):
         if request.kinds[process, c] >= 0:
             fill(
-                batch.singles[c], 0, batch.width, request.kinds[process, c], at.stream, t, role, c,
-                request.first_draw + at.first, at.draws, request.particles,
+                batch.words, batch.singles[c], batch.width, request.kinds[process, c], at.stream,
+                t, role, c, request.first_draw + at.first, at.draws,
             )  # fmt: skip
 
 
-@compiled
+@inlined
 def _of_particles(blocks, batch, block, k, source, target, draws):
     """Call a block for all particles of some draws: from rows of states and noise to other rows."""
-    stride = batch.particles.shape[1]
+    stride, spacious = batch.particles.shape[1], batch.singles.shape[1]
     call(
         blocks.addresses[block, k], batch.particles, target * stride, stride,
-        batch.particles, source * stride, stride, batch.singles, 0, stride,
+        batch.particles, source * stride, stride, batch.singles, 0, spacious,
         batch.numbers, 0, 0, 0, blocks.table, blocks.places[block, k], 1, draws * batch.width,
     )  # fmt: skip
 
 
-@compiled
+@inlined
 def _of_draws(blocks, batch, block, k, source, target):
     """Call a block for all draws: from rows of draws to other rows."""
     row = batch.numbers.shape[1]
@@ -321,7 +325,7 @@ def _of_draws(blocks, batch, block, k, source, target):
     )  # fmt: skip
 
 
-@compiled
+@inlined
 def _step(blocks, request, batch, at, here, t, is_measured):
     """Fill the other half with x(t), and return it; to a measurement by the proposal, if any."""
     other, before = request.x.shape[2] + 1 - here, request.start + t - 1
@@ -333,7 +337,7 @@ def _step(blocks, request, batch, at, here, t, is_measured):
     stride, (_, instants, components) = batch.particles.shape[1], request.y.shape
     call(
         blocks.addresses[GUIDED, t - 1], batch.particles, other * stride, stride,
-        batch.particles, here * stride, stride, batch.singles, 0, stride,
+        batch.particles, here * stride, stride, batch.singles, 0, batch.singles.shape[1],
         request.y, (at.first * instants + t) * components, instants * components, 1,
         blocks.table, blocks.places[GUIDED, t - 1], at.draws, batch.width,
     )  # fmt: skip
@@ -343,7 +347,7 @@ def _step(blocks, request, batch, at, here, t, is_measured):
 # --- measurements ---------------------------------------------------------------------------------
 
 
-@compiled
+@inlined
 def _measure(blocks, request, batch, at, here, t, sensors):
     """Weigh the particles by the sensors that measure at t, and return the half that then counts.
 
@@ -367,7 +371,7 @@ def _measure(blocks, request, batch, at, here, t, sensors):
     return here
 
 
-@compiled
+@inlined
 def _weigh(request, batch, at):
     weight, numbers, flags = batch.singles[batch.weight], batch.numbers, batch.flags
     log_weight = batch.particles[batch.log_weight]
@@ -382,7 +386,7 @@ def _weigh(request, batch, at):
             flags[DEGENERATE, d] = True
 
 
-@compiled
+@inlined
 def _step_without(blocks, request, batch, at, here, t):
     """Repeat the step to t without the proposal for draws whose measurement is left out."""
     states, other = request.x.shape[2], request.x.shape[2] + 1 - here
@@ -400,7 +404,7 @@ def _step_without(blocks, request, batch, at, here, t):
                     batch.particles[here + c, i] = batch.particles[batch.quantity + c, i]
 
 
-@compiled
+@inlined
 def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
     stride, (_, instants, components) = batch.particles.shape[1], request.y.shape
@@ -421,7 +425,7 @@ def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
         carried = batch.particles[batch.carried]
         call(
             blocks.addresses[LOGARITHM, 0], batch.particles, batch.carried * stride, stride,
-            batch.particles, 0, 0, batch.singles, batch.weight * stride, stride,
+            batch.particles, 0, 0, batch.singles, batch.weight * batch.singles.shape[1], 0,
             batch.numbers, 0, 0, 0, blocks.table, blocks.places[LOGARITHM, 0], 1, used,
         )  # fmt: skip
         for d in range(at.draws):
@@ -430,7 +434,7 @@ def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
                     log_weight[i] += carried[i]
 
 
-@compiled
+@inlined
 def _sort(request, batch, at, here):
     """Sort the particles of each weighed draw by their state; the other half has the result."""
     other = 2 - here  # a scalar state
@@ -443,7 +447,7 @@ def _sort(request, batch, at, here):
     return other
 
 
-@compiled
+@inlined
 def _is_uneven(request, batch, d):
     """Whether the effective sample size of a draw lies below the threshold.
 
@@ -456,7 +460,7 @@ def _is_uneven(request, batch, d):
     return batch.numbers[batch.total, d] ** 2 < request.threshold * request.particles * squares
 
 
-@compiled
+@inlined
 def _resample(request, batch, at, here, key):
     """Resample the draws with the flag; the half that then counts."""
     some = False
@@ -472,7 +476,7 @@ def _resample(request, batch, at, here, key):
     )  # fmt: skip
     for c in range(request.x.shape[2]):
         take(
-            batch.resampling.ancestor, batch.particles[here + c], batch.particles[other + c],
+            batch.resampling, batch.particles[here + c], batch.particles[other + c],
             at.draws, batch.width,
         )  # fmt: skip
     for d in range(at.draws):
@@ -484,7 +488,7 @@ def _resample(request, batch, at, here, key):
 # --- estimates and errors -------------------------------------------------------------------------
 
 
-@compiled
+@inlined
 def _estimate(blocks, request, results, batch, at, here, t, s):
     """Estimate z(t) of each draw, and add the errors."""
     quantities, weights = request.z.shape[2], request.weights
@@ -506,7 +510,7 @@ def _estimate(blocks, request, results, batch, at, here, t, s):
             batch.numbers[batch.error, d] = np.inf
 
 
-@compiled
+@inlined
 def _fill_means(request, batch, at, first, behind):
     """Fill rows of draws with the weighted means of the rows of z, or of squared deviations."""
     weight, total = batch.singles[batch.weight], batch.numbers[batch.total]
@@ -520,7 +524,7 @@ def _fill_means(request, batch, at, first, behind):
             batch.numbers[first + r, d] = value / total[d]
 
 
-@compiled
+@inlined
 def _estimate_variance(blocks, request, results, batch, at, here, t, s):
     """Record mean and variance, and add the part of the error that they estimate.
 
@@ -564,7 +568,7 @@ def _estimate_variance(blocks, request, results, batch, at, here, t, s):
         _add(results, batch, s, t, d, error, request.instant_weights[t])
 
 
-@compiled
+@inlined
 def _add(results, batch, s, t, d, error, weight):
     """Add a weighted error to those of a draw that has not ended, and to the sum over draws.
 
@@ -576,7 +580,7 @@ def _add(results, batch, s, t, d, error, weight):
             results.errors[s, t] += weight * error
 
 
-@compiled
+@inlined
 def _rank_truth(results, request, batch, at, t):
     """The place of the truth's z, which is that of particle 0, among the weighted particles."""
     for d in range(at.draws):
@@ -594,7 +598,7 @@ def _rank_truth(results, request, batch, at, t):
             results.ranks[1, at.first + d, t, c] = equal / total
 
 
-@compiled
+@inlined
 def _finish(request, plan, results, batch, at, here, s):
     """Write the results of a set: mean errors, degenerate draws, and clouds that are wanted."""
     for d in range(at.draws):
@@ -612,19 +616,24 @@ def _finish(request, plan, results, batch, at, here, s):
 
 # --- the arrays that a filter works in -------------------------------------------------------------
 
-_TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
+_TOGETHER = int(__import__('os').environ.get('TG','2048'))  # x
 _MOST_SAVED = 2**22  # numbers of all saved batches, about
 _CACHE_LINE = 64  # bytes
 
 
-def filter_all(compiled_blocks: Compiled, request: Request, plan: Plan, results: Results) -> None:
-    """Filter all draws, in arrays that each call makes for itself: threads filter together."""
+def filter_all(
+    blocks: Blocks, quantity: int, request: Request, plan: Plan, results: Results
+) -> None:
+    """Filter all draws, in arrays that each call makes for itself: threads filter together.
+
+    `quantity` is the number of results of the block QUANTITY.
+    """
     draws, states = results.mse.shape[0], request.x.shape[2]
     width = -(-request.particles // LANES) * LANES
     numbers = (states + 1) * width * max(1, plan.clouds)
     together = max(1, min(draws, _TOGETHER // width, _MOST_SAVED // numbers))
-    batch, saved = _scratch(compiled_blocks.quantities, request, plan, results, width, together)
-    filter_draws(compiled_blocks.blocks, request, plan, results, batch, saved)
+    batch, saved = _scratch(quantity, request, plan, results, width, together)
+    filter_draws(blocks, request, plan, results, batch, saved)
 
 
 def _scratch(
@@ -634,7 +643,7 @@ def _scratch(
     states, quantities = request.x.shape[2], request.z.shape[2]
     stride, row, noises = draws * width, -(-draws // LANES) * LANES, request.kinds.shape[1]
     quantity, distance, slots = 2 * (states + 1), rows + 4 * quantities, plan.clouds
-    log_weight = quantity + max(rows, states)
+    log_weight = quantity + max(rows, states, quantities)
     sets = results.mse.shape[1] if len(request.streams) > 1 else 0
 
     def array(*shape: int, dtype: Any = np.float64) -> NDArray[Any]:
@@ -652,20 +661,22 @@ def _scratch(
         log_weight,
         log_weight + 1,
         log_weight + 2,
-        array(noises + 1, stride, dtype=np.float32),
-        noises,
+        # Noise is written in whole tiles: a row ends in the next, and the last row but one is spare.
+        array(noises + 2, stride + SPARE, dtype=np.float32),
+        noises + 1,
         array(distance + 3, row),
         rows,
         distance,
         distance + 1,
         distance + 2,
         array(4, row, dtype=np.bool_),
+        words_of(draws, width),
         array(sets, request.y.shape[1], quantities, row),
         resampling_scratch(draws, width),
     )
     saved = Saved(
         array(slots, states, stride),
-        array(slots, stride, dtype=np.float32),
+        array(slots, stride + SPARE, dtype=np.float32),
         array(slots, 2, row),
         array(slots, 4, row, dtype=np.bool_),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.kernels.blocks import call
-from pfdist.kernels.cached import compiled
+from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.variates import (
     TRUTH_INITIAL,
     TRUTH_MEASUREMENT,
@@ -17,10 +17,12 @@ from pfdist.kernels.variates import (
     fill_of_draws,
 )
 
-INITIAL, TRANSITION, QUANTITY, MEASUREMENT = range(4)
+INITIAL, TRANSITION, QUANTITY, MEASUREMENT = np.arange(4)
 """Rows of `pfdist.kernels.blocks.Blocks`. The measurements of further sensors follow."""
 
-TOGETHER = 256
+INITIAL_NOISE, PROCESS_NOISE, MEASUREMENT_NOISE = np.arange(3)
+
+TOGETHER = np.int64(256)
 """Draws that are simulated side by side."""
 
 
@@ -33,13 +35,13 @@ class Request(NamedTuple):
     has_begun: bool  # whether the first states are given
     first_components: NDArray[np.int64]  # (sensors + 1,): of y, and their number
     first_noises: NDArray[np.int64]  # (sensors,): of v, for each sensor
-    initial_noise: NDArray[np.int64]  # kinds of the components
-    process_noise: NDArray[np.int64]
-    measurement_noise: NDArray[np.int64]
+    # (3, most components): kinds of the components of initial, process and measurement noise; -1
+    # for none
+    kinds: NDArray[np.int64]
 
 
-@compiled
-def simulate_draws(blocks, request, x, y, z, states, values, noise):
+@entry
+def simulate_draws(blocks, request, x, y, z, states, values, noise, words):
     """Fill x (D, T+1, n), y (D, T+1, m) and z (D, T+1, q).
 
     `states` (2 * n * TOGETHER,), `values` and `noise`, with a row for each component, are scratch.
@@ -47,10 +49,10 @@ def simulate_draws(blocks, request, x, y, z, states, values, noise):
     stride, half = TOGETHER, x.shape[2] * TOGETHER
     for begin in range(0, x.shape[0], stride):
         draws, here = min(stride, x.shape[0] - begin), 0
-        _begin(blocks, request, x, states, noise, begin, draws)
+        _begin(blocks, request, x, states, noise, words, begin, draws)
         for k in range(x.shape[1]):
             first = here * half
-            _fill(noise, request, request.measurement_noise, begin, draws, k, TRUTH_MEASUREMENT)
+            _fill(words, noise, request, MEASUREMENT_NOISE, begin, draws, k, TRUTH_MEASUREMENT)
             _spread(states, first, x, begin, draws, k, 0, x.shape[2])
             for sensor in range(request.first_noises.size):
                 _evaluate(
@@ -63,29 +65,30 @@ def simulate_draws(blocks, request, x, y, z, states, values, noise):
             _evaluate(blocks, QUANTITY, k, values, 0, states, first, noise, 0)
             _spread(values, 0, z, begin, draws, k, 0, z.shape[2])
             if k + 1 < x.shape[1]:
-                _fill(noise, request, request.process_noise, begin, draws, k, TRUTH_PROCESS)
+                _fill(words, noise, request, PROCESS_NOISE, begin, draws, k, TRUTH_PROCESS)
                 _evaluate(blocks, TRANSITION, k, states, half - first, states, first, noise, 0)
                 here = 1 - here
 
 
 @compiled
-def _begin(blocks, request, x, states, noise, begin, draws):
+def _begin(blocks, request, x, states, noise, words, begin, draws):
     if request.has_begun:
         for c in range(x.shape[2]):
             for d in range(TOGETHER):
                 states[c * TOGETHER + d] = x[begin + min(d, draws - 1), 0, c]
     else:
-        _fill(noise, request, request.initial_noise, begin, draws, -request.start, TRUTH_INITIAL)
+        _fill(words, noise, request, INITIAL_NOISE, begin, draws, -request.start, TRUTH_INITIAL)
         _evaluate(blocks, INITIAL, 0, states, 0, states, 0, noise, 0)
 
 
 @compiled
-def _fill(noise, request, kinds, begin, draws, k, role):
-    for c in range(kinds.size):
-        fill_of_draws(
-            noise, c * TOGETHER, kinds[c], request.stream, request.start + k, role, c,
-            request.first_draw + begin, draws,
-        )  # fmt: skip
+def _fill(words, noise, request, process, begin, draws, k, role):
+    for c in range(request.kinds.shape[1]):
+        if request.kinds[process, c] >= 0:
+            fill_of_draws(
+                words, noise, c * TOGETHER, request.kinds[process, c], request.stream, request.start + k,
+                role, c, request.first_draw + begin, draws,
+            )  # fmt: skip
 
 
 @compiled

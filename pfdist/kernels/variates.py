@@ -23,7 +23,7 @@ Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 20
 note on the generation of random normal deviates", Annals of Mathematical Statistics 29, 1958.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, SupportsIndex
 
 import numpy as np
@@ -31,10 +31,12 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.vectors import LANES, Array, Vector, constant, iota, splat, vectorised
+from pfdist.kernels.vectors import LANES, Array, Vector, iota, splat, vectorised
 
 KINDS: Final = ("normal", "uniform", "centred", "exponential")
 """The kinds of noise; compiled code knows them by their numbers here."""
+
+NORMAL, UNIFORM, CENTRED, EXPONENTIAL = np.arange(4)
 
 # The roles of noise. A stream is used by the simulation or by a filter, never by both; separate
 # roles cost nothing. A filter of real measurements also simulates measurements of its particles,
@@ -44,8 +46,8 @@ TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = np.arange(3)
 FILTER_INITIAL, FILTER_PROCESS, RESAMPLING, TRUTH_RANK = np.arange(3, 7)
 
 TILE: Final = 4 * LANES
-SPARE: Final = TILE - LANES
-"""Entries behind the last variate into which whole tiles are written."""
+SPARE: Final = LANES
+"""Entries behind the last variate that may be overwritten."""
 
 _ROUNDS = 13
 _ROTATIONS = ((10, 26), (11, 21), (13, 27), (23, 5), (6, 20), (17, 11), (25, 10), (18, 20))
@@ -90,10 +92,48 @@ def _key(stream: Vector, t: Vector, role: Vector, component: Vector) -> Words:
     return [splat(each.to("u4"), LANES) for each in words]
 
 
-def _counter(block: Vector, draw: Vector, part: int) -> Words:
+def _counter(block: Vector, draw: Vector, part: Vector) -> Words:
     lanes = iota(block.builder, "u4", LANES)
-    blocks = splat(block.to("u4"), LANES) + lanes
-    return [blocks, splat(draw.to("u4"), LANES), lanes.number(part), lanes.number(0)]
+    return [
+        splat(block.to("u4"), LANES) + lanes,
+        splat(draw.to("u4"), LANES),
+        splat(part.to("u4"), LANES),
+        lanes.number(0),
+    ]
+
+
+def _filling(tiles: int) -> Any:
+    """A function of vectors that fills so many successive tiles of a draw with words."""
+
+    @vectorised()
+    def fill_tiles(
+        words: Array, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
+        part: Vector, block: Vector, draw: Vector,
+    ) -> None:  # fmt: skip
+        counters = [_counter(block + LANES * number, draw, part) for number in range(tiles)]
+        blocks = _threefry(_key(stream, t, role, component), counters)
+        for number, tile in enumerate(blocks):
+            for word, vector in enumerate(tile):
+                words.store(at, vector, TILE * number + LANES * word)
+
+    return fill_tiles
+
+
+_fill_tile, _fill_two_tiles = _filling(1), _filling(2)
+
+
+@vectorised()
+def _fill_words_of_draws(
+    words: Array, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
+    part: Vector, draw: Vector,
+) -> None:  # fmt: skip
+    """Fill two words of the first particle of consecutive draws; the second are behind the first."""
+    key = _key(stream, t, role, component)
+    zeros = key[0].number(0)
+    draws = splat(draw.to("u4"), LANES) + iota(draw.builder, "u4", LANES)
+    ((first, second, *_),) = _threefry(key, [[zeros, draws, splat(part.to("u4"), LANES), zeros]])
+    words.store(at, first)
+    words.store(at, second, LANES)
 
 
 # --- from words to variates -----------------------------------------------------------------------
@@ -142,127 +182,105 @@ def _box_muller(word_a: Vector, word_b: Vector) -> tuple[Vector, Vector]:
     return radius * swap.select(cosine, sine), radius * swap.select(sine, cosine)
 
 
-def _variates(kind: str, key: Words, counters: Sequence[tuple[Vector, Vector]]) -> list[Words]:
-    """Four vectors of variates for each counter: a tile."""
-    blocks = _threefry(key, [_counter(*each, 0) for each in counters])
-    if kind == "normal":
-        return [[*_box_muller(*words[:2]), *_box_muller(*words[2:])] for words in blocks]
-    if kind == "centred":
-        others = _threefry(key, [_counter(*each, 1) for each in counters])
-        return [
-            [_centred(high, low) for high, low in zip(words, lows, strict=True)]
-            for words, lows in zip(blocks, others, strict=True)
-        ]
-    function = _uniform if kind == "uniform" else _exponential
-    return [[function(word) for word in words] for words in blocks]
+@vectorised()
+def _store_normals(words: Array, at: Vector, out: Array, to: Vector) -> None:
+    """Two vectors of normal variates from two of words."""
+    first, second = _box_muller(words.load(at, LANES), words.load(at, LANES, LANES))
+    out.store(to, first)
+    out.store(to, second, LANES)
+
+
+@vectorised()
+def _store_uniforms(words: Array, at: Vector, out: Array, to: Vector) -> None:
+    out.store(to, _uniform(words.load(at, LANES)))
+
+
+@vectorised()
+def _store_exponentials(words: Array, at: Vector, out: Array, to: Vector) -> None:
+    out.store(to, _exponential(words.load(at, LANES)))
+
+
+@vectorised()
+def _store_centred(words: Array, at: Vector, lows: Array, low: Vector, out: Array, to: Vector) -> None:
+    out.store(to, _centred(words.load(at, LANES), lows.load(low, LANES)))
 
 
 # --- a variate for each particle, or for each draw ------------------------------------------------
 
 
-def _filling(kind: str) -> tuple[Any, Any]:
-    """Compile functions that fill four tiles at a time, and a vector of draws."""
-
-    @vectorised()
-    def fill_tiles(
-        out: Array, stream: Vector, t: Vector, role: Vector, component: Vector,
-        place_a: Vector, block_a: Vector, draw_a: Vector,
-        place_b: Vector, block_b: Vector, draw_b: Vector,
-        place_c: Vector, block_c: Vector, draw_c: Vector,
-        place_d: Vector, block_d: Vector, draw_d: Vector,
-    ) -> None:  # fmt: skip
-        """Fill four tiles, each at a place, for a block of particles of a draw."""
-        counters = (block_a, draw_a), (block_b, draw_b), (block_c, draw_c), (block_d, draw_d)
-        tiles = _variates(kind, _key(stream, t, role, component), counters)
-        for place, tile in zip((place_a, place_b, place_c, place_d), tiles, strict=True):
-            for quarter, vector in enumerate(tile):
-                out.store(place, vector, LANES * quarter)
-
-    @vectorised()
-    def fill_vector(
-        out: Array, stream: Vector, t: Vector, role: Vector, component: Vector,
-        place: Vector, draw: Vector,
-    ) -> None:  # fmt: skip
-        """Fill the variates of the first particle of consecutive draws."""
-        key = _key(stream, t, role, component)
-        zero = constant(draw.builder, "u4", LANES, 0)
-        draws = splat(draw.to("u4"), LANES) + iota(draw.builder, "u4", LANES)
-        words = [_threefry(key, [[zero, draws, zero.number(part), zero]])[0] for part in (0, 1)]
-        made: dict[str, Callable[[], Vector]] = {
-            "normal": lambda: _box_muller(*words[0][:2])[0],
-            "uniform": lambda: _uniform(words[0][0]),
-            "centred": lambda: _centred(words[0][0], words[1][0]),
-            "exponential": lambda: _exponential(words[0][0]),
-        }
-        out.store(place, made[kind]())
-
-    @compiled
-    def fill_kind(out, at, width, stream, t, role, component, first, draws):
-        tiles = (width + np.int64(TILE - 1)) // np.int64(TILE)
-        # A tile's end is overwritten by the next draw, so the order of tiles matters; at the end,
-        # the last tile is filled again.
-        last = draws * tiles - 1
-        for a in range(np.int64(0), last + 1, np.int64(4)):
-            b, c, d = min(a + 1, last), min(a + 2, last), min(a + 3, last)
-            fill_tiles(
-                out, stream, t, role, component,
-                at + a // tiles * width + a % tiles * TILE, a % tiles * LANES, first + a // tiles,
-                at + b // tiles * width + b % tiles * TILE, b % tiles * LANES, first + b // tiles,
-                at + c // tiles * width + c % tiles * TILE, c % tiles * LANES, first + c // tiles,
-                at + d // tiles * width + d % tiles * TILE, d % tiles * LANES, first + d // tiles,
-            )  # fmt: skip
-
-    @compiled
-    def fill_kind_of_draws(out, at, stream, t, role, component, first, draws):
-        for d in range(np.int64(0), draws, np.int64(LANES)):
-            fill_vector(out, stream, t, role, component, at + d, first + d)
-
-    return fill_kind, fill_kind_of_draws
-
-
-_normal, _normal_of_draws = _filling("normal")
-_uniforms, _uniform_of_draws = _filling("uniform")
-_centreds, _centred_of_draws = _filling("centred")
-fill_exponentials, _ = _filling("exponential")
-fill_uniforms = _uniforms
+def words_of(draws: int, width: int) -> NDArray[np.uint32]:
+    """The array in which `fill` works: words for whole tiles."""
+    tiles = -(-width // TILE)
+    return np.zeros((2, draws * tiles * TILE), np.uint32)
 
 
 @compiled
-def fill(out, at, width, kind, stream, t, role, component, first, draws):
+def fill_words(words, part, tiles, stream, t, role, component, first, draws):
+    """Fill a row of words: so many tiles for each of consecutive draws, two at a time."""
+    row, lanes, two = words[part], np.int64(LANES), np.int64(2)
+    for d in range(draws):
+        at, draw = d * tiles * TILE, first + d
+        for tile in range(np.int64(0), tiles - 1, two):
+            _fill_two_tiles(
+                row, at + tile * TILE, stream, t, role, component, part, tile * lanes, draw
+            )
+        if tiles % two:
+            tile = tiles - 1
+            _fill_tile(row, at + tile * TILE, stream, t, role, component, part, tile * lanes, draw)
+
+
+@compiled
+def fill(words, out, width, kind, stream, t, role, component, first, draws):
     """Fill a row with a variate for each particle of consecutive draws.
 
-    Particle i of draw ``first + d`` is at ``at + d * width + i``; `width` is a multiple of `LANES`.
-    `SPARE` entries behind the last are overwritten. `kind` is a position in `KINDS`.
+    Particle i of draw ``first + d`` is at ``d * width + i``; `width` is a multiple of `LANES`, and
+    `words` an array of `words_of`. `SPARE` entries behind the last are overwritten. `kind` is a
+    position in `KINDS`.
     """
-    if kind == 0:
-        _normal(out, at, width, stream, t, role, component, first, draws)
-    elif kind == 1:
-        _uniforms(out, at, width, stream, t, role, component, first, draws)
-    elif kind == 2:
-        _centreds(out, at, width, stream, t, role, component, first, draws)
-    else:
-        fill_exponentials(out, at, width, stream, t, role, component, first, draws)
+    tiles = (width + np.int64(TILE - 1)) // np.int64(TILE)
+    zero, lanes = np.int64(0), np.int64(LANES)
+    fill_words(words, zero, tiles, stream, t, role, component, first, draws)
+    if kind == CENTRED:
+        fill_words(words, zero + 1, tiles, stream, t, role, component, first, draws)
+    for d in range(draws):
+        at, to = d * tiles * TILE, d * width
+        if kind == NORMAL:
+            for i in range(zero, width, 2 * lanes):
+                _store_normals(words[0], at + i, out, to + i)
+        elif kind == UNIFORM:
+            for i in range(zero, width, lanes):
+                _store_uniforms(words[0], at + i, out, to + i)
+        elif kind == CENTRED:
+            for i in range(zero, width, lanes):
+                _store_centred(words[0], at + i, words[1], at + i, out, to + i)
+        else:
+            for i in range(zero, width, lanes):
+                _store_exponentials(words[0], at + i, out, to + i)
 
 
 @compiled
-def fill_of_draws(out, at, kind, stream, t, role, component, first, draws):
-    """Fill a row with the variates of the first particle of consecutive draws.
+def fill_of_draws(words, out, at, kind, stream, t, role, component, first, draws):
+    """Fill a row, from an index on, with the variates of the first particle of consecutive draws.
 
-    Up to 15 entries behind the last are overwritten.
+    Up to 15 entries behind the last are overwritten. `words` has two rows of 32 entries or more.
     """
-    if kind == 0:
-        _normal_of_draws(out, at, stream, t, role, component, first, draws)
-    elif kind == 1:
-        _uniform_of_draws(out, at, stream, t, role, component, first, draws)
-    else:
-        _centred_of_draws(out, at, stream, t, role, component, first, draws)
+    zero = np.int64(0)
+    for d in range(zero, draws, np.int64(LANES)):
+        _fill_words_of_draws(words[0], zero, stream, t, role, component, zero, first + d)
+        if kind == NORMAL:
+            _store_normals(words[0], zero, out, at + d)
+        elif kind == UNIFORM:
+            _store_uniforms(words[0], zero, out, at + d)
+        else:
+            _fill_words_of_draws(words[1], zero, stream, t, role, component, zero + 1, first + d)
+            _store_centred(words[0], zero, words[1], zero, out, at + d)
 
 
 @entry
-def _fill_rows(out, kind, stream, draws, t, role, component):
+def _fill_rows(words, out, kind, stream, draws, t, role, component):
     width = np.int64(out.shape[1] - SPARE)
     for row in range(draws.size):
-        fill(out[row], np.int64(0), width, kind, stream, t, role, component, draws[row], np.int64(1))
+        fill(words, out[row], width, kind, stream, t, role, component, draws[row], np.int64(1))
 
 
 def variates(
@@ -283,11 +301,15 @@ def variates(
     width = -(-particles // LANES) * LANES
     out = np.empty((draws.size, width + SPARE), np.float32)
     numbers = int(t), int(role), int(component)
-    _fill_rows(out, KINDS.index(kind), np.uint64(stream), draws, *numbers)
+    words = words_of(1, width)
+    _fill_rows(words, out, KINDS.index(kind), np.uint64(stream), draws, *numbers)
     values = out[:, :particles].astype(np.float64)
     return values if np.ndim(draw) else values[0]
 
 
-def codes_of(kinds: Sequence[str]) -> NDArray[np.int64]:
-    """The numbers of some kinds, as compiled code takes them."""
-    return np.array([KINDS.index(kind) for kind in kinds], np.int64)
+def codes_of(*processes: Sequence[str]) -> NDArray[np.int64]:
+    """A row of the numbers of kinds for each process, as compiled code takes them; -1 for none."""
+    codes = np.full((len(processes), max(1, *map(len, processes))), -1, np.int64)
+    for row, kinds in zip(codes, processes, strict=True):
+        row[: len(kinds)] = [KINDS.index(kind) for kind in kinds]
+    return codes

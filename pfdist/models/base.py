@@ -237,6 +237,11 @@ class StateSpaceModel:
         """The parameters as formulas read them: a named tuple of floats, and of arrays (T+1,)."""
         return named_parameters(self.parameters)
 
+    @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What other rooms make of this model, by keys of theirs."""
+        return {}
+
     @property
     def reads_clock(self) -> bool:
         """Whether a formula reads ``p.time`` or ``p.dt``, and the model is not on a clock yet."""
