@@ -19,7 +19,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
-from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
 from pfdist.models.seeing import names_in

@@ -20,7 +20,7 @@ from pfdist.checks.formulas import (
 from pfdist.common.estimate import Estimate
 from pfdist.filters.draws import Draws
 from pfdist.kernels.guiding import plain_log_density
-from pfdist.kernels.variates import FILTER_PROCESS, variates
+from pfdist.kernels.noise import FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from pfdist.checks.particles import (
 from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.rounding import rounded
-from pfdist.errors import TraceError, JobError, ModelError
+from pfdist.errors import CompileError, JobError, ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
@@ -147,7 +147,7 @@ def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, 
     """The evaluator, which computes in NumPy if a formula cannot be compiled, and the result."""
     try:
         evaluator.compile(estimation)
-    except TraceError as error:
+    except CompileError as error:
         slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
         return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
     return evaluator, Check("compile", "ok", "Numba compiles every formula")

@@ -22,12 +22,17 @@ from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
-from pfdist.filters.formulas import filter_blocks, simulation_blocks
-from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.filters.particle_filter import (
+    KERNEL_VERSION,
+    compiled_filter,
+    filter_checked_draws,
+)
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter, check_fits
+from pfdist.filters.simulation import compiled_simulation, simulate
 from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.models import CarriedModel, StateSpaceModel
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
@@ -302,16 +307,41 @@ class Evaluator:
         return f"{key:016x}"
 
     def compile(self, *estimations: Estimation) -> None:
-        """Trace and compile the simulation, and the filter of each estimation.
+        """Compile the simulation, and the filter of each estimation, by a draw of two instants.
 
-        A `TraceError` says that a formula cannot be traced.
+        A `ModelError` says that a formula cannot be compiled, or failed.
         """
         if not self.computed_by.compiled or not estimations:
             return
-        instants = range(self.start, self.horizon + 1)
-        simulation_blocks(self.model, instants)
-        for estimation in () if self.exact else estimations:
-            filter_blocks(self.believed, self.model, estimation, instants)
+        draws = simulate(self.model, 1, range(1), 0)
+        for estimation in estimations:
+            if not self.exact:
+                settings = self.settings(replace(estimation, particles=1))
+                filter_checked_draws(self.believed, draws, (0,), 0, settings)
+
+    @cached_property
+    def libm_functions(self) -> tuple[str, ...]:
+        """Functions of the C library that the compiled formulas of the estimations call.
+
+        The last digits of these functions may differ between processors. All other compiled code
+        gives the same bytes on every processor.
+        """
+        if not self.computed_by.compiled:
+            return ()
+        return tuple(sorted({name for each in self._compiled for name in libm_functions(each)}))
+
+    @property
+    def makes_arrays(self) -> bool:
+        """Whether compiled formulas make arrays for each particle."""
+        return any(map(makes_arrays, self._compiled))
+
+    @property
+    def _compiled(self) -> Iterator[Any]:
+        """The compiled simulation, and the compiled filters of the estimations."""
+        self.compile(*self.estimations)
+        yield compiled_simulation(self.model).compiled
+        for each in () if self.exact else self.estimations:
+            yield compiled_filter(self.believed, self.model, self.settings(each)).compiled
 
     def check(self, estimation: Estimation) -> None:
         """Raise a `ModelError` if the estimator or the resampling scheme does not fit the models.

@@ -39,7 +39,7 @@ def _filter_blocks(
     w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
     x, u = {"x": states}, {"u": len(model.proposal_variates)}
     z = "quantity_of_interest"
-    sources = dict[int, Source | None](
+    sources = dict[Any, Source | None](
         {
             rows.INITIAL: _source(model, "initial", model.initial, w0, range(1)),
             rows.TRANSITION: _source(
@@ -150,17 +150,18 @@ class _Formulas:
     def distance(self, x: Any, p: Any) -> Any:
         """The squared distance of the means of two filters; see `pfdist.filters.interface`."""
         count, total = len(self.is_angle), 0.0
-        of_components = zip(x[:count], x[count : 2 * count], x[2 * count :], self.is_angle)
-        for mean, variance, first, is_angle in of_components:
+        parts = x[:count], x[count : 2 * count], x[2 * count :], self.is_angle
+        for mean, variance, first, is_angle in zip(*parts, strict=True):
             angular = (1.0 - variance) * angular_error(first, mean) if is_angle else 0.0
             total = total + (angular if is_angle else (first - mean) ** 2)
         return total
 
     def guided(self, x: Any, y: Any, t: Any, u: Any, p: Any) -> tuple[Any, ...]:
         """x(t + 1) by the proposal, and the logarithm of p(w) / q(w | x, y)."""
-        w = self.model.proposal(x, y, t, u, p)
+        formulas = self.model.formulas
+        w = formulas["proposal"](x, y, t, u, p)
         by_model = log_density(self.model.process_noise, w)
-        by_proposal = self.model.proposal_log_density(w, x, y, t, p)
+        by_proposal = formulas["proposal_log_density"](w, x, y, t, p)
         return (*self.model.transition(x, t, w, p), by_model - by_proposal)
 
 

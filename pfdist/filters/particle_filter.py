@@ -1,7 +1,7 @@
 """The intermittent particle filter (paper, section 2.1).
 
 Sampling importance resampling: particles are propagated by the model, and weighted and resampled
-only at the measurement times. `pfdist.kernels.filter` computes it. `pfdist.filters.plain`
+only at the measurement times. `pfdist.kernels.fused_filter` compiles it. `pfdist.filters.plain`
 holds the same filter in plain NumPy, for reading.
 
 Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4
@@ -15,25 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import PriorError
+from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking
-from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.work import Estimation, filter_streams
+from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS
-from pfdist.kernels.filter import Request, Results, filter_all
-from pfdist.kernels.prefixes import Plan, Planned, plan
+from pfdist.kernels.formulas import compiled_formulas
+from pfdist.kernels.fused_filter import Request, Results, fused_filter
+from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.variates import codes_of
+from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import flat_parameters, parameter_names
 from pfdist.times.measurement_times import Times
 
-KERNEL_VERSION = 6
+KERNEL_VERSION = 5
 """Number of changes after which the same keys give other figures; part of a run's identity."""
 
 
 class _Wanted(NamedTuple):
-    """Arrays that the filter fills besides the mse; see `pfdist.kernels.filter.Results`."""
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.fused_filter.Results`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
@@ -140,36 +143,40 @@ def _filter(
 
     The other arrays that are wanted are filled.
     """
-    truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
-    mse = np.empty((len(draws.index), len(planned.measured)))
+    mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
     degenerate = np.zeros(mse.shape, np.bool_)
-    prior, chosen, prior_weight = _prior(draws, stream, settings)
     request = Request(
         np.array(filter_streams(stream, settings.estimator), np.uint64),
         draws.index.start,
         draws.start,
-        prior,
-        chosen,
-        prior_weight,
+        _prior(draws, stream, settings),
         draws.x,
         draws.y,
         draws.z,
-        np.array([part.y.start for part in model.parts]),
         settings.particles,
-        list(ALL_SCHEMES).index(scheme.name),
-        scheme.sorts,
-        scheme.holds_truth,
-        settings.guides(model),
-        settings.threshold,
         ALL_ESTIMATORS[settings.estimator].weights,
         draws.instant_weights,
-        codes_of(model.initial_noise, model.process_noise, model.proposal_variates),
+        settings.threshold,
+        flat_parameters(model.parameters, draws.instants.stop),
+        flat_parameters(truth.parameters, draws.instants.stop),
     )
-    compiled = filter_blocks(model, truth, settings, draws.instants)
-    rows = len(truth.is_angle) + 2 * sum(truth.is_angle)
-    results = Results(mse, degenerate, *wanted.moments, *wanted[1:])
-    filter_all(compiled.blocks, rows, request, planned, results)
-    if scheme.holds_truth:
+    estimate, variance = wanted.moments
+    at = np.zeros(2, np.int64)
+    results = Results(mse, degenerate, estimate, variance, *wanted[1:], at)
+
+    def again() -> str:
+        """Filter the failed draw in NumPy."""
+        row, number = at
+        sensors = len(model.parts)
+        measured = measurements_of(planned.measured[number], sensors)
+        times = tuple(draws.start * sensors + measurement for measurement in measured)
+        end, draw = draws.start + planned.ends[number] - 1, draws[row : row + 1]
+        plain.filter_checked_sets(model, draw, [times], [end], stream, settings)
+        return f"the filter of draw {draw.index.start}"
+
+    with compiled_formulas(model.name, again):
+        compiled_filter(model, truth, settings)(request, planned, results)
+    if ALL_SCHEMES[settings.resampling].holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate
 
@@ -183,18 +190,48 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
     return plan(tuple(sets), instants, stops, sensors)
 
 
-def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:
-    """States, choice and weights of the prior's particles; see `pfdist.kernels.filter.Request`."""
+def _prior(draws: Draws, stream: int, settings: Estimation) -> Prior:
+    """The particles from which each draw's filter starts."""
     if settings.prior is None:
-        return np.empty((draws.x.shape[2], 0)), np.empty((0, 0, 0), np.int64), np.empty(0)
+        return FROM_INITIAL
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
     prior, particles = settings.prior, settings.particles
-    states = np.ascontiguousarray(prior.x)
-    keys = filter_streams(stream, settings.estimator)
     weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
-        as_it_is = np.broadcast_to(np.arange(particles), (len(keys), len(draws.index), particles))
-        return states, np.ascontiguousarray(as_it_is), weight
-    chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
-    return states, np.stack(chosen), np.empty(0)
+        as_it_is = np.broadcast_to(np.arange(particles), (2, len(draws.index), particles))
+        return Prior(np.ascontiguousarray(prior.x), np.ascontiguousarray(as_it_is), weight)
+    chosen = [
+        prior.chosen_for_filters(particles, draws.index, key)
+        for key in filter_streams(stream, settings.estimator)
+    ]
+    return Prior(np.ascontiguousarray(prior.x), np.stack(chosen), np.empty(0))
+
+
+def compiled_filter(
+    model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation
+) -> WithScratch:
+    """The compiled filter of a model, whose errors the truth defines."""
+    proposal: tuple[Any, ...] = ()
+    noise_kinds: tuple[tuple[str, ...], ...] = (model.initial_noise, model.process_noise)
+    if settings.guides(model):
+        proposal = (model.proposal, model.proposal_log_density)
+        noise_kinds = (*noise_kinds, model.proposal_variates)
+    formulas = FilterFormulas(
+        model.initial,
+        model.transition,
+        model.quantity_of_interest,
+        truth.formulas["error"],
+        tuple(part.model.log_likelihood for part in model.parts),
+        proposal,
+    )
+    states, _, quantities = model.components
+    return fused_filter(
+        formulas,
+        noise_kinds,
+        (states, tuple(part.model.components[1] for part in model.parts), quantities),
+        (parameter_names(model.parameters), parameter_names(truth.parameters)),
+        settings.resampling,
+        truth.is_angle,
+        settings.carries,
+    )

@@ -24,7 +24,7 @@ from pfdist.filters.interface import (
 from pfdist.filters.work import Estimation
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.guiding import plain_log_density
-from pfdist.kernels.variates import (
+from pfdist.kernels.noise import (
     FILTER_INITIAL,
     FILTER_PROCESS,
     TRUTH_INITIAL,

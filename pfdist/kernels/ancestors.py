@@ -35,7 +35,7 @@ from pfdist.kernels import schemes
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import EXPONENTIAL, RESAMPLING, SPARE, UNIFORM, fill, words_of
-from pfdist.kernels.vectors import LANES, Array, Vector, constant, iota, splat, vectorised
+from pfdist.kernels.vectors import LANES, Array, Vector, iota, splat, vectorised
 
 _BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
 _IMPOSSIBLE = -np.finfo(np.float64).max
@@ -66,16 +66,22 @@ class Resampling(NamedTuple):
     noise: NDArray[np.float32]  # (span,)
     words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
     chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
-    counts: NDArray[np.int64]  # (2, LEVELS ** 0.5): of the sort
+    counts: NDArray[np.int64]  # (2, digits): of the sort
 
 
 def resampling_scratch(draws: int, width: int) -> Resampling:
     """The arrays for a batch of draws."""
     span = width + _BEHIND + SPARE
-    integers = [np.zeros(size, np.int32) for size in (draws * span, 2 * span, 2 * span)]
-    sums, noise, words = np.zeros(span), np.zeros(span, np.float32), words_of(1, span)
     return Resampling(
-        span, *integers, sums, noise, words, np.zeros(draws, np.int64), np.zeros((2, _DIGITS), np.int64)
+        span,
+        ancestor=np.zeros(draws * span, np.int32),
+        points=np.zeros(2 * span, np.int32),
+        shares=np.zeros(2 * span, np.int32),
+        sums=np.zeros(span),
+        noise=np.zeros(span, np.float32),
+        words=words_of(1, span),
+        chosen=np.zeros(draws, np.int64),
+        counts=np.zeros((2, _DIGITS), np.int64),
     )
 
 
@@ -455,14 +461,34 @@ def find_ancestors(
         else:
             for i in range(width):
                 scratch.ancestor[d * span + i] = i
-    if scheme == SYSTEMATIC or scheme == SORTED:
+    if scheme in (SYSTEMATIC, SORTED):
         for number in range(some):
             d = scratch.chosen[number]
-            _systematic(cumulative, d * width, total[d], stream, first + d, key, particles, scratch, d * span)
+            _systematic(
+                cumulative,
+                d * width,
+                total[d],
+                stream,
+                first + d,
+                key,
+                particles,
+                scratch,
+                d * span,
+            )
     elif scheme == RESIDUAL:
         for number in range(some):
             d = scratch.chosen[number]
-            _residual(cumulative, d * width, total[d], stream, first + d, key, particles, scratch, d * span)
+            _residual(
+                cumulative,
+                d * width,
+                total[d],
+                stream,
+                first + d,
+                key,
+                particles,
+                scratch,
+                d * span,
+            )
     else:
         _by_points(scheme, cumulative, total, stream, first, key, width, particles, scratch, some)
 
@@ -488,12 +514,13 @@ def _end_starts(starts, particles, count):
 
 @compiled
 def _residual(cumulative, origin, total, stream, draw, key, particles, scratch, to):
-    starts, rests, before, certain, rest = scratch.points, scratch.sums, 0.0, 0, 0.0
+    starts, before, certain, rest = scratch.points, 0.0, 0, 0.0
     starts[0] = 0
     whole = max(total, _LEAST_TOTAL)
     for j in range(particles):
-        # This order of operations does not round a whole number away.
-        expected = (cumulative[origin + j] - before) * particles / whole
+        # This order of operations does not round a whole number away. A sum may be a little less
+        # than the sum before.
+        expected = max(cumulative[origin + j] - before, 0.0) * particles / whole
         before = cumulative[origin + j]
         children = math.floor(expected)
         certain += children
@@ -570,45 +597,56 @@ def sort_by_state(source, target, weight, cumulative, origin, width, particles, 
     Particles of one level keep their order, so a radix sort of two digits is enough. The cumulative
     weights are computed again. Without the flag `weighs` the particles are copied as they are.
     """
-    low, high, order, keys = np.inf, -np.inf, scratch.shares, scratch.points
-    half_sorted = scratch.ancestor
+    order, noise = scratch.shares, scratch.noise
+    _fill_levels(source, weight, origin, particles, weighs, scratch.points)
+    _radix_sorted(scratch.points, particles, scratch.counts, scratch.ancestor, order)
+    for i in range(particles):
+        target[origin + i], noise[i] = source[origin + order[i]], weight[origin + order[i]]
+    for i in range(particles, width):
+        target[origin + i] = target[origin]
+    if weighs:
+        for i in range(particles):
+            weight[origin + i] = noise[i]
+        cumulate(weight, origin, width, cumulative)
+
+
+@compiled
+def _fill_levels(source, weight, origin, particles, weighs, levels):
+    """The level of each particle's state; all are 0 without the flag."""
+    low, high = np.inf, -np.inf
     if weighs:
         for i in range(origin, origin + particles):
             if weight[i] > 0.0 and abs(source[i]) < np.inf:
                 low, high = min(low, source[i]), max(high, source[i])
     scale = (LEVELS - 1) / (high - low)
-    counts = scratch.counts
+    for i in range(particles):
+        level = (source[origin + i] - low) * scale
+        level = level if level > 0.0 else 0.0  # also what is not a number
+        levels[i] = np.int32(level if level < LEVELS - 1.0 else LEVELS - 1.0)
+
+
+@compiled
+def _radix_sorted(keys, particles, counts, half_sorted, order):
+    """Sort by the low digit, then by the high digit; equal keys keep their order."""
+    mask, bits = np.int32(_DIGITS - 1), np.int32(_BITS)
     for digit in range(_DIGITS):
         counts[0, digit] = counts[1, digit] = 0
     for i in range(particles):
-        level = (source[origin + i] - low) * scale if weighs else 0.0
-        level = level if level > 0.0 else 0.0  # also what is not a number
-        level = level if level < LEVELS - 1.0 else LEVELS - 1.0
-        keys[i] = np.int32(level)
-        counts[0, keys[i] & (_DIGITS - 1)] += 1
-        counts[1, keys[i] >> _BITS] += 1
-    first = second = 0
+        counts[0, keys[i] & mask] += 1
+        counts[1, keys[i] >> bits] += 1
+    low = high = np.int64(0)
     for digit in range(_DIGITS):
-        counts[0, digit], first = first, first + counts[0, digit]
-        counts[1, digit], second = second, second + counts[1, digit]
+        counts[0, digit], low = low, low + counts[0, digit]
+        counts[1, digit], high = high, high + counts[1, digit]
     for i in range(particles):
-        digit = keys[i] & (_DIGITS - 1)
+        digit = keys[i] & mask
         half_sorted[counts[0, digit]] = i
         counts[0, digit] += 1
     for place in range(particles):
         i = half_sorted[place]
-        digit = keys[i] >> _BITS
+        digit = keys[i] >> bits
         order[counts[1, digit]] = i
         counts[1, digit] += 1
-    for i in range(particles):
-        target[origin + i] = source[origin + order[i]]
-        scratch.noise[i] = weight[origin + order[i]]
-    for i in range(particles, width):
-        target[origin + i] = target[origin]
-    if weighs:
-        for i in range(particles):
-            weight[origin + i] = scratch.noise[i]
-        cumulate(weight, origin, width, cumulative)
 
 
 # --- for engines that compute in NumPy ------------------------------------------------------------
@@ -622,7 +660,9 @@ def _weigh_rows(log_weight, particles, weight, cumulative, totals):
 
 
 @entry
-def _find_rows(scheme, weight, cumulative, resamples, stream, first, key, particles, totals, scratch):
+def _find_rows(
+    scheme, weight, cumulative, resamples, stream, first, key, particles, totals, scratch
+):
     draws, width = weight.shape
     for d in range(draws):
         totals[d] = cumulate(weight[d], np.int64(0), width, cumulative[d])

@@ -128,7 +128,7 @@ _CALL = ctypes.CFUNCTYPE(
 )  # fmt: skip
 
 
-# --- the call of a block in functions that Numba compiles -------------------------------------------
+# --- calls of blocks from compiled functions ------------------------------------------------------
 
 
 @intrinsic

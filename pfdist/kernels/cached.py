@@ -25,24 +25,40 @@ FOLDER_VARIABLE: Final = "PFDIST_CACHE_DIR"
 """Environment variable that names another place for the folder."""
 
 
+_IN_COMPILED_CODE = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+"""Numba's options for functions that only compiled functions call."""
+
+
 def compiled(function: Callable[..., Any]) -> Any:
-    """The function, compiled when it is first called; it runs without Python's lock.
+    """The function for compiled code, compiled together with what Python calls."""
+    return numba.njit(function, **_IN_COMPILED_CODE)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """The function for compiled code, as a part of each function that calls it.
+
+    A call of a function with many arrays, such as those of a named tuple, takes much longer.
+    """
+    return numba.njit(function, forceinline=True, **_IN_COMPILED_CODE)
+
+
+def entry(function: Callable[..., Any]) -> Any:
+    """The function that Python calls; its machine code is kept. It runs without Python's lock.
 
     Numba's setting of the folder holds for a whole process. It is read when a function is declared,
     so it is changed for this moment only, and cached functions of the user do not move.
     """
-    return numba.njit(function, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def inlined(function: Callable[..., Any]) -> Any:
-    return numba.njit(function, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-
-
-def entry(function: Callable[..., Any]) -> Any:
     folder, before = _folder(), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before
     try:
-        return numba.njit(function, cache=bool(folder), nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+        return numba.njit(
+            function, cache=bool(folder), nogil=True, error_model="numpy", no_cfunc_wrapper=True
+        )
     finally:
         numba.config.CACHE_DIR = before
 

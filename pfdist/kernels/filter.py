@@ -1,4 +1,4 @@
-"""The intermittent particle filter (paper, section 2.1) for any model; it is compiled once a machine.
+"""The intermittent particle filter (paper, section 2.1) for any model, compiled once a machine.
 
 A model is a set of blocks: machine code that is called by its address, see
 `pfdist.kernels.blocks`. All else is here. Several draws go through an instant in lockstep, as a
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.ancestors import (
     Resampling,
-    find_ancestors,
-    sort_by_state,
     cumulate,
+    find_ancestors,
     resampling_scratch,
+    sort_by_state,
     sum_of_first,
     sum_of_squares,
     take,
@@ -549,23 +549,30 @@ def _estimate_variance(blocks, request, results, batch, at, here, t, s):
                 for c in range(quantities):
                     results.estimate[at.first + d, t, c] = numbers[mean + c, d]
                     results.variance[at.first + d, t, c] = numbers[variance + c, d]
-    is_second = batch.first_means.size > 0 and at.number > 0
-    if is_second:
-        for c in range(quantities):
-            _copy(batch.first_means[s, t, c], numbers[first + c])
-        _of_draws(blocks, batch, DISTANCE, t, mean, batch.distance)
-    elif batch.first_means.size > 0:
-        for c in range(quantities):
-            _copy(numbers[mean + c], batch.first_means[s, t, c])
+    has_distance = batch.first_means.size > 0
+    if has_distance:
+        _measure_distance(blocks, batch, at, t, s, mean, first)
     for d in range(at.draws):
         error = 0.0
         if request.weights.variance != 0.0:  # else an infinite variance would make a NaN
             for c in range(variance, first):
                 error += numbers[c, d]
             error *= request.weights.variance
-        if is_second:
+        if has_distance and at.number > 0:
             error += request.weights.distance * numbers[batch.distance, d]
         _add(results, batch, s, t, d, error, request.instant_weights[t])
+
+
+@inlined
+def _measure_distance(blocks, batch, at, t, s, mean, first):
+    """Keep the means of the first filter; the second measures the distance of its own to these."""
+    for c in range(batch.first_means.shape[2]):
+        if at.number == 0:
+            _copy(batch.numbers[mean + c], batch.first_means[s, t, c])
+        else:
+            _copy(batch.first_means[s, t, c], batch.numbers[first + c])
+    if at.number > 0:
+        _of_draws(blocks, batch, DISTANCE, t, mean, batch.distance)
 
 
 @inlined
@@ -614,9 +621,9 @@ def _finish(request, plan, results, batch, at, here, s):
                     results.cloud[row, c, i] = batch.particles[here + c, place]
 
 
-# --- the arrays that a filter works in -------------------------------------------------------------
+# --- the arrays that a filter works in ------------------------------------------------------------
 
-_TOGETHER = int(__import__('os').environ.get('TG','2048'))  # x
+_TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
 _MOST_SAVED = 2**22  # numbers of all saved batches, about
 _CACHE_LINE = 64  # bytes
 
@@ -661,9 +668,8 @@ def _scratch(
         log_weight,
         log_weight + 1,
         log_weight + 2,
-        # Noise is written in whole tiles: a row ends in the next, and the last row but one is spare.
-        array(noises + 2, stride + SPARE, dtype=np.float32),
-        noises + 1,
+        array(noises + 1, stride + SPARE, dtype=np.float32),
+        noises,
         array(distance + 3, row),
         rows,
         distance,

@@ -16,7 +16,7 @@ from numba.extending import is_jitted, overload
 import pfdist.elementwise  # noqa: F401  registers the compiled versions of where and clip
 from pfdist.common.stopping import check
 from pfdist.densities import draws, log_densities, quantiles, special
-from pfdist.errors import TraceError, ModelError, PfdistError
+from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.melting import MELTING, melted
 from pfdist.kernels.overloads import CHOICES, ELEMENTARY, log_to_base
 from pfdist.models.mistakes import (
@@ -271,7 +271,7 @@ for _module in (special, log_densities, quantiles, draws):
 
 @contextlib.contextmanager
 def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
-    """Turn an error of compiled formulas into a `TraceError` or `ModelError` of one line.
+    """Turn an error of compiled formulas into a `CompileError` or `ModelError` of one line.
 
     If compiled code failed, `again` computes the same in NumPy, so that Python's own traceback has
     the formula, the line and the instant. If NumPy does not fail, `again` describes what it
@@ -283,7 +283,7 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
     try:
         yield
     except NOT_COMPILED as error:
-        raise TraceError(
+        raise CompileError(
             f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
             "operators, NumPy's elementwise functions on numbers, pfdist.where, pfdist.clip and "
             "pfdist.densities"

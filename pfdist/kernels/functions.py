@@ -17,7 +17,6 @@ Dekker, "A floating-point technique for extending the available precision", Nume
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from pfdist.kernels.vectors import Vector
 
@@ -134,7 +133,7 @@ def _power_of_two(k: Vector) -> Vector:
 
 
 def _scaled(x: Vector, k: Vector) -> Vector:
-    """x times 2^k, in two steps, because 2^k itself may be infinite or 0."""
+    """X times 2^k, in two steps, because 2^k itself may be infinite or 0."""
     half = k >> 1
     return x * _power_of_two(half) * _power_of_two(k - half)
 
@@ -297,7 +296,7 @@ def _log_pair(f: Vector) -> Pair:
 
 
 def power(x: Vector, y: Vector) -> Vector:
-    """x to the power y; a negative x needs a whole y."""
+    """X to the power y; a negative x needs a whole y."""
     size = absolute(x)
     e, f = _mantissa(size)
     part, part_rest = _log_pair(f)
@@ -497,7 +496,8 @@ def _of_llvm(name: str) -> Callable[[Vector], Vector]:
 
 FUNCTIONS: dict[str, Callable[..., Vector]] = {
     "add": lambda x, y: x + y, "subtract": lambda x, y: x - y, "multiply": lambda x, y: x * y,
-    "divide": lambda x, y: x / y, "negative": lambda x: -x, "absolute": absolute, "sqrt": _of_llvm("sqrt"),
+    "divide": lambda x, y: x / y, "negative": lambda x: -x, "absolute": absolute,
+    "sqrt": _of_llvm("sqrt"),
     "floor": _of_llvm("floor"), "ceil": _of_llvm("ceil"), "trunc": _of_llvm("trunc"),
     "rint": _of_llvm("rint"), "sign": sign, "copysign": copysign,
     "maximum": maximum, "minimum": minimum,

@@ -29,7 +29,7 @@ TOGETHER = np.int64(256)
 class Request(NamedTuple):
     """Which D draws are simulated, at T+1 instants."""
 
-    stream: int  # key of the noise
+    stream: np.uint64  # key of the noise
     first_draw: int  # index of the first draw in its stream
     start: int  # first instant
     has_begun: bool  # whether the first states are given
@@ -86,8 +86,8 @@ def _fill(words, noise, request, process, begin, draws, k, role):
     for c in range(request.kinds.shape[1]):
         if request.kinds[process, c] >= 0:
             fill_of_draws(
-                words, noise, c * TOGETHER, request.kinds[process, c], request.stream, request.start + k,
-                role, c, request.first_draw + begin, draws,
+                words, noise, c * TOGETHER, request.kinds[process, c], request.stream,
+                request.start + k, role, c, request.first_draw + begin, draws,
             )  # fmt: skip
 
 

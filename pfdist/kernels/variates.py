@@ -67,7 +67,9 @@ def generator(*parts: Any) -> np.random.Generator:
 def _threefry(key: Words, counters: Sequence[Words]) -> list[Words]:
     """Four words for each counter; the counters' rounds alternate, so that none has to wait."""
     schedule = [*key, key[0] ^ key[1] ^ key[2] ^ key[3] ^ _PARITY]
-    blocks = [[word + part for word, part in zip(each, schedule, strict=False)] for each in counters]
+    blocks = [
+        [word + part for word, part in zip(each, schedule, strict=False)] for each in counters
+    ]
     for number in range(_ROUNDS):
         first, second = _ROTATIONS[number % 8]
         b, d = (1, 3) if number % 2 == 0 else (3, 1)
@@ -127,7 +129,7 @@ def _fill_words_of_draws(
     words: Array, at: Vector, stream: Vector, t: Vector, role: Vector, component: Vector,
     part: Vector, draw: Vector,
 ) -> None:  # fmt: skip
-    """Fill two words of the first particle of consecutive draws; the second are behind the first."""
+    """Fill two words of the first particle of consecutive draws, one behind the other."""
     key = _key(stream, t, role, component)
     zeros = key[0].number(0)
     draws = splat(draw.to("u4"), LANES) + iota(draw.builder, "u4", LANES)
@@ -201,7 +203,9 @@ def _store_exponentials(words: Array, at: Vector, out: Array, to: Vector) -> Non
 
 
 @vectorised()
-def _store_centred(words: Array, at: Vector, lows: Array, low: Vector, out: Array, to: Vector) -> None:
+def _store_centred(
+    words: Array, at: Vector, lows: Array, low: Vector, out: Array, to: Vector
+) -> None:
     out.store(to, _centred(words.load(at, LANES), lows.load(low, LANES)))
 
 

@@ -166,7 +166,7 @@ class Vector:
         return self._of(self.builder.call(function, arguments))
 
     def fma(self, factor: "Vector | Number", summand: "Vector | Number") -> "Vector":
-        """This times a factor plus a summand, rounded once."""
+        """The product with a factor, plus a summand, rounded once."""
         return self.call("fma", factor, summand)
 
     def rotated(self, bits: int) -> "Vector":
@@ -294,7 +294,7 @@ class Array:
         self.builder.store(numbers.value, address, align=int(self.kind[1]))
 
 
-# --- functions of vectors in functions that Numba compiles -----------------------------------------
+# --- functions of vectors in compiled functions ---------------------------------------------------
 
 
 class VectorType(types.Type):  # type: ignore[misc]
@@ -349,10 +349,10 @@ def vectorised(result: str | None = None) -> Callable[[Callable[..., Any]], Any]
 
         typed.__name__, typed.__doc__ = function.__name__, function.__doc__
         typed.__module__ = function.__module__
-        own = inspect.signature(function).parameters.values()
-        context = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        signature = inspect.Signature([context, *(each.replace(annotation=inspect.Parameter.empty) for each in own)])
-        typed.__signature__ = signature  # type: ignore[attr-defined]  which Numba reads
+        names = "context", *inspect.signature(function).parameters
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        signature = inspect.Signature([inspect.Parameter(name, kind) for name in names])
+        vars(typed)["__signature__"] = signature  # Numba reads it
         return intrinsic(typed)
 
     return decorate

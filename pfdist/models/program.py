@@ -39,7 +39,7 @@ class Operation(NamedTuple):
 
     name: str
     arguments: tuple[int, ...] = ()
-    which: int | str | None = None
+    which: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +102,10 @@ def merged(program: Program) -> Program:
         if not is_needed:
             moved.append(-1)
             continue
+        attribute = which
         if name == "constant":
-            which = columns.setdefault(program.constants[:, which].tobytes(), len(columns))
-        operation = Operation(name, tuple(moved[each] for each in arguments), which)
+            attribute = columns.setdefault(program.constants[:, which].tobytes(), len(columns))
+        operation = Operation(name, tuple(moved[each] for each in arguments), attribute)
         moved.append(numbers.setdefault(operation, len(operations)))
         if moved[-1] == len(operations):
             operations.append(operation)
@@ -163,18 +164,18 @@ def evaluate(
         for name, arguments, which in program.operations:
             given = [values[each] for each in arguments]
             if name in GROUPS:
-                values.append(groups[name][which])  # type: ignore[index]
+                values.append(groups[name][which])
             elif name == "t":
                 values.append(np.float64(t) if np.ndim(t) == 0 else np.asarray(t, np.float64))
             elif name == "parameter":
-                values.append(np.float64(parameters[which]))  # type: ignore[index]
+                values.append(np.float64(parameters[which]))
             elif name == "covariate":
-                entries = np.asarray(parameters[which], np.float64)  # type: ignore[index]
+                entries = np.asarray(parameters[which], np.float64)
                 values.append(entries[np.asarray(given[0], np.int64)])
             elif name == "constant":
                 values.append(program.constants[rows, which])
             elif name == "take":
-                values.append(take(program.tables[which], *given))  # type: ignore[index]
+                values.append(take(program.tables[which], *given))
             else:
                 function = _FUNCTIONS.get(name) or getattr(np, name)
                 values.append(function(*given))

@@ -43,7 +43,7 @@ class Recording:
                 "ends, or too many steps"
             )
         shared = self.is_shared
-        shared.append(all([shared[each] for each in arguments]))
+        shared.append(all(shared[each] for each in arguments))
         self.operations.append(Operation(name, arguments, which))
         return len(self.operations) - 1
 

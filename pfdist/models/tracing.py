@@ -6,20 +6,19 @@ If it also needs parameters as numbers, it gets these, too. Programs of single i
 same operations become one, whose constants are rows of a table.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
-from pfdist.errors import ModelError, TraceError
+from pfdist.errors import TraceError
 from pfdist.models.mistakes import error_line, place_of, remedy
 from pfdist.models.parameters import Parameter, named_parameters
-from pfdist.models.program import MASKS, Program, evaluate
+from pfdist.models.program import Program, evaluate
 from pfdist.models.symbols import Recording, RefusedError, Symbol
 
 MOST_STRUCTURES: Final = 32
@@ -116,7 +115,8 @@ class Formula:
             components = list(value)
         outputs = [_result(each) for each in components]
         if not outputs or any(each is None for each in outputs):
-            wrong = next((each for each, one in zip(components, outputs) if one is None), value)
+            pairs = zip(components, outputs, strict=True)
+            wrong = next((each for each, one in pairs if one is None), value)
             raise RefusedError(f"{self.name} must give numbers, got {type(wrong).__name__}")
         return outputs
 
@@ -143,8 +143,9 @@ class _Parameters:
     def __getattr__(self, name: str) -> Any:
         if name not in self._parameters:
             raise AttributeError(f"'Parameters' object has no attribute '{name}'")
-        if isinstance(self._parameters[name], tuple):
-            return _Covariate(self._recording, name, len(self._parameters[name]))
+        value = self._parameters[name]
+        if isinstance(value, tuple):
+            return _Covariate(self._recording, name, len(value))
         return Symbol(self._recording, self._recording.leaf("parameter", name, shared=True))
 
 
@@ -226,7 +227,9 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
     for t in _few(instants):
         number, at = which[t - instants.start], row[t - instants.start]
         first = programs[number]
-        before = Program(first.operations, first.outputs, first.constants[at : at + 1], first.tables)
+        before = Program(
+            first.operations, first.outputs, first.constants[at : at + 1], first.tables
+        )
         _check_same(formula, before, _at(formula, mode, t), t)
     if mode != MODES[-1]:
         index = instants.index

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.component_names import Component
-from pfdist.errors import TraceError, EngineWarning, JobError, ModelError, shown
+from pfdist.errors import CompileError, EngineWarning, JobError, ModelError, shown
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
@@ -278,11 +278,14 @@ def _ships(model: CarriedModel) -> bool:
 
 
 def _compiled_or_numpy(evaluator: Evaluator) -> str:
-    """Name of the engine: NumPy where tracing fails, unless the job demands another engine."""
+    """Name of the engine: NumPy where Numba fails, unless the job demands another engine.
+
+    The formulas are compiled here, and workers on this machine find the result on disk.
+    """
     try:
         # For every engine, so that a wrong model is refused at once.
         evaluator.compile(*evaluator.estimations)
-    except TraceError as error:
+    except CompileError as error:
         if evaluator.engine != AUTO:
             raise
         warnings.warn(

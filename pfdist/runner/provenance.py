@@ -42,6 +42,8 @@ def provenance(built: Built) -> dict[str, Any]:
             "cores": affinity(),
         },
         "processor": processor(),
+        # Compiled code that calls no function of the C library gives the same bytes everywhere.
+        "libm_functions": list(built.evaluator.libm_functions),
         "execution": job.execution.model_dump(mode="json"),
     }
 
@@ -84,9 +86,12 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
 
 def what_may_differ(built: Built) -> str:
     """How results of another processor may differ; empty if it computes the same bytes."""
-    engine = built.evaluator.engine
+    engine, called = built.evaluator.engine, built.evaluator.libm_functions
     if engine != COMPILED.name:
         return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
+    if called:
+        names = ", ".join(called)
+        return f"the last digits may differ, because the formulas call {names} of the C library"
     return ""
 
 

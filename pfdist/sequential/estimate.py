@@ -15,7 +15,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.plain import step
 from pfdist.kernels.formulas import formulas_of
-from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
+from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.sequential.one_filter import OneFilter, log_likelihood

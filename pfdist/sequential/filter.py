@@ -14,7 +14,7 @@ from pfdist.common.nearest import did_you_mean
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
-    TraceError,
+    CompileError,
     EngineWarning,
     MeasurementsError,
     ModelError,
@@ -276,7 +276,7 @@ class Filter:
         first = OneFilter(self.model, settings, self.stream, draw, name)
         try:
             return first.at(first.t)
-        except TraceError as error:
+        except CompileError as error:
             if engine != AUTO:
                 raise
             warnings.warn(

@@ -1,0 +1,255 @@
+"""Simulation and the intermittent particle filter (paper, section 2.1) by traced formulas.
+
+Sampling importance resampling: particles are propagated by the model, and weighted and resampled
+only at the measurement times. `pfdist.kernels.filter` and `pfdist.kernels.simulation` compute it.
+No job can name this engine yet.
+
+Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4
+(which resamples systematically; a job chooses the scheme).
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.errors import PriorError
+from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.draws import Draws, begun, check_finite
+from pfdist.filters.formulas import filter_blocks, simulation_blocks
+from pfdist.filters.interface import Filtered, checking
+from pfdist.filters.work import Estimation, filter_streams
+from pfdist.kernels import simulation
+from pfdist.kernels.estimators import ALL_ESTIMATORS
+from pfdist.kernels.filter import Request, Results, filter_all
+from pfdist.kernels.prefixes import Plan, Planned, plan
+from pfdist.kernels.schemes import ALL_SCHEMES
+from pfdist.kernels.variates import codes_of
+from pfdist.kernels.vectors import LANES
+from pfdist.models import StateSpaceModel
+from pfdist.times.measurement_times import Times
+
+
+def simulate(
+    model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
+) -> Draws:
+    """Simulate consecutive draws of a stream, up to t = horizon.
+
+    A draw does not depend on the other draws.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    horizon : int
+        T, the last instant of the draws.
+    index : range
+        Indices of the draws in their stream, with step 1.
+    stream : int
+        Key of the draws' noise, 64 bits.
+    prior : Cloud, optional
+        Particles of x(s). Then each draw starts at t = s from one of them, and `initial` is not
+        called. By default s = 0, and `initial` gives x(0).
+
+    Returns
+    -------
+    Draws
+        x, y and z at the instants s..T.
+
+    Raises
+    ------
+    ModelError
+        A formula cannot be compiled, failed, or gave a value that is not finite.
+    PriorError
+        The prior does not fit the model or the horizon.
+    """
+    draws = begun(model, horizon, index, stream, prior)
+    compiled = simulation_blocks(model, draws.instants)
+    sensors = [(part.y.start, part.v.start) for part in model.parts]
+    request = simulation.Request(
+        np.uint64(stream),
+        index.start,
+        draws.start,
+        prior is not None,
+        np.array([*(y for y, _ in sensors), model.components[1]]),
+        np.array([v for _, v in sensors]),
+        codes_of(model.initial_noise, model.process_noise, model.noise_of_measurements),
+    )
+    scratch = (
+        np.zeros(2 * model.components[0] * simulation.TOGETHER),
+        np.zeros(max(model.components) * simulation.TOGETHER),
+        np.zeros((request.kinds.shape[1] + 1) * simulation.TOGETHER, np.float32),
+        np.zeros((2, 2 * LANES), np.uint32),
+    )
+    simulation.simulate_draws(compiled.blocks, request, draws.x, draws.y, draws.z, *scratch)
+    check_finite(model, draws, stream)
+    return draws
+
+
+class _Wanted(NamedTuple):
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.filter.Results`."""
+
+    moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
+    errors: NDArray[np.float64] = np.empty((0, 0))
+    ranks: NDArray[np.float64] = np.empty((2, 0, 0, 0))
+    cloud: NDArray[np.float64] = np.empty((0, 0, 0))
+    weight: NDArray[np.float64] = np.empty((0, 0))
+
+
+_NOTHING_ELSE = _Wanted()
+
+
+def filter_checked_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    stream: int,
+    settings: Estimation,
+    trajectories: bool = False,
+) -> Filtered:
+    """Filter draws as `filter_draws` does, with arguments that the caller has checked.
+
+    The times are sorted instants of the draws. `check_filter` has accepted the settings for this
+    model and the draws' model.
+    """
+    planned = _planned(draws, (measurement_times,)).plan
+    if not trajectories:
+        mse, degenerate = _filter(model, draws, planned, stream, settings)
+        return Filtered(mse[:, 0], degenerate[:, 0])
+    count, particles = len(draws.index), settings.particles
+    wanted = _Wanted(
+        moments=np.full((2, *draws.z.shape), np.nan),
+        ranks=np.full((2, *draws.z.shape), np.nan),
+        cloud=np.full((count, model.components[0], particles), np.nan),
+        weight=np.ones((count, particles)),
+    )
+    mse, degenerate = _filter(model, draws, planned, stream, settings, wanted)
+    estimate, variance = wanted.moments
+    for array in (estimate, variance, wanted.cloud):
+        array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
+    weights = wanted.weight if settings.carries else None
+    given = estimate, variance, tuple(wanted.cloud), weights, wanted.ranks
+    return Filtered(mse[:, 0], degenerate[:, 0], *given)
+
+
+filter_draws = checking(filter_checked_draws)
+
+
+def filter_checked_sets(
+    model: StateSpaceModel,
+    draws: Draws,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    settings: Estimation,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The MSE of draws with several checked sets under the same noise, (D, S).
+
+    The second array, (D, S), says which of them are degenerate.
+
+    A prefix that two sets share is filtered once. This is faster than filtering the sets one by
+    one, and gives the same bits. `ends` are the last instants whose errors count; their sum is
+    divided by the number of all instants. The times are sorted instants of the draws.
+    `check_filter` has accepted the settings for this model and the draws' model.
+    """
+    planned, columns, _ = _planned(draws, sets, ends)
+    mse, degenerate = _filter(model, draws, planned, stream, settings)
+    return mse[:, columns], degenerate[:, columns]
+
+
+def sum_errors(
+    model: StateSpaceModel,
+    draws: Draws,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    settings: Estimation,
+) -> NDArray[np.float64]:
+    """Sums of the errors of each instant over draws, (S, T+1), with checked arguments.
+
+    A set has NaN if a draw is infinite with it, or degenerate although the truth is among the
+    particles. Values after the end of a set mean
+    nothing. The memory does not grow with the draws. Arguments are those of `filter_checked_sets`.
+    """
+    instants = draws.z.shape[1]
+    planned, columns, givers = _planned(draws, sets, ends)
+    errors = np.zeros((len(planned.measured), instants))
+    mse, _ = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
+    for row, giver, begin in zip(errors, givers, planned.begins, strict=True):
+        row[:begin] = errors[giver, :begin]
+    sums = errors[columns]
+    sums[~np.isfinite(mse[:, columns]).all(axis=0)] = np.nan
+    return sums
+
+
+def _filter(
+    model: StateSpaceModel,
+    draws: Draws,
+    planned: Plan,
+    stream: int,
+    settings: Estimation,
+    wanted: _Wanted = _NOTHING_ELSE,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The mse of the sets of a plan, (D, U), and which draws are degenerate, (D, U).
+
+    The other arrays that are wanted are filled.
+    """
+    truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
+    mse = np.empty((len(draws.index), len(planned.measured)))
+    degenerate = np.zeros(mse.shape, np.bool_)
+    prior, chosen, prior_weight = _prior(draws, stream, settings)
+    request = Request(
+        np.array(filter_streams(stream, settings.estimator), np.uint64),
+        draws.index.start,
+        draws.start,
+        prior,
+        chosen,
+        prior_weight,
+        draws.x,
+        draws.y,
+        draws.z,
+        np.array([part.y.start for part in model.parts]),
+        settings.particles,
+        list(ALL_SCHEMES).index(scheme.name),
+        scheme.sorts,
+        scheme.holds_truth,
+        settings.guides(model),
+        settings.threshold,
+        ALL_ESTIMATORS[settings.estimator].weights,
+        draws.instant_weights,
+        codes_of(model.initial_noise, model.process_noise, model.proposal_variates),
+    )
+    compiled = filter_blocks(model, truth, settings, draws.instants)
+    rows = len(truth.is_angle) + 2 * sum(truth.is_angle)
+    estimate, variance = wanted.moments
+    results = Results(mse, degenerate, estimate, variance, *wanted[1:])
+    filter_all(compiled.blocks, rows, request, planned, results)
+    if scheme.holds_truth:
+        mse[degenerate] = np.nan  # the truth itself does not explain a measurement
+    return mse, degenerate
+
+
+def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:
+    """Plan the filter of several sets, with instants counted from the draws' first."""
+    start, instants, sensors = draws.start, draws.z.shape[1], len(draws.model.parts)
+    if start:
+        sets = [tuple(time - start * sensors for time in times) for times in sets]
+    stops = None if ends is None else tuple(end + 1 - start for end in ends)
+    return plan(tuple(sets), instants, stops, sensors)
+
+
+def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:
+    """States, choice and weights of the prior's particles; see `pfdist.kernels.filter.Request`."""
+    if settings.prior is None:
+        return np.empty((draws.x.shape[2], 0)), np.empty((0, 0, 0), np.int64), np.empty(0)
+    if isinstance(settings.prior, Gaussian):
+        raise PriorError("a particle filter must start from particles, got a normal distribution")
+    prior, particles = settings.prior, settings.particles
+    states = np.ascontiguousarray(prior.x)
+    keys = filter_streams(stream, settings.estimator)
+    weight = prior.weight_of_filters(particles) if settings.carries else None
+    if weight is not None:
+        as_it_is = np.broadcast_to(np.arange(particles), (len(keys), len(draws.index), particles))
+        return states, np.ascontiguousarray(as_it_is), weight
+    chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
+    return states, np.stack(chosen), np.empty(0)
