@@ -8,14 +8,14 @@ instant.
 import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from pfdist.kernels.lowering import FUNCTION, Code, Layout, machine_code, split
+from pfdist.kernels.lowering import ARGUMENTS, FUNCTION, POINTERS, Code, Layout, machine_code, split
 from pfdist.kernels.vectors import LANES
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array, evaluate, merged
@@ -111,21 +111,21 @@ class _Program:
         for row, values in zip(slots, self._leaves(self.split.leaves), strict=False):
             row[:count], row[count:] = values, values[0]
         out = np.empty((len(shared.outputs), slots.shape[1]))
-        address, width = code.addresses[shared], slots.shape[1]
-        arrays = out, width, slots, width, slots, 0, slots, 0, 0, slots
-        _CALL(address)(*map(_argument, arrays), 1, width)
+        run(code.addresses[shared], out, slots)
         return np.ascontiguousarray(out[:, :count].T)
 
 
-def _argument(value: Any) -> int:
-    return value.ctypes.data if isinstance(value, np.ndarray) else value
-
-
 _CALL = ctypes.CFUNCTYPE(
-    None, *(ctypes.c_void_p if kind == "pointer" else ctypes.c_int64 for kind in (
-        "pointer", "", "pointer", "", "pointer", "", "pointer", "", "", "pointer", "", "",
-    )),
-)  # fmt: skip
+    None,
+    *(ctypes.c_void_p if name in POINTERS else ctypes.c_int64 for name, _ in ARGUMENTS),
+)
+
+
+def run(address: int, out: Array, slots: Array) -> None:
+    """Call a block that needs nothing but rows of slots, (rows, a multiple of `LANES`)."""
+    width = slots.shape[1]
+    rows, results = slots.ctypes.data, out.ctypes.data
+    _CALL(address)(results, width, rows, width, rows, 0, rows, 0, 0, rows, 1, width)
 
 
 # --- calls of blocks from compiled functions ------------------------------------------------------

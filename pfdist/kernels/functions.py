@@ -25,7 +25,7 @@ LARGEST_ANGLE = 3.5e15
 _LN2, _LN2_REST = 0.6931471805599453, 2.3190468138462996e-17
 _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the nearest integer
 _SMALLEST_NORMAL = 2.2250738585072014e-308
-_LARGE = 2.0**1000
+_ROOT = 2.0**500  # squares of larger numbers may be infinite
 
 Pair = tuple[Vector, Vector]  # a sum of two numbers, the second far below the first
 
@@ -65,6 +65,13 @@ def _nan_where(mask: Vector, x: Vector) -> Vector:
     return mask.select(math.nan, x)
 
 
+def _difference(a: Vector, b: Vector) -> Pair:
+    """A difference, and what it loses by rounding."""
+    rest = a - b
+    part = rest - a
+    return rest, (a - (rest - part)) - (b + part)
+
+
 # --- sine, cosine, tangent ----------------------------------------------------------------------
 
 
@@ -78,29 +85,29 @@ def _quarter_turns(x: Vector) -> Pair:
     return shifted.bits("i8"), rest
 
 
-def _sine_part(r: Vector) -> Vector:
-    q = r * r
-    p = _polynomial(
-        q, -7.586094789672621e-13, 1.6058521349954986e-10, -2.5052106167335705e-08,
+def _sine_rest(r: Vector) -> Vector:
+    """(sin r - r) / r^3."""
+    return _polynomial(
+        r * r, -7.586094789672621e-13, 1.6058521349954986e-10, -2.5052106167335705e-08,
         2.7557319219150783e-06, -0.00019841269841264821, 0.008333333333333331, -0.16666666666666666,
     )  # fmt: skip
-    return (r * q).fma(p, r)
 
 
-def _cosine_part(r: Vector) -> Vector:
-    q = r * r
-    p = _polynomial(
-        q, 4.745537017319258e-14, -1.1470455178216906e-11, 2.0876755754879594e-09,
+def _cosine_rest(r: Vector) -> Vector:
+    """(cos r - 1 + r^2 / 2) / r^4."""
+    return _polynomial(
+        r * r, 4.745537017319258e-14, -1.1470455178216906e-11, 2.0876755754879594e-09,
         -2.755731922129809e-07, 2.480158730158451e-05, -0.0013888888888888887, 0.041666666666666664,
     )  # fmt: skip
-    return (q * q).fma(p, q.fma(-0.5, 1.0))
 
 
 def _with_quarter(x: Vector, more: int) -> Vector:
     """The sine of x and of so many more quarter turns."""
     turns, r = _quarter_turns(x)
-    turns = turns + more
-    value = (turns & 1).differs(0).select(_cosine_part(r), _sine_part(r))
+    turns, q = turns + more, r * r
+    sine = (r * q).fma(_sine_rest(r), r)
+    cosine = (q * q).fma(_cosine_rest(r), q.fma(-0.5, 1.0))
+    value = (turns & 1).differs(0).select(cosine, sine)
     value = (value.bits("i8") ^ ((turns & 2) << 62)).bits("f8")
     return _nan_where(~(absolute(x) < LARGEST_ANGLE), value)
 
@@ -117,8 +124,15 @@ def cos(x: Vector) -> Vector:
 
 def tan(x: Vector) -> Vector:
     """The tangent."""
-    turns, r = _quarter_turns(x)
-    sine, cosine = _sine_part(r), _cosine_part(r)
+    shifted = x.fma(0.6366197723675814, _SHIFT)
+    turns, k = shifted.bits("i8"), shifted - _SHIFT
+    first, second = (-k).fma(1.5707963267948966, x), k * 6.123233995736766e-17
+    r, lost = _difference(first, second)  # the remainder, and what it loses by rounding
+    low = lost - k.fma(6.123233995736766e-17, -second) - k * -1.4973849048591698e-33
+    q = r * r
+    sine = r + (r * q).fma(_sine_rest(r), low)
+    high = q.fma(-0.5, 1.0)
+    cosine = high + (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
     is_odd = (turns & 1).differs(0)
     value = is_odd.select(-cosine, sine) / is_odd.select(sine, cosine)
     value = x.equals(0.0).select(x, value)
@@ -244,9 +258,12 @@ def _sum_of(large: Vector, small: Vector, rest: Vector) -> Vector:
 def log1p(x: Vector) -> Vector:
     """log(1 + x)."""
     u = x + 1.0
-    exact = u.equals(1.0) | u.equals(math.inf)
-    value = log(u) * (x / exact.select(1.0, u - 1.0))
-    return exact.select(x, value)
+    large = absolute(x) > 1.0
+    lost = large.select(1.0 - (u - x), x - (u - 1.0))
+    value = log(u) + lost / u
+    return (x.equals(0.0) | ~(u > 0.0) | u.equals(math.inf)).select(
+        u.equals(0.0).select(-math.inf, _nan_where(u < 0.0, x)), value
+    )
 
 
 def expm1(x: Vector) -> Vector:
@@ -262,7 +279,8 @@ def expm1(x: Vector) -> Vector:
     half = whole >> 1
     scale, rest = _power_of_two(half), _power_of_two(whole - half)
     less = scale * rest  # 2^k, infinite for k = 1024 alone
-    small = (less - 1.0) + (r * less + part * less)
+    total, lost = _difference(less - 1.0, -(r * less))
+    small = total + part.fma(less, lost)
     large = (((part + r) + 1.0) * scale - (1.0 / rest)) * rest
     value = whole.equals(0).select(r + part, (whole > 1000).select(large, small))
     value = (absolute(x) < 1e-17).select(x, value)
@@ -325,30 +343,37 @@ def power(x: Vector, y: Vector) -> Vector:
 def cbrt(x: Vector) -> Vector:
     """The cube root."""
     size = absolute(x)
-    third = 1.0 / 3.0
-    guess = power(size, x.number(third))
+    tiny = size < _SMALLEST_NORMAL
+    size = tiny.select(size * 18014398509481984.0, size)  # times 2^54
+    guess = power(size, x.number(1.0 / 3.0))
     guess = guess - (guess * guess * guess - size) / (guess * guess * 3.0)  # a step of Newton's
-    value = copysign(guess, x)
+    value = copysign(tiny.select(guess * 2.0**-18, guess), x)
     return (x.equals(0.0) | ~(size < math.inf)).select(x, value)
 
 
 # --- hyperbolic functions -----------------------------------------------------------------------
 
 
+def _half_exponentials(a: Vector) -> Pair:
+    """E^a / 2 and e^-a / 2; the first is infinite only where e^a / 2 is."""
+    e = exp(_limited(a, 0.0, 709.0))
+    half = exp(a * 0.5)
+    return (a > 709.0).select(half * 0.5 * half, e * 0.5), 0.5 / e
+
+
 def sinh(x: Vector) -> Vector:
     """The hyperbolic sine."""
     a = absolute(x)
-    half = exp(a * 0.5)  # twice, because e^a may be infinite where its half is not
+    up, down = _half_exponentials(a)
     e = expm1(_limited(a, 0.0, 1.0))
-    small = (e + e / (e + 1.0)) * 0.5
-    large = half * 0.5 * half - 0.5 / (half * half)
-    return copysign((a > 1.0).select(large, _is_nan(a).select(a, small)), x)
+    small = e - e * e / (e * 2.0 + 2.0)
+    return copysign((a > 1.0).select(up - down, _is_nan(a).select(a, small)), x)
 
 
 def cosh(x: Vector) -> Vector:
     """The hyperbolic cosine."""
-    half = exp(absolute(x) * 0.5)
-    return half * 0.5 * half + 0.5 / (half * half)
+    up, down = _half_exponentials(absolute(x))
+    return _is_nan(x).select(x, up + down)
 
 
 def tanh(x: Vector) -> Vector:
@@ -377,7 +402,9 @@ def arccosh(x: Vector) -> Vector:
 def arctanh(x: Vector) -> Vector:
     """The inverse hyperbolic tangent."""
     a = absolute(x)
-    return copysign(log1p((a + a) / (1.0 - a)) * 0.5, x)
+    double = a + a
+    ratio = (a < 0.5).select((double * a / (1.0 - a)) + double, double / (1.0 - a))
+    return copysign(log1p(ratio) * 0.5, x)
 
 
 # --- inverse trigonometric functions ------------------------------------------------------------
@@ -431,7 +458,7 @@ def hypot(x: Vector, y: Vector) -> Vector:
     a, b = absolute(x), absolute(y)
     swap = a < b
     low, high = swap.select(a, b), swap.select(b, a)
-    large, small = high > _LARGE, high < 1.0 / _LARGE
+    large, small = high > _ROOT, high < 1.0 / _ROOT
     scale = large.select(2.0**-600, small.select(2.0**600, x.number(1.0)))
     low, high = low * scale, high * scale
     root = low.fma(low, high * high).call("sqrt") / scale
@@ -442,16 +469,43 @@ def hypot(x: Vector, y: Vector) -> Vector:
 # --- division with a remainder, and rounding --------------------------------------------------
 
 
+def _exponent(x: Vector) -> Vector:
+    """The exponent of a number above 0, as an integer."""
+    tiny = x < _SMALLEST_NORMAL
+    bits = tiny.select(x * 18014398509481984.0, x).bits("i8") >> 52  # times 2^54
+    return bits - tiny.select(bits.number(54), bits.number(0))
+
+
+def _reduced(a: Vector, b: Vector) -> Vector:
+    """The remainder of a / b, for a of 0 or more and b above 0: exact in a few steps.
+
+    A step takes off multiples of b, or of b times a power of two, of which a holds up to 2^50.
+    """
+    builder, before = a.builder, a.builder.block
+    step, behind = builder.append_basic_block("step"), builder.append_basic_block("behind")
+    builder.branch(step)
+    builder.position_at_end(step)
+    rest = Vector(builder, builder.phi(a.value.type), "f8")
+    rest.value.add_incoming(a.value, before)
+    gap = _exponent(rest) - _exponent(b) - 50
+    multiple = _scaled(b, (gap > 0).select(gap, gap.number(0)))
+    following = (-(rest / multiple).call("trunc")).fma(multiple, rest)
+    following = (following < 0.0).select(following + multiple, following)
+    following = (following >= multiple).select(following - multiple, following)
+    following = (rest < b).select(rest, following)
+    rest.value.add_incoming(following.value, builder.block)
+    builder.cbranch((following >= b).count().differs(0).value, step, behind)
+    builder.position_at_end(behind)
+    return following
+
+
 def fmod(x: Vector, y: Vector) -> Vector:
     """The remainder of x / y, with the sign of x."""
     a, b = absolute(x), absolute(y)
-    rest = a - (a / b).call("trunc") * b
-    quotient = (a / b).call("trunc")
-    rest = (-quotient).fma(b, a)
-    rest = (rest < 0.0).select(rest + b, rest)
-    rest = (rest >= b).select(rest - b, rest)
-    rest = (a < b).select(a, rest)
-    return _nan_where(_is_nan(a) | a.equals(math.inf) | b.equals(0.0), copysign(rest, x))
+    usual = (a < math.inf) & (b > 0.0) & (b < math.inf)
+    rest = _reduced(usual.select(a, a.number(0.0)), usual.select(b, b.number(1.0)))
+    rest = usual.select(rest, b.equals(math.inf).select(a, a.number(math.nan)))
+    return copysign(_nan_where(~(a < math.inf) | _is_nan(y), rest), x)
 
 
 def remainder(x: Vector, y: Vector) -> Vector:
@@ -482,12 +536,12 @@ def sign(x: Vector) -> Vector:
 
 def maximum(x: Vector, y: Vector) -> Vector:
     """The larger number; NaN where one is not a number."""
-    return _nan_where(_is_nan(x) | _is_nan(y), (x >= y).select(x, y))
+    return _nan_where(_is_nan(x) | _is_nan(y), (x > y).select(x, y))
 
 
 def minimum(x: Vector, y: Vector) -> Vector:
     """The smaller number; NaN where one is not a number."""
-    return _nan_where(_is_nan(x) | _is_nan(y), (x <= y).select(x, y))
+    return _nan_where(_is_nan(x) | _is_nan(y), (x < y).select(x, y))
 
 
 def _of_llvm(name: str) -> Callable[[Vector], Vector]:
@@ -501,8 +555,8 @@ FUNCTIONS: dict[str, Callable[..., Vector]] = {
     "floor": _of_llvm("floor"), "ceil": _of_llvm("ceil"), "trunc": _of_llvm("trunc"),
     "rint": _of_llvm("rint"), "sign": sign, "copysign": copysign,
     "maximum": maximum, "minimum": minimum,
-    "fmax": lambda x, y: _is_nan(x).select(y, _is_nan(y).select(x, (x >= y).select(x, y))),
-    "fmin": lambda x, y: _is_nan(x).select(y, _is_nan(y).select(x, (x <= y).select(x, y))),
+    "fmax": lambda x, y: _is_nan(x).select(y, _is_nan(y).select(x, (x > y).select(x, y))),
+    "fmin": lambda x, y: _is_nan(x).select(y, _is_nan(y).select(x, (x < y).select(x, y))),
     "fmod": fmod, "remainder": remainder, "floor_divide": floor_divide,
     **{function.__name__: function for function in (
         power, cbrt, exp, exp2, expm1, log, log2, log10, log1p, sin, cos, tan, arcsin, arccos,

@@ -8,7 +8,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
@@ -179,9 +179,8 @@ def machine_code(halves: tuple[Half, ...]) -> Code:
     return Code(halves)
 
 
-@cache
 def _machine() -> Any:
-    """The processor for which Numba compiles, too."""
+    """The processor for which Numba compiles, too; an engine owns the object that it gets."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     name, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES
@@ -199,14 +198,15 @@ ARGUMENTS = (
     *(("given", _DOUBLE), ("draw_stride", _INDEX), ("component_stride", _INDEX)),
     *(("shared", _DOUBLE), ("draws", _INDEX), ("width", _INDEX)),
 )
-"""Arguments of a block; those that are no index are addresses of arrays.
+"""Arguments of a block.
 
 Component c of the particle i of draw d is ``slots[c * slots_stride + d * width + i]``, and the same
 holds for noise and results. ``given[d * draw_stride + c * component_stride]`` is that of a draw.
 """
-_POINTERS = ("out", "slots", "noise", "given", "shared")
+POINTERS = ("out", "slots", "noise", "given", "shared")
+"""Those that are addresses of arrays."""
 FUNCTION = ir.FunctionType(
-    ir.VoidType(), [kind.as_pointer() if name in _POINTERS else kind for name, kind in ARGUMENTS]
+    ir.VoidType(), [kind.as_pointer() if name in POINTERS else kind for name, kind in ARGUMENTS]
 )
 
 
