@@ -156,11 +156,7 @@ class Code:
     """The machine code of some functions, which lives as long as this object."""
 
     def __init__(self, halves: tuple[Half, ...]) -> None:
-        module = ir.Module("blocks")
-        module.triple = llvm.get_process_triple()
-        for number, half in enumerate(halves):
-            _Function(module, f"block{number}", half).write()
-        parsed, machine = llvm.parse_assembly(str(module)), _machine()
+        parsed, machine = llvm.parse_assembly(str(module_of(halves))), _machine()
         options = llvm.create_pipeline_tuning_options(speed_level=2)
         options.loop_vectorization = options.slp_vectorization = False
         passes = llvm.create_pass_builder(machine, options)
@@ -171,6 +167,15 @@ class Code:
             half: self._engine.get_function_address(f"block{number}")
             for number, half in enumerate(halves)
         }
+
+
+def module_of(halves: tuple[Half, ...]) -> ir.Module:
+    """LLVM's module of a function for each half of a program."""
+    module = ir.Module("blocks")
+    module.triple = llvm.get_process_triple()
+    for number, half in enumerate(halves):
+        _Function(module, f"block{number}", half).write()
+    return module
 
 
 @lru_cache(maxsize=_MOST_COMPILED)

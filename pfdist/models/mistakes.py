@@ -19,7 +19,7 @@ _LONGEST = 500  # characters of an error's text
 _PACKAGE = Path(__file__).parents[1]
 _MACHINERY = {
     *("__init__", "base", "carried", "checks", "fingerprint", "loader", "mistakes"),
-    *("parameters", "seeing", "syntax"),
+    *("parameters", "program", "seeing", "symbols", "syntax", "tracing"),
 }  # the modules of pfdist.models that are no models
 _STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
 # Other installed packages may be the user's own, with models in them.

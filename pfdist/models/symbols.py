@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from pfdist.models.program import MASKS, Operation, Program
+from pfdist.models.program import take as take_entries
 
 MOST_OPERATIONS: Final = 50_000
 _NUMBERS = (bool, int, float, np.number, np.bool_)
@@ -118,7 +119,7 @@ class Symbol:
     def __index__(self) -> int:
         raise RefusedError(
             "an index, range or repetition by a value of particles: write "
-            "np.take(table, value.astype(int))"
+            "take(table, value.astype(int))"
         )
 
     def __round__(self, digits: int | None = None) -> Any:
@@ -126,17 +127,11 @@ class Symbol:
 
     def __hash__(self) -> int:
         raise RefusedError(
-            "a value of particles as a key: write np.take(table, value.astype(int)) or pfdist.where"
+            "a value of particles as a key: write take(table, value.astype(int)) or pfdist.where"
         )
 
     def __iter__(self) -> Any:
         raise RefusedError("a loop over, or the parts of, a value of particles: it is one number")
-
-    def __len__(self) -> int:
-        raise RefusedError("the length of a value of particles: it is one number")
-
-    def __getitem__(self, index: Any) -> Any:
-        raise RefusedError("an index of a value of particles: it is one number")
 
     def __array__(self, *arguments: Any, **keywords: Any) -> Any:
         if arguments and np.dtype(arguments[0]) != object:
@@ -425,19 +420,36 @@ def _clip(value: Any, low: Any = None, high: Any = None, **limits: Any) -> Any:
     return value if high is None else np.minimum(value, high)
 
 
-def _take(table: Any, index: Any, axis: int | None = None, **_: Any) -> Any:
-    """Entries of a table by a whole number; NaN where it lies outside."""
+def take(table: Any, index: Any, axis: int | None = None) -> Any:
+    """Entries of a table by whole numbers; NaN where these lie outside.
+
+    NumPy does not hand its own ``take`` over to an index that is a symbol.
+
+    Parameters
+    ----------
+    table : array of float
+        With one dimension, or two.
+    index : int, or array of int
+    axis : int, optional
+        Axis of a table with two dimensions, of which a row or column is taken; by default the
+        index counts all entries, row by row.
+
+    Returns
+    -------
+    float or array
+        Of a row, an array of its entries.
+    """
     values = np.asarray(table)
     if axis is not None and values.ndim > 1:
         rows = np.moveaxis(values, axis, 0)
         columns = rows.reshape(len(rows), -1).T
-        taken = np.array([_take(column, index) for column in columns], object)
+        taken = np.array([take(column, index) for column in columns], object)
         return taken.reshape(rows.shape[1:])
-    if not _is_whole(index):
-        raise RefusedError("an index must be a whole number: write np.take(table, x.astype(int))")
-    if not isinstance(index, Symbol):
-        return np.take(values, index)
     flat = values.ravel()
+    if not isinstance(index, Symbol):
+        return take_entries(flat, index)
+    if not _is_whole(index):
+        raise RefusedError("an index must be a whole number: write take(table, x.astype(int))")
     if flat.dtype == object:
         if flat.size > _LARGEST_TABLE:
             raise RefusedError(
@@ -458,10 +470,10 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
     step = 1 << max(0, knots.size - 1).bit_length()
     while step:
         following = place + step
-        place = choose(_take(knots, following) <= x, following, place)
+        place = choose(take(knots, following) <= x, following, place)
         place.kind = "whole"
         step >>= 1
-    found = _take(slopes, place) * (x - _take(knots, place)) + _take(values, place)
+    found = take(slopes, place) * (x - take(knots, place)) + take(values, place)
     found = choose(x < knots[0], values[0] if left is None else left, found)
     return choose(x > knots[-1], values[-1] if right is None else right, found)
 
@@ -523,7 +535,7 @@ UFUNCS: dict[str, Callable[..., Any]] = {
 """What is recorded for each universal function of NumPy."""
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "where": choose, "select": _select, "clip": _clip, "take": _take, "interp": _interp,
+    "where": choose, "select": _select, "clip": _clip, "interp": _interp,
     "round": _round, "around": _round, "ndim": lambda _: 0, "shape": lambda _: (),
     "size": lambda *_: 1, "real": lambda x: x,
 }  # fmt: skip

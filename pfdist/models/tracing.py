@@ -93,7 +93,9 @@ class Formula:
         """The program of one call at the instant t."""
         recording = Recording()
         given = [self._given(name, count, recording, mode, t) for name, count in self._items]
-        return recording.closed(self._outputs(self.function(*given)))
+        with np.errstate(all="ignore"):  # as in the compiled program
+            value = self.function(*given)
+        return recording.closed(self._outputs(value))
 
     @property
     def _items(self) -> Any:
@@ -305,6 +307,8 @@ def _check_limits(formula: Formula, structures: int, size: int) -> None:
 def _explained(formula: Formula, error: Exception, t: int | None = None) -> TraceError:
     """The error of a formula in one line, with t, the user's line and what to write instead."""
     what = str(error) if isinstance(error, RefusedError) else f"{error_line(error)}{remedy(error)}"
+    if isinstance(error, IndexError) and "only integers" in str(error):
+        what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"
     at = "" if t is None else f" at t = {t}"
     return TraceError(
         f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from oracles import keyed
 from pfdist.kernels.ancestors import ancestors_of, weights_of
 from pfdist.kernels.schemes import ALL_SCHEMES
-from tests.oracles import keyed
 
 STREAM, KEY = 0xFEDCBA9876543210, 5
 SIZES = (1, 2, 15, 16, 17, 100, 500, 1000)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from oracles.computed import computed
 from pfdist.kernels.functions import LARGEST_ANGLE
-from tests.oracles.computed import computed
 
 SPECIAL = np.array(
     [

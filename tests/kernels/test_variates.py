@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from oracles import keyed
 from pfdist.kernels.variates import FILTER_PROCESS, KINDS, TRUTH_INITIAL, variates
-from tests.oracles import keyed
 
 STREAM = 0x0123456789ABCDEF
-# The published vectors of Threefry-4x32 with 13 rounds: counter, key, result (Random123, kat_vectors)
+# The published vectors of Threefry-4x32 with 13 rounds (Random123): counter, key, result
 PUBLISHED = (
     ((0,) * 4, (0,) * 4, (0x531C7E4F, 0x39491EE5, 0x2C855A92, 0x3D6ABF9A)),
     ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 4, (0xC4189358, 0x1C9CC83A, 0xD5881C67, 0x6A0A89E0)),

@@ -1,0 +1,117 @@
+"""Blocks: programs as machine code have the values of their plain twins, on every processor."""
+
+import re
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from oracles.clocked import with_clock
+from oracles.computed import called
+from pfdist import load_model
+from pfdist.kernels.blocks import Source, compile_blocks
+from pfdist.kernels.lowering import Half, module_of, split
+from pfdist.models.program import Operation, Program, merged
+from pfdist.models.tracing import Formula, trace
+
+MODELS = ("ungm", "bearings_only", "robot", "lotka_volterra", "epidemic_counts", "xray_tumour")
+LAYOUT = {"x": ("slots", 0), "w": ("noise", 0), "y": ("given", 0)}
+
+
+def formulas_of(model):
+    n, m, _ = model.components
+    yield "transition", model.transition, {"x": n, "t": 0, "w": len(model.process_noise), "p": 0}
+    yield "quantity_of_interest", model.quantity_of_interest, {"x": n, "t": 0, "p": 0}
+    yield "log_likelihood", model.log_likelihood, {"y": m, "x": n, "t": 0, "p": 0}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_block_has_the_values_of_the_plain_twin(name):
+    """At three instants, for 40 particles of each of two draws.
+
+    Elementary functions of both are within 2 units in the last place; the tolerance allows for a
+    hundred of them, and for a difference of terms that are 1,000 times larger.
+    """
+    model, rng = with_clock(load_model(name), 20), np.random.default_rng(1)
+    x, w = rng.uniform(0.2, 1.5, size=(8, 2, 48)), rng.normal(size=(8, 2, 48)).astype(np.float32)
+    y = rng.uniform(0.2, 1.5, size=(2, 8))
+    for key, function, arguments in formulas_of(model):
+        formula = Formula(function, key, arguments, model.parameters, name)
+        source = Source(trace(formula, range(20)), LAYOUT, model.parameters)
+        compiled = compile_blocks([source], range(20))
+        for t in (0, 7, 19):
+            got = called(compiled.blocks, t, x, w, y, len(source.traced.programs[0].outputs))
+            groups = {"x": x, "w": w.astype(float), "y": y.T[:, :, None]}
+            expected = source.traced.values(groups, t, model.parameters)
+            for row, values in zip(got, expected, strict=True):
+                with np.errstate(invalid="ignore"):
+                    apart = np.abs(row - values) / (1e3 * np.maximum(np.abs(values), 1.0))
+                assert np.nanmax(apart) < 200 * np.finfo(float).eps
+                np.testing.assert_array_equal(np.isnan(row), np.isnan(values))
+
+
+def test_a_program_of_single_instants_reads_its_constants():
+    table = {t: 1.5**t for t in range(6)}
+
+    def transition(x, t, w, p):
+        return (x[0] * table[t] if t % 2 else x[0] + table[t],)
+
+    formula = Formula(transition, "transition", {"x": 1, "t": 0, "w": 1, "p": 0}, {}, "mine")
+    compiled = compile_blocks([Source(trace(formula, range(6)), LAYOUT, {})], range(6))
+    x = np.arange(96.0).reshape(1, 2, 48)
+    for t in range(6):
+        (got,) = called(compiled.blocks, t, x, x.astype(np.float32), np.zeros((2, 1)), 1)
+        np.testing.assert_array_equal(got, x[0] * table[t] if t % 2 else x[0] + table[t])
+
+
+def test_what_all_particles_share_is_not_computed_for_each():
+    """A reciprocal of a shared number replaces a division, unless it would have fewer digits."""
+    operations = (
+        Operation("x", (), 0), Operation("t"), Operation("cos", (1,)), Operation("divide", (0, 2)),
+    )  # fmt: skip
+    program = merged(Program(operations, (3,), np.empty((1, 0))))
+    names = [each.name for each in split(program, LAYOUT).particles.operations]
+    assert names == ["slots", "shared", "multiply"]
+    names = [each.name for each in split(program, LAYOUT, exact=True).particles.operations]
+    assert names == ["slots", "shared", "divide"]
+
+    def transition(x, t, w, p):
+        return (x[0] / p.tiny,)
+
+    for tiny in (1e-3, 3e-310):
+        formula = Formula(
+            transition, "transition", {"x": 1, "t": 0, "w": 1, "p": 0}, {"tiny": tiny}, "mine"
+        )
+        source = Source(trace(formula, range(1)), LAYOUT, {"tiny": tiny})
+        x = np.full((1, 2, 48), 1.7e-300)
+        blocks = compile_blocks([source], range(1)).blocks
+        (got,) = called(blocks, 0, x, x.astype(np.float32), np.zeros((2, 1)), 1)
+        np.testing.assert_allclose(got, x[0] / tiny, rtol=4e-16)
+
+
+@pytest.mark.parametrize(
+    ("triple", "processor"),
+    [("aarch64-unknown-linux-gnu", "neoverse-n1"), ("x86_64-unknown-linux-gnu", "haswell")],
+)
+def test_machine_code_calls_no_library(triple, processor):
+    """So the last digit does not depend on the C library."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    halves = []
+    for name in MODELS:
+        model = with_clock(load_model(name), 3)
+        for key, function, arguments in formulas_of(model):
+            formula = Formula(function, key, arguments, model.parameters, name)
+            (program, *_) = trace(formula, range(3)).programs
+            halves += split(merged(program), LAYOUT)[::2]
+    module = module_of(tuple(dict.fromkeys(each for each in halves if each.outputs)))
+    module.triple = triple
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=processor, opt=2)
+    assembly = machine.emit_assembly(llvm.parse_assembly(str(module)))
+    assert "ret" in assembly
+    assert not re.findall(r"^\s+(?:bl|call\w*)\s+\S+", assembly, re.MULTILINE)
+
+
+def test_equal_functions_share_their_machine_code():
+    half = Half((Operation("slots", (), 0),), (0,), ())
+    assert half == Half((Operation("slots", (), 0),), (0,), ())

@@ -1,0 +1,376 @@
+"""Tracing: what a formula computes becomes a program; what cannot be traced has a clear error."""
+
+import math
+import random
+import types
+
+import numpy as np
+import pandas as pd
+import pytest
+from numba import njit
+
+from oracles.clocked import with_clock
+from pfdist import load_model
+from pfdist.densities import gamma_logpdf, poisson_draw
+from pfdist.elementwise import clip, where
+from pfdist.errors import TraceError
+from pfdist.models.checks import ARGUMENTS
+from pfdist.models.program import Operation, Program, evaluate, merged
+from pfdist.models.symbols import take
+from pfdist.models.tracing import MODES, Formula, trace
+
+SYMBOLS, T_NUMBER, NUMBERS = MODES
+SHIPPED = (
+    *("bearings_only", "constant_velocity", "epidemic", "epidemic_counts", "linear_gaussian"),
+    *("lorenz63", "lotka_volterra", "pharmacokinetics", "random_walk", "robot"),
+    *("stochastic_volatility", "tumour", "two_compartments", "ungm", "ungm_gordon", "xray_tumour"),
+)
+RATE = tuple(0.5 + 0.1 * t for t in range(8))
+
+
+def traced(function, instants=range(8), parameters=None, **sizes):
+    sizes = sizes or {"x": 2, "t": 0, "w": 1, "p": 0}
+    given = {"sd": 2.0, "rate": RATE} if parameters is None else parameters
+    formula = Formula(function, "transition", sizes, given, "mine")
+    return trace(formula, instants), given
+
+
+def values(function, t, x=(0.5, -1.5), w=(0.25,)):
+    """The values of the program for two particles at t, and those of the formula, one by one."""
+    result, given = traced(function)
+    p = types.SimpleNamespace(**{k: np.asarray(v) for k, v in given.items()})
+    particles = [(np.array(x) + k, np.array(w) - k) for k in range(2)]
+    x, w = (np.stack(each, axis=1) for each in zip(*particles, strict=True))
+    got = result.values({"x": x, "w": w}, t, given)
+    with np.errstate(all="ignore"):
+        expected = [function(tuple(a), t, tuple(b), p) for a, b in particles]
+    return _broadcast(got, 2), np.array(expected, float).T
+
+
+# --- the models that ship -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_each_model_that_ships_is_traced_with_symbols_alone(name):
+    """On a clock of uneven steps; the twin and the merged program have the formula's values."""
+    rng = np.random.default_rng(3)
+    for part in with_clock(load_model(name), 30).parts:
+        model, (n, m, q) = part.model, part.model.components
+        sizes = {"x": n, "y": m, "z": q, "estimate": q, "t": 0, "p": 0}
+        sizes |= {"v": len(model.measurement_noise), "u": len(model.proposal_variates)}
+        for key, function in model.formulas.items():
+            sizes["w"] = len(model.initial_noise if key == "initial" else model.process_noise)
+            arguments = {each: sizes[each] for each in ARGUMENTS[key]}
+            result = trace(Formula(function, key, arguments, model.parameters, name), range(30))
+            assert result.mode == SYMBOLS
+            groups = {
+                each: tuple(rng.normal(size=(count, 20)) * 1.3)
+                for each, count in arguments.items() if each not in "tp"
+            }  # fmt: skip
+            for t in (0, 7, 29):
+                with np.errstate(all="ignore"):
+                    expected = function(
+                        *(t if a == "t" else model.p if a == "p" else groups[a] for a in arguments)
+                    )
+                expected = expected if isinstance(expected, tuple) else (expected,)
+                got = result.values(groups, t, model.parameters)
+                got, expected = _broadcast(got, 20), _broadcast(expected, 20)
+                np.testing.assert_allclose(got, expected, rtol=1e-12)
+                same = evaluate(merged(result.programs[0]), groups, t, model.parameters)
+                np.testing.assert_array_equal(_broadcast(same, 20), got)
+
+
+def _broadcast(components, particles):
+    return np.stack([np.broadcast_to(each, particles) for each in components])
+
+
+# --- what may be written --------------------------------------------------------------------------
+
+TABLE = {t: 1.0 / (1 + t) for t in range(8)}
+FRAME = pd.DataFrame({"rate": np.linspace(1.0, 2.0, 8)})
+LEVELS = np.array([3.0, 1.0, 4.0, 1.5])
+MATRIX = np.array([[1.0, 0.5], [-0.25, 0.75]])
+TWO_LEVELS = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+
+
+@njit
+def helper(a, b):
+    return a * b + math.exp(0.5)
+
+
+def by_dictionary(x, t, w, p):
+    return (x[0] * TABLE[t], x[1] + w[0])
+
+
+def by_frame(x, t, w, p):
+    return (x[0] * FRAME["rate"][t], x[1] + w[0])
+
+
+def by_math(x, t, w, p):
+    return (x[0] + math.cos(t), x[1] * p.sd + w[0])
+
+
+def by_branch_on_t(x, t, w, p):
+    if t % 3 == 0:
+        return (x[0] + w[0], x[1])
+    return (x[0] * p.sd, x[1] - w[0])
+
+
+def by_neighbour(x, t, w, p):
+    return (x[0] * p.rate[t - 1], x[1] + p.rate[t] * w[0])
+
+
+def by_branch_on_parameter(x, t, w, p):
+    return (x[0] + w[0], x[1] if p.sd > 1 else x[0])
+
+
+def by_generator(x, t, w, p):
+    return tuple(a * k + w[0] for k, a in enumerate(x))
+
+
+def by_tuple_of_list(x, t, w, p):
+    return tuple([where(a > 0, a, -a) + w[0] for a in x])
+
+
+def by_matrix(x, t, w, p):
+    return MATRIX @ np.array(x) + np.array([w[0], 0.0])
+
+
+def by_stack(x, t, w, p):
+    state = np.stack([x[0], x[1]])
+    return (np.sum(MATRIX[0] * state), np.dot(MATRIX[1], state) + w[0])
+
+
+def by_functions(x, t, w, p):
+    a = np.exp(-abs(x[0])) + np.log1p(x[1] ** 2) + np.tanh(x[0]) ** 3 + np.hypot(x[0], x[1])
+    b = np.clip(x[1], -1.0, 1.0) + clip(x[0], 0.0, 1.0) + x[0] % 0.7 + x[1] // 0.3
+    c = np.select([x[0] > 1, x[0] > 0], [x[1], 2 * x[1]], 7.0) + np.round(x[0], 1)
+    return (a + c, b + np.logaddexp(x[0], x[1]) + np.degrees(w[0]) + 2.0 ** x[0])
+
+
+def by_masks(x, t, w, p):
+    both = (x[0] > 0) & ~(x[1] > 0) | (np.isnan(x[0]) ^ (x[1] < -1))
+    return (both * x[0] + (x[1] != 0), np.where(both, x[1], w[0]))
+
+
+def by_table(x, t, w, p):
+    return (take(LEVELS, np.abs(x[0]).astype(int)), np.interp(x[1], [-1, 0, 1], [2, 0, 5]))
+
+
+def by_table_of_two_dimensions(x, t, w, p):
+    row = take(TWO_LEVELS, (x[0] > 0).astype(int), axis=0)
+    return (row[0] + row[2], x[1] + w[0])
+
+
+def by_densities(x, t, w, p):
+    y = 1.0 + x[0] ** 2
+    return (gamma_logpdf(y, 2.0, 3.0) + x[1], poisson_draw(0.5 + 0.1 * np.tanh(w[0]), y))
+
+
+WRITTEN = {
+    by_dictionary: T_NUMBER, by_frame: T_NUMBER, by_math: T_NUMBER, by_branch_on_t: T_NUMBER,
+    by_neighbour: T_NUMBER, by_branch_on_parameter: NUMBERS, by_generator: SYMBOLS,
+    by_tuple_of_list: SYMBOLS, by_matrix: SYMBOLS, by_functions: SYMBOLS, by_masks: SYMBOLS,
+    by_stack: SYMBOLS, by_table: SYMBOLS, by_table_of_two_dimensions: SYMBOLS,
+    by_densities: SYMBOLS,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("function", WRITTEN)
+def test_a_formula_may_be_written_so(function):
+    """The program has the values of the formula on arrays, with as many symbols as possible."""
+    assert traced(function)[0].mode == WRITTEN[function]
+    for t in (1, 3, 5):
+        got, expected = values(function, t)
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+
+
+def test_small_matrices_are_elementwise_in_particles():
+    """NumPy would sum over arrays of particles, too; a traced formula has one particle."""
+    x, w = (np.array([1.0, 2.0]), np.array([3.0, -1.0])), (np.array([0.5, 0.25]),)
+    result, given = traced(by_stack)
+    first, second = result.values({"x": x, "w": w}, 1, given)
+    np.testing.assert_allclose(first, MATRIX[0, 0] * x[0] + MATRIX[0, 1] * x[1])
+    np.testing.assert_allclose(second, MATRIX[1, 0] * x[0] + MATRIX[1, 1] * x[1] + w[0])
+    result, given = traced(by_table_of_two_dimensions)
+    first, _ = result.values({"x": x, "w": w}, 1, given)
+    np.testing.assert_allclose(first, 4.0 + 6.0)
+
+
+def test_an_index_outside_a_table_gives_nan():
+    result, given = traced(by_table)
+    inside = np.array([0.2, 3.9, 4.0, -0.5, -5.2, np.nan, np.inf])
+    x = np.where(inside < 0, inside - 10, inside), np.zeros(7)
+    got, _ = result.values({"x": x, "w": (np.zeros(7),)}, 1, given)
+    np.testing.assert_array_equal(got, [3.0, 1.5] + [np.nan] * 5)
+
+
+def test_a_class_and_a_jitted_helper_may_be_used():
+    class Satellite:
+        def __init__(self, steps):
+            self.steps = steps
+
+        def slope(self, state):
+            return np.array([state[1], -state[0] / (1.0 + state @ state)])
+
+        def __call__(self, x, t, w, p):
+            state, h = np.array(x), 1.0 / self.steps
+            for _ in range(self.steps):  # Runge-Kutta
+                a = self.slope(state)
+                b = self.slope(state + 0.5 * h * a)
+                c = self.slope(state + 0.5 * h * b)
+                state = state + h / 6 * (a + 2 * b + 2 * c + self.slope(state + h * c))
+            return state + np.array([0.0, w[0]])
+
+    result, _ = traced(Satellite(3))
+    assert result.mode == SYMBOLS
+    x = np.array([1.0]), np.array([0.25])
+    got = result.values({"x": x, "w": (np.array([0.5]),)}, 0, {})
+    expected = Satellite(3)((1.0, 0.25), 0, (0.5,), None)
+    np.testing.assert_allclose(np.concatenate(got), expected, rtol=1e-12)
+
+
+def test_programs_of_instants_with_the_same_operations_are_one():
+    result, _ = traced(by_dictionary)
+    (program,) = result.programs
+    np.testing.assert_array_equal(result.row, np.arange(8))
+    varying = (program.constants != program.constants[0]).any(axis=0)
+    np.testing.assert_allclose(program.constants[:, varying].ravel(), [*TABLE.values()])
+    two, _ = traced(by_branch_on_t)
+    np.testing.assert_array_equal(two.which, [0, 1, 1, 0, 1, 1, 0, 1])
+
+
+def test_merging_changes_no_value_and_keeps_different_columns_apart():
+    """a[t] x + b[t] x has one structure also where a[t] = b[t]."""
+    operations = (
+        Operation("x", (), 0), Operation("constant", (), 0), Operation("constant", (), 1),
+        Operation("multiply", (0, 1)), Operation("multiply", (0, 2)), Operation("add", (3, 4)),
+        Operation("sin", (0,)),
+    )  # fmt: skip
+    same = merged(Program(operations, (5,), np.array([[1.0, 1.0], [2.0, 2.0]])))
+    apart = merged(Program(operations, (5,), np.array([[1.0, 1.0], [2.0, 3.0]])))
+    assert [len(each.operations) for each in (same, apart)] == [4, 6]  # without the sine
+    for program, expected in ((same, 4.0 * 5), (apart, 5.0 * 5)):
+        assert evaluate(program, {"x": [5.0]}, 1, {}, 1) == (expected,)
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+STATE = {"calls": 0}
+
+
+def counts_calls(x, t, w, p):
+    STATE["calls"] += 1
+    return (x[0] + STATE["calls"], x[1])
+
+
+def is_random(x, t, w, p):
+    return (x[0] + random.random(), x[1])
+
+
+def branches(x, t, w, p):
+    if x[0] > 0:
+        return (x[0], x[1])
+    return (x[1], x[0])
+
+
+def chains(x, t, w, p):
+    return (x[0] * (0 < x[0] < 1), x[1])
+
+
+def takes_minimum(x, t, w, p):
+    return (min(x[0], x[1]), x[1])
+
+
+def takes_sine(x, t, w, p):
+    return (math.sin(x[0]), x[1])
+
+
+def indexes(x, t, w, p):
+    return (LEVELS[x[0].astype(int)], x[1])
+
+
+def looks_up(x, t, w, p):
+    return (TABLE[x[0]], x[1])
+
+
+def loops(x, t, w, p):
+    while x[0] < 1:
+        x = (2 * x[0], x[1])
+    return x
+
+
+def assigns(x, t, w, p):
+    state = np.zeros(2)
+    state[0] = x[0]
+    return state
+
+
+def rounds(x, t, w, p):
+    return (round(x[0]), x[1])
+
+
+def divides_by_zero(x, t, w, p):
+    return (x[0] * TABLE[t], x[1] / (t - 3) + 1 / (t - 3))
+
+
+def never_ends(x, t, w, p):
+    a = x[0]
+    while True:
+        a = a + 1.0
+
+
+def gives_text(x, t, w, p):
+    return ("x", x[1])
+
+
+REFUSED = {
+    counts_calls: "must compute the same whenever it is called",
+    is_random: "takes randomness from the noise it is given",
+    branches: "pfdist.where(condition, a, b)",
+    chains: "0 < x < 1",
+    takes_minimum: "np.minimum",
+    takes_sine: "np.sin and not math.sin",
+    indexes: "it is take(table, value.astype(int))",
+    looks_up: "take(table, value.astype(int))",
+    loops: "pfdist.where(condition, a, b)",
+    assigns: "np.array([a, b])",
+    rounds: "np.round",
+    divides_by_zero: "at t = 3: ZeroDivisionError",
+    never_ends: "at most 50,000 operations",
+    gives_text: "must give numbers, got str",
+}
+
+
+@pytest.mark.parametrize("function", REFUSED)
+def test_what_cannot_be_traced_is_named_with_its_line(function):
+    with pytest.raises(TraceError) as caught:
+        traced(function)
+    message = str(caught.value)
+    assert REFUSED[function] in message
+    assert message.startswith("model mine: transition ")
+    assert "\n" not in message
+    if function not in (counts_calls, is_random, gives_text):
+        first = function.__code__.co_firstlineno
+        assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
+        assert "filter.engine = 'numpy'" in message
+
+
+def test_a_value_kept_from_another_call_is_an_error():
+    kept = []
+
+    def keeps(x, t, w, p):
+        kept.append(x[0])
+        return (kept[0] + w[0], x[1])
+
+    with pytest.raises(TraceError, match="kept from another call"):
+        traced(keeps)
+
+
+def test_too_many_structures_are_refused():
+    def differs(x, t, w, p):
+        return (sum([x[0]] * (t + 1)), x[1])
+
+    assert len(traced(differs, range(32))[0].programs) == 32
+    with pytest.raises(TraceError, match="at most 32 different things"):
+        traced(differs, range(33))
