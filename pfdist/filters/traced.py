@@ -209,6 +209,7 @@ def _filter(
         draws.y,
         draws.z,
         np.array([part.y.start for part in model.parts]),
+        model.components[0],
         settings.particles,
         list(ALL_SCHEMES).index(scheme.name),
         scheme.sorts,

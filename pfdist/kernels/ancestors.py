@@ -165,10 +165,10 @@ def _weigh(
 
 @compiled
 def weigh(log_weight, origin, width, particles, weight, cumulative):
-    """Compute weights and cumulative weights of a draw, and return their total.
+    """Compute weights and cumulative weights of a draw, and return the sum of the weights.
 
-    The largest weight is 1. Only finite log-weights count. If there is none, the total is 0, and
-    the weights are left as they are. Log-weights behind the last particle are changed.
+    The largest weight is 1. Only finite log-weights count. If there is none, the sum is 0, and the
+    weights are left as they are. Log-weights behind the last particle are changed.
     """
     if particles < width:
         _leave_out(log_weight, origin + width - LANES, particles - width + LANES)
@@ -181,24 +181,37 @@ def weigh(log_weight, origin, width, particles, weight, cumulative):
     carry = _numbers(0.0)
     for i in range(origin, origin + width, np.int64(LANES)):
         carry = _weigh(carry, log_weight, i, largest, weight, cumulative)
-    return _total(carry) / LANES
+    return sum_of_weights(weight, origin, width)
+
+
+@vectorised("16 f8")
+def _add_weights(total: Vector, weight: Array, i: Vector) -> Vector:
+    return total + weight.load(i, LANES).to("f8")
+
+
+@compiled
+def sum_of_weights(weight, origin, width):
+    """The sum of the weights of a draw."""
+    total = _numbers(0.0)
+    for i in range(origin, origin + width, np.int64(LANES)):
+        total = _add_weights(total, weight, i)
+    return _total(total)
 
 
 @vectorised("16 f8")
 def _cumulate(carry: Vector, weight: Array, i: Vector, cumulative: Array, zero: Vector) -> Vector:
     """Cumulative sums of some weights from those before."""
-    sums = _prefix(weight.load(i, LANES), zero.to("f4")).to("f8")
-    cumulative.store(i, sums + carry)
-    return carry + splat(sums.lane(LANES - 1), LANES)
+    sums = _prefix(weight.load(i, LANES), zero.to("f4"))
+    cumulative.store(i, sums.to("f8") + carry)
+    return carry + splat(sums.lane(LANES - 1).to("f8"), LANES)
 
 
 @compiled
 def cumulate(weight, origin, width, cumulative):
-    """Compute cumulative weights of a draw, and return their total, with the bits of `weigh`."""
+    """Compute cumulative weights of a draw, with the bits of `weigh`."""
     carry = _numbers(0.0)
     for i in range(origin, origin + width, np.int64(LANES)):
         carry = _cumulate(carry, weight, i, cumulative, 0.0)
-    return _total(carry) / LANES
 
 
 @vectorised("16 f8")
@@ -445,7 +458,7 @@ def _merge_two(scratch, count, to, other):
 
 @compiled
 def find_ancestors(
-    scheme, cumulative, total, resamples, stream, first, key, draws, width, particles, scratch
+    scheme, cumulative, resamples, stream, first, key, draws, width, particles, scratch
 ):
     """Find the ancestors of the particles of consecutive draws.
 
@@ -461,36 +474,17 @@ def find_ancestors(
         else:
             for i in range(width):
                 scratch.ancestor[d * span + i] = i
-    if scheme in (SYSTEMATIC, SORTED):
+    if scheme in (SYSTEMATIC, SORTED, RESIDUAL):
         for number in range(some):
             d = scratch.chosen[number]
-            _systematic(
-                cumulative,
-                d * width,
-                total[d],
-                stream,
-                first + d,
-                key,
-                particles,
-                scratch,
-                d * span,
-            )
-    elif scheme == RESIDUAL:
-        for number in range(some):
-            d = scratch.chosen[number]
-            _residual(
-                cumulative,
-                d * width,
-                total[d],
-                stream,
-                first + d,
-                key,
-                particles,
-                scratch,
-                d * span,
-            )
+            origin, total, draw = d * width, cumulative[(d + 1) * width - 1], first + d
+            to = d * span
+            if scheme == RESIDUAL:
+                _residual(cumulative, origin, total, stream, draw, key, particles, scratch, to)
+            else:
+                _systematic(cumulative, origin, total, stream, draw, key, particles, scratch, to)
     else:
-        _by_points(scheme, cumulative, total, stream, first, key, width, particles, scratch, some)
+        _by_points(scheme, cumulative, stream, first, key, width, particles, scratch, some)
 
 
 @compiled
@@ -539,7 +533,7 @@ def _residual(cumulative, origin, total, stream, draw, key, particles, scratch, 
 
 
 @compiled
-def _by_points(scheme, cumulative, total, stream, first, key, width, particles, scratch, some):
+def _by_points(scheme, cumulative, stream, first, key, width, particles, scratch, some):
     """Multinomial, stratified and conditional ancestors, of two draws at a time."""
     skipped = np.int64(1) if scheme == CONDITIONAL else np.int64(0)
     count, span, chosen = particles - skipped, scratch.span, scratch.chosen
@@ -553,7 +547,8 @@ def _by_points(scheme, cumulative, total, stream, first, key, width, particles, 
                 # P - 1 points for the others of a conditional cloud. One of P sorted points cannot
                 # simply be left out: the point at a given position is not uniform.
                 _ascending_points(scratch, base, stream, first + d, key, count)
-            _prepare_merge(scratch, k, cumulative, d * width, total[d], particles, count)
+            total = cumulative[(d + 1) * width - 1]
+            _prepare_merge(scratch, k, cumulative, d * width, total, particles, count)
         to = chosen[number] * span + skipped
         if pair == 2:
             _merge_two(scratch, count, to, chosen[number + 1] * span + skipped)
@@ -653,21 +648,19 @@ def _radix_sorted(keys, particles, counts, half_sorted, order):
 
 
 @entry
-def _weigh_rows(log_weight, particles, weight, cumulative, totals):
+def _weigh_rows(log_weight, particles, weight, cumulative):
     width = log_weight.shape[1]
     for d in range(log_weight.shape[0]):
-        totals[d] = weigh(log_weight[d], np.int64(0), width, particles, weight[d], cumulative[d])
+        weigh(log_weight[d], np.int64(0), width, particles, weight[d], cumulative[d])
 
 
 @entry
-def _find_rows(
-    scheme, weight, cumulative, resamples, stream, first, key, particles, totals, scratch
-):
+def _find_rows(scheme, weight, cumulative, resamples, stream, first, key, particles, scratch):
     draws, width = weight.shape
     for d in range(draws):
-        totals[d] = cumulate(weight[d], np.int64(0), width, cumulative[d])
+        cumulate(weight[d], np.int64(0), width, cumulative[d])
     find_ancestors(
-        scheme, cumulative.ravel(), totals, resamples, stream, first, key, np.int64(draws),
+        scheme, cumulative.ravel(), resamples, stream, first, key, np.int64(draws),
         np.int64(width), particles, scratch,
     )  # fmt: skip
 
@@ -683,7 +676,7 @@ def weights_of(log_weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weights (D, P) from log-weights, the largest of each draw 1; all 0 if none is finite."""
     padded = _padded(log_weight, np.float64)
     weight, cumulative = np.zeros(padded.shape, np.float32), np.empty(padded.shape)
-    _weigh_rows(padded, log_weight.shape[1], weight, cumulative, np.empty(len(padded)))
+    _weigh_rows(padded, log_weight.shape[1], weight, cumulative)
     return weight[:, : log_weight.shape[1]].astype(np.float64)
 
 
@@ -695,7 +688,7 @@ def ancestors_of(
     padded = _padded(weight, np.float32)
     scratch = resampling_scratch(count, padded.shape[1])
     number = [*ALL_SCHEMES].index(scheme)
-    arguments = np.uint64(stream), draws.start, key, particles, np.empty(count), scratch
+    arguments = np.uint64(stream), draws.start, key, particles, scratch
     _find_rows(number, padded, np.empty(padded.shape), np.ones(count, np.bool_), *arguments)
     ancestors = scratch.ancestor[: count * scratch.span].reshape(count, -1)[:, :particles]
     return ancestors.astype(np.intp)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.ancestors import (
     Resampling,
-    cumulate,
     find_ancestors,
     resampling_scratch,
     sort_by_state,
     sum_of_first,
     sum_of_squares,
+    sum_of_weights,
     take,
     weigh,
     weighted_sum,
@@ -73,6 +73,7 @@ class Request(NamedTuple):
     y: NDArray[np.float64]  # (D, T+1, m): measurements
     z: NDArray[np.float64]  # (D, T+1, q): true quantities of interest
     first_components: NDArray[np.int64]  # (sensors,): of y, for each sensor
+    states: int  # n
     particles: int
     scheme: int  # position in `pfdist.kernels.schemes.ALL_SCHEMES`
     sorts: bool  # whether the scheme sorts the particles
@@ -209,7 +210,7 @@ def _filter_instant(blocks, request, results, batch, at, here, t, s, sensors, re
     if t > 0:
         here = _step(blocks, request, batch, at, here, t, sensors > 0)
     if request.holds_truth:
-        for c in range(request.x.shape[2]):
+        for c in range(request.states):
             for d in range(at.draws):
                 batch.particles[here + c, d * batch.width] = request.x[at.first + d, t, c]
     if sensors > 0:
@@ -288,8 +289,7 @@ def _take_prior(request, batch, at):
                 is_particle = i < request.particles
                 weight[origin + i] = request.prior_weight[i] if is_particle else 0.0
             batch.flags[WEIGHTED, d] = True
-            cumulative = batch.particles[batch.cumulative]
-            batch.numbers[batch.total, d] = cumulate(weight, origin, batch.width, cumulative)
+            batch.numbers[batch.total, d] = sum_of_weights(weight, origin, batch.width)
 
 
 @inlined
@@ -328,7 +328,7 @@ def _of_draws(blocks, batch, block, k, source, target):
 @inlined
 def _step(blocks, request, batch, at, here, t, is_measured):
     """Fill the other half with x(t), and return it; to a measurement by the proposal, if any."""
-    other, before = request.x.shape[2] + 1 - here, request.start + t - 1
+    other, before = request.states + 1 - here, request.start + t - 1
     if not (is_measured and request.guided):
         _fill_noise(request, batch, at, PROCESS_NOISE, before, FILTER_PROCESS)
         _of_particles(blocks, batch, TRANSITION, t - 1, here, other, at.draws)
@@ -364,10 +364,10 @@ def _measure(blocks, request, batch, at, here, t, sensors):
             here = _resample(request, batch, at, here, key)
             _fill_log_weights(blocks, request, batch, at, here, t, sensor)
             _weigh(request, batch, at)
+            if request.guided and t > 0:
+                _step_without(blocks, request, batch, at, here, t)
             if request.sorts:
                 here = _sort(request, batch, at, here)
-    if request.guided and t > 0:
-        _step_without(blocks, request, batch, at, here, t)
     return here
 
 
@@ -389,7 +389,7 @@ def _weigh(request, batch, at):
 @inlined
 def _step_without(blocks, request, batch, at, here, t):
     """Repeat the step to t without the proposal for draws whose measurement is left out."""
-    states, other = request.x.shape[2], request.x.shape[2] + 1 - here
+    states, other = request.states, request.states + 1 - here
     fails = False
     for d in range(at.draws):
         fails |= not batch.flags[WEIGHS, d]
@@ -418,7 +418,7 @@ def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
         blocks.table, blocks.places[block, t], at.draws, batch.width,
     )  # fmt: skip
     if request.guided and t > 0:
-        guide = batch.particles[here + request.x.shape[2]]
+        guide = batch.particles[here + request.states]
         for i in range(used):
             log_weight[i] += guide[i]
     if request.threshold < np.inf:
@@ -468,13 +468,13 @@ def _resample(request, batch, at, here, key):
         some |= batch.flags[RESAMPLES, d]
     if not some:
         return here
-    other, total = request.x.shape[2] + 1 - here, batch.numbers[batch.total]
+    other, total = request.states + 1 - here, batch.numbers[batch.total]
     find_ancestors(
-        request.scheme, batch.particles[batch.cumulative], total, batch.flags[RESAMPLES],
-        at.stream, request.first_draw + at.first, key, at.draws, batch.width, request.particles,
+        request.scheme, batch.particles[batch.cumulative], batch.flags[RESAMPLES], at.stream,
+        request.first_draw + at.first, key, at.draws, batch.width, request.particles,
         batch.resampling,
     )  # fmt: skip
-    for c in range(request.x.shape[2]):
+    for c in range(request.states):
         take(
             batch.resampling, batch.particles[here + c], batch.particles[other + c],
             at.draws, batch.width,
@@ -617,7 +617,7 @@ def _finish(request, plan, results, batch, at, here, s):
             for i in range(request.particles):
                 place, is_weighted = d * batch.width + i, batch.flags[WEIGHTED, d]
                 results.weight[row, i] = batch.singles[batch.weight, place] if is_weighted else 1.0
-                for c in range(request.x.shape[2]):
+                for c in range(request.states):
                     results.cloud[row, c, i] = batch.particles[here + c, place]
 
 
@@ -635,7 +635,7 @@ def filter_all(
 
     `quantity` is the number of results of the block QUANTITY.
     """
-    draws, states = results.mse.shape[0], request.x.shape[2]
+    draws, states = results.mse.shape[0], request.states
     width = -(-request.particles // LANES) * LANES
     numbers = (states + 1) * width * max(1, plan.clouds)
     together = max(1, min(draws, _TOGETHER // width, _MOST_SAVED // numbers))
@@ -647,7 +647,7 @@ def _scratch(
     rows: int, request: Request, plan: Plan, results: Results, width: int, draws: int
 ) -> tuple[Batch, Saved]:
     """The arrays of a batch of draws; `rows` is the number of results of the block QUANTITY."""
-    states, quantities = request.x.shape[2], request.z.shape[2]
+    states, quantities = request.states, request.z.shape[2]
     stride, row, noises = draws * width, -(-draws // LANES) * LANES, request.kinds.shape[1]
     quantity, distance, slots = 2 * (states + 1), rows + 4 * quantities, plan.clouds
     log_weight = quantity + max(rows, states, quantities)
