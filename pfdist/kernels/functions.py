@@ -326,12 +326,12 @@ def power(x: Vector, y: Vector) -> Vector:
     rest = factor.fma(high, -product) + factor * low
     is_safe = absolute(product) < 1000.0
     value = _exp_of_sum(product, is_safe.select(rest, rest.number(0.0)))
-    one = size.equals(1.0)
+    is_one = size.equals(1.0)
     large, small = size > 1.0, size < 1.0
     up = (large & (y > 0.0)) | (small & (y < 0.0))
     infinite = size.equals(math.inf) | size.equals(0.0) | absolute(y).equals(math.inf)
     value = infinite.select(up.select(math.inf, x.number(0.0)), value)
-    value = one.select(1.0, value)
+    value = is_one.select(1.0, value)
     is_whole = y.call("trunc").equals(y)
     is_odd = is_whole & (y * 0.5).call("trunc").differs(y * 0.5)
     value = (is_odd & signbit(x)).select(-value, value)

@@ -1,7 +1,7 @@
 """From programs to machine code: functions that compute a formula for `LANES` particles at a time.
 
-What is the same for all particles is computed before, once for each instant, by the same functions
-of our own: `split` separates these two halves of a program.
+Values that are the same for all particles are computed before, once for each instant, by the same
+functions of our own: `split` separates these two halves of a program.
 """
 
 import math
@@ -127,12 +127,12 @@ def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
             array, first = layout[name]
             particle_at[value] = particles.add(array, (), first + which)
         else:
-            by = name == "divide" and is_shared[arguments[1]] and not exact
+            divides = name == "divide" and is_shared[arguments[1]] and not exact
             moved = tuple(
-                entry(each, reciprocal=by) if is_shared[each] else particle_at[each]
+                entry(each, reciprocal=divides) if is_shared[each] else particle_at[each]
                 for each in arguments
             )
-            particle_at[value] = particles.add("multiply" if by else name, moved, which)
+            particle_at[value] = particles.add("multiply" if divides else name, moved, which)
     outputs = tuple(
         entry(each) if is_shared[each] else particle_at[each] for each in program.outputs
     )

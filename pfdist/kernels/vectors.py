@@ -256,9 +256,9 @@ def splat(number: Vector, lanes: int) -> Vector:
     """A vector with a number in all lanes."""
     builder, whole = number.builder, ir.VectorType(number.value.type, lanes)
     nothing, first = ir.Constant(whole, ir.Undefined), ir.Constant(KINDS["i4"], 0)
-    one = builder.insert_element(nothing, number.value, first)
+    vector = builder.insert_element(nothing, number.value, first)
     zeros = ir.Constant(ir.VectorType(KINDS["i4"], lanes), [0] * lanes)
-    return Vector(builder, builder.shuffle_vector(one, nothing, zeros), number.kind)
+    return Vector(builder, builder.shuffle_vector(vector, nothing, zeros), number.kind)
 
 
 def iota(builder: ir.IRBuilder, kind: str, lanes: int) -> Vector:

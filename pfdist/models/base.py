@@ -239,7 +239,7 @@ class StateSpaceModel:
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """What other rooms make of this model, by keys of theirs."""
+        """Results that other rooms derive from this model, by keys of theirs."""
         return {}
 
     @property

@@ -437,7 +437,7 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
     Returns
     -------
     float or array
-        Of a row, an array of its entries.
+        A row or column is an array of its entries.
     """
     values = np.asarray(table)
     if axis is not None and values.ndim > 1:

@@ -118,7 +118,7 @@ class Formula:
         outputs = [_result(each) for each in components]
         if not outputs or any(each is None for each in outputs):
             pairs = zip(components, outputs, strict=True)
-            wrong = next((each for each, one in pairs if one is None), value)
+            wrong = next((each for each, output in pairs if output is None), value)
             raise RefusedError(f"{self.name} must give numbers, got {type(wrong).__name__}")
         return outputs
 
@@ -312,5 +312,5 @@ def _explained(formula: Formula, error: Exception, t: int | None = None) -> Trac
     at = "" if t is None else f" at t = {t}"
     return TraceError(
         f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "
-        "filter.engine = 'numpy' computes it as it is"
+        "the engine 'numpy' computes it as it is"
     )

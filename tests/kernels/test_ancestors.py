@@ -36,7 +36,7 @@ def test_only_finite_log_weights_count():
 @pytest.mark.parametrize("scheme", ALL_SCHEMES)
 @pytest.mark.parametrize("particles", SIZES)
 def test_ancestors_have_the_bits_of_the_reference(scheme, particles):
-    """Of five draws at a time, two of which are merged side by side."""
+    """Five draws at a time, two of which are merged side by side."""
     weight = weights_of(log_weights(5, particles))
     got = ancestors_of(scheme, weight, STREAM, range(3, 8), KEY)
     for row, draw in enumerate(range(3, 8)):

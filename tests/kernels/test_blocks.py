@@ -33,7 +33,7 @@ def test_a_block_has_the_values_of_the_plain_twin(name):
     hundred of them, and for a difference of terms that are 1,000 times larger.
     """
     model, rng = with_clock(load_model(name), 20), np.random.default_rng(1)
-    x, w = rng.uniform(0.2, 1.5, size=(12, 2, 48)), rng.normal(size=(12, 2, 48)).astype(np.float32)
+    x, w = rng.uniform(0.2, 1.5, size=(12, 2, 48)), rng.normal(size=(32, 2, 48)).astype(np.float32)
     y = rng.uniform(0.2, 1.5, size=(2, 8))
     for key, function, arguments in formulas_of(model):
         formula = Formula(function, key, arguments, model.parameters, name)

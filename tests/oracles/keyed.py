@@ -87,8 +87,8 @@ def variates(kind, particles, stream, draw, t, role, component):
     if kind == "normal":
         words = [*box_muller(a, b), *box_muller(c, d)]
     elif kind == "centred":
-        one = zeros + np.uint32(1)
-        lows = threefry4x32(key, (blocks, zeros + np.uint32(draw), one, zeros))
+        part = zeros + np.uint32(1)
+        lows = threefry4x32(key, (blocks, zeros + np.uint32(draw), part, zeros))
         words = [centred(*pair) for pair in zip((a, b, c, d), lows, strict=True)]
     else:
         function = uniform if kind == "uniform" else exponential
