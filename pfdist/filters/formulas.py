@@ -18,22 +18,23 @@ _LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
 
 def filter_blocks(
     model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation, instants: range
-) -> Compiled:
+) -> tuple[Compiled, tuple[int, ...]]:
     """The blocks of a filter, whose errors the truth defines; see `pfdist.kernels.filter`.
 
-    A `TraceError` says that a formula cannot be traced.
+    The second result has the components of x that are those of z; it is empty if z is computed, or
+    an angle. A `TraceError` says that a formula cannot be traced.
     """
     guided, error = settings.guides(model), truth.formulas["error"]
     key = "filter", instants, guided, error, tuple(truth.parameters.items()), truth.is_angle
     if key not in model.derived:
         model.derived[key] = _filter_blocks(model, truth, guided, instants)
-    compiled: Compiled = model.derived[key]
-    return compiled
+    result: tuple[Compiled, tuple[int, ...]] = model.derived[key]
+    return result
 
 
 def _filter_blocks(
     model: StateSpaceModel, truth: StateSpaceModel, guided: bool, instants: range
-) -> Compiled:
+) -> tuple[Compiled, tuple[int, ...]]:
     states, (own, once) = model.components[0], (_Formulas(model, truth.is_angle), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
@@ -71,7 +72,20 @@ def _filter_blocks(
     if guided:
         given = {**x, "y": model.components[1], "t": 0, **u}
         sources[rows.GUIDED] = _source(model, "proposal", own.guided, given, instants[:-1])
-    return compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
+    blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
+    return blocks, _components_of_state(sources[rows.QUANTITY])
+
+
+def _components_of_state(quantity: Source | None) -> tuple[int, ...]:
+    """The components of x that a formula gives as they are; empty if it computes anything."""
+    programs = quantity.traced.programs if quantity else ()
+    outputs = {
+        tuple(program.operations[each][::2] for each in program.outputs) for program in programs
+    }
+    if len(outputs) != 1:
+        return ()
+    (results,) = outputs
+    return tuple(which for _, which in results) if all(name == "x" for name, _ in results) else ()
 
 
 def simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:

@@ -198,33 +198,48 @@ def _filter(
     mse = np.empty((len(draws.index), len(planned.measured)))
     degenerate = np.zeros(mse.shape, np.bool_)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
+    blocks, components = filter_blocks(model, truth, settings, draws.instants)
+    streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
+    kinds = codes_of(model.initial_noise, model.process_noise, model.proposal_variates)
     request = Request(
-        np.array(filter_streams(stream, settings.estimator), np.uint64),
-        draws.index.start,
-        draws.start,
-        prior,
-        chosen,
-        prior_weight,
-        draws.x,
-        draws.y,
-        draws.z,
-        np.array([part.y.start for part in model.parts]),
-        model.components[0],
-        settings.particles,
-        list(ALL_SCHEMES).index(scheme.name),
-        scheme.sorts,
-        scheme.holds_truth,
-        settings.guides(model),
-        settings.threshold,
-        ALL_ESTIMATORS[settings.estimator].weights,
-        draws.instant_weights,
-        codes_of(model.initial_noise, model.process_noise, model.proposal_variates),
+        draws=mse.shape[0],
+        filters=streams.size,
+        sets=mse.shape[1],
+        instants=len(draws.instants),
+        states=model.components[0],
+        measurements=model.components[1],
+        quantities=len(truth.is_angle),
+        means=len(truth.is_angle) + 2 * sum(truth.is_angle),
+        components_of_state=np.array(components, np.int64),
+        is_state=bool(components) and not wanted.ranks.size,
+        sensors=len(model.parts),
+        streams=streams,
+        first_draw=draws.index.start,
+        start=draws.start,
+        has_prior=settings.prior is not None,
+        has_weights=prior_weight.size > 0,
+        columns=prior.shape[1],
+        prior=prior,
+        chosen=chosen,
+        prior_weight=prior_weight,
+        x=np.ascontiguousarray(draws.x),
+        y=np.ascontiguousarray(draws.y),
+        z=np.ascontiguousarray(draws.z),
+        first_components=np.array([part.y.start for part in model.parts]),
+        particles=settings.particles,
+        scheme=list(ALL_SCHEMES).index(scheme.name),
+        sorts=scheme.sorts,
+        holds_truth=scheme.holds_truth,
+        guided=settings.guides(model),
+        threshold=float(settings.threshold),
+        weights=ALL_ESTIMATORS[settings.estimator].weights,
+        instant_weights=np.ascontiguousarray(draws.instant_weights, np.float64),
+        components=kinds.shape[1],
+        kinds=kinds,
     )
-    compiled = filter_blocks(model, truth, settings, draws.instants)
-    rows = len(truth.is_angle) + 2 * sum(truth.is_angle)
     estimate, variance = wanted.moments
-    results = Results(mse, degenerate, estimate, variance, *wanted[1:])
-    filter_all(compiled.blocks, rows, request, planned, results)
+    results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
+    filter_all(blocks.blocks, request, planned, results)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate

@@ -35,7 +35,7 @@ from pfdist.kernels import schemes
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import EXPONENTIAL, RESAMPLING, SPARE, UNIFORM, fill, words_of
-from pfdist.kernels.vectors import LANES, Array, Vector, iota, splat, vectorised
+from pfdist.kernels.vectors import LANES, Array, Vector, iota, splat, vectorised, with_pointers
 
 _BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
 _IMPOSSIBLE = -np.finfo(np.float64).max
@@ -56,7 +56,10 @@ MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED, CONDITIONAL = (
 
 
 class Resampling(NamedTuple):
-    """Arrays that resampling works in; `span` entries for each draw."""
+    """Arrays that resampling works in; `span` entries for each draw.
+
+    Compiled functions get pointers to them.
+    """
 
     span: int
     ancestor: NDArray[np.int32]  # (draws * span,): receives the ancestors
@@ -66,7 +69,7 @@ class Resampling(NamedTuple):
     noise: NDArray[np.float32]  # (span,)
     words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
     chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
-    counts: NDArray[np.int64]  # (2, digits): of the sort
+    counts: NDArray[np.int64]  # (2 * digits,): of the sort
 
 
 def resampling_scratch(draws: int, width: int) -> Resampling:
@@ -81,7 +84,7 @@ def resampling_scratch(draws: int, width: int) -> Resampling:
         noise=np.zeros(span, np.float32),
         words=words_of(1, span),
         chosen=np.zeros(draws, np.int64),
-        counts=np.zeros((2, _DIGITS), np.int64),
+        counts=np.zeros(2 * _DIGITS, np.int64),
     )
 
 
@@ -623,45 +626,69 @@ def _fill_levels(source, weight, origin, particles, weighs, levels):
 @compiled
 def _radix_sorted(keys, particles, counts, half_sorted, order):
     """Sort by the low digit, then by the high digit; equal keys keep their order."""
-    mask, bits = np.int32(_DIGITS - 1), np.int32(_BITS)
-    for digit in range(_DIGITS):
-        counts[0, digit] = counts[1, digit] = 0
+    mask, bits, highs = np.int32(_DIGITS - 1), np.int32(_BITS), np.int64(_DIGITS)
+    for digit in range(2 * _DIGITS):
+        counts[digit] = 0
     for i in range(particles):
-        counts[0, keys[i] & mask] += 1
-        counts[1, keys[i] >> bits] += 1
+        counts[keys[i] & mask] += 1
+        counts[highs + (keys[i] >> bits)] += 1
     low = high = np.int64(0)
     for digit in range(_DIGITS):
-        counts[0, digit], low = low, low + counts[0, digit]
-        counts[1, digit], high = high, high + counts[1, digit]
+        count, counts[digit] = counts[digit], low
+        low += count
+        count, counts[highs + digit] = counts[highs + digit], high
+        high += count
     for i in range(particles):
         digit = keys[i] & mask
-        half_sorted[counts[0, digit]] = i
-        counts[0, digit] += 1
+        half_sorted[counts[digit]] = i
+        counts[digit] += 1
     for place in range(particles):
         i = half_sorted[place]
-        digit = keys[i] >> bits
-        order[counts[1, digit]] = i
-        counts[1, digit] += 1
+        digit = highs + (keys[i] >> bits)
+        order[counts[digit]] = i
+        counts[digit] += 1
 
 
 # --- for engines that compute in NumPy ------------------------------------------------------------
 
 
-@entry
-def _weigh_rows(log_weight, particles, weight, cumulative):
-    width = log_weight.shape[1]
-    for d in range(log_weight.shape[0]):
-        weigh(log_weight[d], np.int64(0), width, particles, weight[d], cumulative[d])
+class _Rows(NamedTuple):
+    """Weights of consecutive draws, a row for each."""
+
+    draws: int
+    width: int
+    particles: int
+    log_weight: NDArray[np.float64]
+    weight: NDArray[np.float32]
+    cumulative: NDArray[np.float64]
+    resamples: NDArray[np.uint8]
+
+
+def _rows(log_weight: NDArray[np.float64], weight: NDArray[np.float64]) -> _Rows:
+    draws, particles = weight.shape
+    padded, singles = _padded(log_weight, np.float64), _padded(weight, np.float32)
+    cumulative, resamples = np.empty(padded.shape), np.ones(draws, np.uint8)
+    return _Rows(draws, padded.shape[1], particles, padded, singles, cumulative, resamples)
 
 
 @entry
-def _find_rows(scheme, weight, cumulative, resamples, stream, first, key, particles, scratch):
-    draws, width = weight.shape
-    for d in range(draws):
-        cumulate(weight[d], np.int64(0), width, cumulative[d])
+def _weigh_rows(rows):
+    rows = with_pointers(rows)
+    for d in range(rows.draws):
+        weigh(
+            rows.log_weight, d * rows.width, rows.width, rows.particles, rows.weight,
+            rows.cumulative,
+        )  # fmt: skip
+
+
+@entry
+def _find_rows(rows, scheme, stream, first, key, scratch):
+    rows, scratch = with_pointers(rows), with_pointers(scratch)
+    for d in range(rows.draws):
+        cumulate(rows.weight, d * rows.width, rows.width, rows.cumulative)
     find_ancestors(
-        scheme, cumulative.ravel(), resamples, stream, first, key, np.int64(draws),
-        np.int64(width), particles, scratch,
+        scheme, rows.cumulative, rows.resamples, stream, first, key, rows.draws, rows.width,
+        rows.particles, scratch,
     )  # fmt: skip
 
 
@@ -674,21 +701,18 @@ def _padded(values: Any, dtype: Any) -> NDArray[Any]:
 
 def weights_of(log_weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weights (D, P) from log-weights, the largest of each draw 1; all 0 if none is finite."""
-    padded = _padded(log_weight, np.float64)
-    weight, cumulative = np.zeros(padded.shape, np.float32), np.empty(padded.shape)
-    _weigh_rows(padded, log_weight.shape[1], weight, cumulative)
-    return weight[:, : log_weight.shape[1]].astype(np.float64)
+    rows = _rows(log_weight, np.zeros(log_weight.shape))
+    _weigh_rows(rows)
+    return rows.weight[:, : rows.particles].astype(np.float64)
 
 
 def ancestors_of(
     scheme: str, weight: NDArray[np.float64], stream: int, draws: range, key: int
 ) -> NDArray[np.intp]:
     """Ancestors of the particles of consecutive draws, (D, P), from their weights (D, P)."""
-    count, particles = weight.shape
-    padded = _padded(weight, np.float32)
-    scratch = resampling_scratch(count, padded.shape[1])
+    rows = _rows(weight, weight)
+    scratch = resampling_scratch(rows.draws, rows.width)
     number = [*ALL_SCHEMES].index(scheme)
-    arguments = np.uint64(stream), draws.start, key, particles, scratch
-    _find_rows(number, padded, np.empty(padded.shape), np.ones(count, np.bool_), *arguments)
-    ancestors = scratch.ancestor[: count * scratch.span].reshape(count, -1)[:, :particles]
-    return ancestors.astype(np.intp)
+    _find_rows(rows, number, np.uint64(stream), draws.start, key, scratch)
+    ancestors = scratch.ancestor[: rows.draws * scratch.span].reshape(rows.draws, -1)
+    return ancestors[:, : rows.particles].astype(np.intp)

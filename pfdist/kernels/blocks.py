@@ -131,6 +131,9 @@ def run(address: int, out: Array, slots: Array) -> None:
 # --- calls of blocks from compiled functions ------------------------------------------------------
 
 
+_MEMORY = (types.Array, types.CPointer)
+
+
 @intrinsic
 def call(
     context, address, out, out_at, out_stride, slots, slots_at, slots_stride,
@@ -139,7 +142,7 @@ def call(
 ):  # fmt: skip
     """Call a block by its address; see `pfdist.kernels.lowering.ARGUMENTS`.
 
-    An array is followed by the place at which the block begins to read or write.
+    An array, or a pointer, is followed by the place at which the block begins to read or write.
     """
     arguments = (
         address, out, out_at, out_stride, slots, slots_at, slots_stride, noise, noise_at,
@@ -150,10 +153,11 @@ def call(
         kinds = [types.unliteral(kind) for kind in signature.args]
         numbers = []
         for number, (kind, value) in enumerate(zip(kinds, values, strict=True)):
-            if isinstance(kind, types.Array):
-                data = context.make_array(kind)(context, builder, value).data
+            if isinstance(kind, _MEMORY):
+                is_array = isinstance(kind, types.Array)
+                data = context.make_array(kind)(context, builder, value).data if is_array else value
                 numbers.append(builder.gep(data, [values[number + 1]]))
-            elif not isinstance(kinds[number - 1], types.Array):
+            elif not isinstance(kinds[number - 1], _MEMORY):
                 numbers.append(value)
         function = builder.inttoptr(numbers[0], FUNCTION.as_pointer())
         builder.call(function, numbers[1:])

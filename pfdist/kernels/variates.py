@@ -24,14 +24,23 @@ note on the generation of random normal deviates", Annals of Mathematical Statis
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, SupportsIndex
+from typing import Any, Final, NamedTuple, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.vectors import LANES, Array, Vector, iota, splat, vectorised
+from pfdist.kernels.vectors import (
+    LANES,
+    Array,
+    Vector,
+    ahead,
+    iota,
+    splat,
+    vectorised,
+    with_pointers,
+)
 
 KINDS: Final = ("normal", "uniform", "centred", "exponential")
 """The kinds of noise; compiled code knows them by their numbers here."""
@@ -215,22 +224,24 @@ def _store_centred(
 def words_of(draws: int, width: int) -> NDArray[np.uint32]:
     """The array in which `fill` works: words for whole tiles."""
     tiles = -(-width // TILE)
-    return np.zeros((2, draws * tiles * TILE), np.uint32)
+    return np.zeros(2 * draws * tiles * TILE, np.uint32)
 
 
 @compiled
 def fill_words(words, part, tiles, stream, t, role, component, first, draws):
-    """Fill a row of words: so many tiles for each of consecutive draws, two at a time."""
-    row, lanes, two = words[part], np.int64(LANES), np.int64(2)
+    """Fill words: so many tiles for each of consecutive draws, two at a time."""
+    lanes, two = np.int64(LANES), np.int64(2)
     for d in range(draws):
         at, draw = d * tiles * TILE, first + d
         for tile in range(np.int64(0), tiles - 1, two):
             _fill_two_tiles(
-                row, at + tile * TILE, stream, t, role, component, part, tile * lanes, draw
+                words, at + tile * TILE, stream, t, role, component, part, tile * lanes, draw
             )
         if tiles % two:
             tile = tiles - 1
-            _fill_tile(row, at + tile * TILE, stream, t, role, component, part, tile * lanes, draw)
+            _fill_tile(
+                words, at + tile * TILE, stream, t, role, component, part, tile * lanes, draw
+            )
 
 
 @compiled
@@ -239,52 +250,66 @@ def fill(words, out, width, kind, stream, t, role, component, first, draws):
 
     Particle i of draw ``first + d`` is at ``d * width + i``; `width` is a multiple of `LANES`, and
     `words` an array of `words_of`. `SPARE` entries behind the last are overwritten. `kind` is a
-    position in `KINDS`.
+    position in `KINDS`. `words` and `out` are pointers.
     """
     tiles = (width + np.int64(TILE - 1)) // np.int64(TILE)
-    zero, lanes = np.int64(0), np.int64(LANES)
+    zero, lanes, lows = np.int64(0), np.int64(LANES), ahead(words, draws * tiles * TILE)
     fill_words(words, zero, tiles, stream, t, role, component, first, draws)
     if kind == CENTRED:
-        fill_words(words, zero + 1, tiles, stream, t, role, component, first, draws)
+        fill_words(lows, zero + 1, tiles, stream, t, role, component, first, draws)
     for d in range(draws):
         at, to = d * tiles * TILE, d * width
         if kind == NORMAL:
             for i in range(zero, width, 2 * lanes):
-                _store_normals(words[0], at + i, out, to + i)
+                _store_normals(words, at + i, out, to + i)
         elif kind == UNIFORM:
             for i in range(zero, width, lanes):
-                _store_uniforms(words[0], at + i, out, to + i)
+                _store_uniforms(words, at + i, out, to + i)
         elif kind == CENTRED:
             for i in range(zero, width, lanes):
-                _store_centred(words[0], at + i, words[1], at + i, out, to + i)
+                _store_centred(words, at + i, lows, at + i, out, to + i)
         else:
             for i in range(zero, width, lanes):
-                _store_exponentials(words[0], at + i, out, to + i)
+                _store_exponentials(words, at + i, out, to + i)
 
 
 @compiled
 def fill_of_draws(words, out, at, kind, stream, t, role, component, first, draws):
     """Fill a row, from an index on, with the variates of the first particle of consecutive draws.
 
-    Up to 15 entries behind the last are overwritten. `words` has two rows of 32 entries or more.
+    Up to 15 entries behind the last are overwritten. `words` has 64 entries or more.
     """
-    zero = np.int64(0)
+    zero, low = np.int64(0), np.int64(2 * LANES)
     for d in range(zero, draws, np.int64(LANES)):
-        _fill_words_of_draws(words[0], zero, stream, t, role, component, zero, first + d)
+        _fill_words_of_draws(words, zero, stream, t, role, component, zero, first + d)
         if kind == NORMAL:
-            _store_normals(words[0], zero, out, at + d)
+            _store_normals(words, zero, out, at + d)
         elif kind == UNIFORM:
-            _store_uniforms(words[0], zero, out, at + d)
+            _store_uniforms(words, zero, out, at + d)
         else:
-            _fill_words_of_draws(words[1], zero, stream, t, role, component, zero + 1, first + d)
-            _store_centred(words[0], zero, words[1], zero, out, at + d)
+            _fill_words_of_draws(words, low, stream, t, role, component, zero + 1, first + d)
+            _store_centred(words, zero, words, low, out, at + d)
+
+
+class _Rows(NamedTuple):
+    """A row of variates for each draw."""
+
+    words: NDArray[np.uint32]
+    out: NDArray[np.float32]
+    draws: NDArray[np.int64]
+    rows: int
+    width: int
 
 
 @entry
-def _fill_rows(words, out, kind, stream, draws, t, role, component):
-    width = np.int64(out.shape[1] - SPARE)
-    for row in range(draws.size):
-        fill(words, out[row], width, kind, stream, t, role, component, draws[row], np.int64(1))
+def _fill_rows(rows, kind, stream, t, role, component):
+    rows = with_pointers(rows)
+    for d in range(rows.rows):
+        out = ahead(rows.out, d * (rows.width + SPARE))
+        fill(
+            rows.words, out, rows.width, kind, stream, t, role, component, rows.draws[d],
+            np.int64(1),
+        )  # fmt: skip
 
 
 def variates(
@@ -305,8 +330,8 @@ def variates(
     width = -(-particles // LANES) * LANES
     out = np.empty((draws.size, width + SPARE), np.float32)
     numbers = int(t), int(role), int(component)
-    words = words_of(1, width)
-    _fill_rows(words, out, KINDS.index(kind), np.uint64(stream), draws, *numbers)
+    rows = _Rows(words_of(1, width), out, draws, draws.size, width)
+    _fill_rows(rows, KINDS.index(kind), np.uint64(stream), *numbers)
     values = out[:, :particles].astype(np.float64)
     return values if np.ndim(draw) else values[0]
 
