@@ -6,7 +6,8 @@ functions of our own: `split` separates these two halves of a program.
 
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -31,6 +32,9 @@ ARRAYS = ("slots", "noise", "given")
 _SHARED = ("t", "parameter", "covariate", "constant")  # leaves with one value for all particles
 _INDEX, _DOUBLE, _FLOAT = ir.IntType(64), ir.DoubleType(), ir.FloatType()
 _MOST_COMPILED = 32
+_MOST_TOGETHER = 300  # operations of a function
+_MOST_INLINED = 4  # long operations of one kind in a function
+_LEAVES = ("slots", "noise", "given", "shared", "number")
 
 
 # --- the two halves of a program ------------------------------------------------------------------
@@ -223,7 +227,10 @@ class _Function:
         self._given = dict(zip((name for name, _ in ARGUMENTS), function.args, strict=True))
         self._given["out"].add_attribute("noalias")
         self._builder = ir.IRBuilder(function.append_basic_block("entry"))
-        self._half, self._values = half, dict[int, Vector]()
+        self._half, self._values, self._often = half, dict[int, Vector](), _often(half)
+        self._computed = [
+            number for number, each in enumerate(half.operations) if each.name not in _LEAVES
+        ]
 
     def write(self) -> None:
         """Write loops over draws and over particles; what does not change is loaded before them."""
@@ -258,41 +265,146 @@ class _Function:
         return Vector(self._builder, place, "i8")
 
     def _compute(self, position: Any) -> None:
-        for number, (name, arguments, which) in enumerate(self._half.operations):
+        """Write what is done for some particles."""
+        for number, (name, _, which) in enumerate(self._half.operations):
             if name in ("slots", "noise"):
                 vector = self._array(name).load(self._row(name, which, position), LANES)
                 self._values[number] = vector.to("f8")
-            elif name == "take":
-                (index,) = (self._values[each] for each in arguments)
-                self._values[number] = self._take(index, which)
-            elif number not in self._values:
-                given = (self._values[each] for each in arguments)
-                self._values[number] = FUNCTIONS[name](*given)
+        if len(self._computed) <= _MOST_TOGETHER:
+            for number in self._computed:
+                self._values[number] = _applied(self._half, number, self._values, self._often)
+        else:
+            self._compute_in_pieces()
         for row, output in enumerate(self._half.outputs):
             value = self._values[output]
             self._array("out").store(self._row("out", row, position), value.to("f8"))
 
-    def _take(self, index: Vector, which: int) -> Vector:
-        """Entries of a table by a whole number; NaN where it lies outside."""
-        size, content = self._half.tables[which]
-        module, name = self._builder.module, f"table{hash((size, content)) & (2**63 - 1)}"
-        table = module.globals.get(name)
-        if table is None:
-            kind = ir.ArrayType(KINDS["f8"], size)
-            table = ir.GlobalVariable(module, kind, name)
-            table.linkage, table.global_constant = "internal", True
-            table.initializer = ir.Constant(kind, np.frombuffer(content).tolist())
-        inside = (index >= 0.0) & (index < float(size))
-        safe = inside.select(index, index.number(0.0)).to("i8")
-        vector = index.number(0.0)
-        for lane in range(LANES):
-            place = safe.lane(lane).value
-            address = self._builder.gep(table, [_index(0), place])
-            entry = self._builder.load(address, align=8)
-            lane_number = ir.Constant(KINDS["i4"], lane)
-            value = self._builder.insert_element(vector.value, entry, lane_number)
-            vector = Vector(self._builder, value, "f8")
-        return inside.select(vector, index.number(math.nan))
+    def _compute_in_pieces(self) -> None:
+        """Compute by several functions: LLVM takes a time that grows faster than a function does.
+
+        Values that another piece needs are kept in memory.
+        """
+        operations, computed = self._half.operations, self._computed
+        pieces = [
+            computed[first : first + _MOST_TOGETHER]
+            for first in range(0, len(computed), _MOST_TOGETHER)
+        ]
+        piece_of = {number: k for k, piece in enumerate(pieces) for number in piece}
+        kept = {
+            each
+            for number in computed
+            for each in operations[number].arguments
+            if piece_of.get(each) != piece_of[number] and operations[each].name != "number"
+        } | {each for each in self._half.outputs if each in piece_of}
+        places = {number: place for place, number in enumerate(sorted(kept))}
+        with self._builder.goto_entry_block():
+            memory = self._builder.alloca(KINDS["f8"], size=len(places) * LANES)
+        for number in places.keys() - piece_of.keys():
+            _store(memory, places[number], self._values[number])
+        for k, piece in enumerate(pieces):
+            function = self._piece(f"piece{k}", piece, places)
+            self._builder.call(function, [memory])
+        for number in self._half.outputs:
+            if number in piece_of:
+                self._values[number] = _load(
+                    self._builder, memory, places[number], operations, number
+                )
+
+    def _piece(self, name: str, piece: list[int], places: Mapping[int, int]) -> ir.Function:
+        """A function that computes some operations, from values in memory to others."""
+        kind = ir.FunctionType(ir.VoidType(), [KINDS["f8"].as_pointer()])
+        function = ir.Function(self._builder.module, kind, f"{self._builder.function.name}{name}")
+        function.linkage = "internal"
+        function.attributes.add("noinline")
+        builder = ir.IRBuilder(function.append_basic_block("entry"))
+        (memory,), operations, values = function.args, self._half.operations, dict[int, Vector]()
+        for number in piece:
+            for each in operations[number].arguments:
+                if each not in values and operations[each].name == "number":
+                    values[each] = constant(builder, "f8", LANES, _value(operations[each]))
+                elif each not in values:
+                    values[each] = _load(builder, memory, places[each], operations, each)
+            values[number] = _applied(self._half, number, values, self._often)
+            if number in places:
+                _store(memory, places[number], values[number])
+        builder.ret_void()
+        return function
+
+
+def _often(half: Half) -> frozenset[str]:
+    """The long operations that half a program uses often."""
+    counts = Counter(each.name for each in half.operations)
+    return frozenset(name for name, count in counts.items() if count > _MOST_INLINED) & _LONG
+
+
+def _applied(
+    half: Half, number: int, values: Mapping[int, Vector], often: frozenset[str]
+) -> Vector:
+    """The value of an operation; the long operations `often` are called."""
+    name, arguments, which = half.operations[number]
+    given = [values[each] for each in arguments]
+    if name == "take":
+        return _take(half, given[0], which)
+    return _called(name, given) if name in often else FUNCTIONS[name](*given)
+
+
+_LONG = frozenset(
+    {
+        *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", "cbrt"),
+        *("sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "hypot"),
+        *("sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
+        *("fmod", "remainder", "floor_divide"),
+    }
+)
+"""Operations of many instructions, which are functions of their own where they are used often."""
+
+
+def _called(name: str, given: Sequence[Vector]) -> Vector:
+    """The value of a long operation, by a function that is written once in a module."""
+    builder, kind = given[0].builder, given[0].value.type
+    function = builder.module.globals.get(f"vector_{name}")
+    if function is None:
+        signature = ir.FunctionType(kind, [kind] * len(given))
+        function = ir.Function(builder.module, signature, f"vector_{name}")
+        function.linkage = "internal"
+        function.attributes.add("noinline")
+        inner = ir.IRBuilder(function.append_basic_block("entry"))
+        inner.ret(FUNCTIONS[name](*(Vector(inner, each, "f8") for each in function.args)).value)
+    return Vector(builder, builder.call(function, [each.value for each in given]), "f8")
+
+
+def _store(memory: Any, place: int, value: Vector) -> None:
+    """Keep a value in memory; a mask as 1 and 0."""
+    index = Vector(value.builder, _index(place * LANES), "i8")
+    Array(value.builder, memory, "f8").store(index, value.to("f8"))
+
+
+def _load(builder: ir.IRBuilder, memory: Any, place: int, operations: Any, number: int) -> Vector:
+    """Load a value from memory."""
+    index = Vector(builder, _index(place * LANES), "i8")
+    value = Array(builder, memory, "f8").load(index, LANES)
+    return value.differs(0.0) if operations[number].name in MASKS else value
+
+
+def _take(half: Half, index: Vector, which: int) -> Vector:
+    """Entries of a table by a whole number; NaN where it lies outside."""
+    size, content = half.tables[which]
+    builder, name = index.builder, f"table{hash((size, content)) & (2**63 - 1)}"
+    table = builder.module.globals.get(name)
+    if table is None:
+        kind = ir.ArrayType(KINDS["f8"], size)
+        table = ir.GlobalVariable(builder.module, kind, name)
+        table.linkage, table.global_constant = "internal", True
+        table.initializer = ir.Constant(kind, np.frombuffer(content).tolist())
+    inside = (index >= 0.0) & (index < float(size))
+    safe = inside.select(index, index.number(0.0)).to("i8")
+    vector = index.number(0.0)
+    for lane in range(LANES):
+        address = builder.gep(table, [_index(0), safe.lane(lane).value])
+        entry = builder.load(address, align=8)
+        number = ir.Constant(KINDS["i4"], lane)
+        vector = Vector(builder, builder.insert_element(vector.value, entry, number), "f8")
+    return inside.select(vector, index.number(math.nan))
 
 
 def _index(number: int) -> Any:

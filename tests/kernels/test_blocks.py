@@ -9,8 +9,9 @@ import pytest
 from oracles.clocked import with_clock
 from oracles.computed import called
 from pfdist import load_model
+from pfdist.kernels import lowering
 from pfdist.kernels.blocks import Source, compile_blocks
-from pfdist.kernels.lowering import Half, module_of, split
+from pfdist.kernels.lowering import module_of, split
 from pfdist.models.program import Operation, Program, merged
 from pfdist.models.tracing import Formula, trace
 
@@ -106,12 +107,27 @@ def test_machine_code_calls_no_library(triple, processor):
             halves += split(merged(program), LAYOUT)[::2]
     module = module_of(tuple(dict.fromkeys(each for each in halves if each.outputs)))
     module.triple = triple
-    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=processor, opt=2)
+    machine = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=processor, opt=2, codemodel="small"
+    )
     assembly = machine.emit_assembly(llvm.parse_assembly(str(module)))
     assert "ret" in assembly
-    assert not re.findall(r"^\s+(?:bl|call\w*)\s+\S+", assembly, re.MULTILINE)
+    called = re.findall(r"^\s+(?:bl|call\w*)\s+(\S+)", assembly, re.MULTILINE)
+    assert {*called} <= {*re.findall(r"^(\w+):", assembly, re.MULTILINE)}
 
 
-def test_equal_functions_share_their_machine_code():
-    half = Half((Operation("slots", (), 0),), (0,), ())
-    assert half == Half((Operation("slots", (), 0),), (0,), ())
+def test_a_long_program_has_the_same_bits_in_pieces(monkeypatch):
+    model, rng = load_model("robot"), np.random.default_rng(1)
+    x, v = rng.uniform(0.2, 1.5, size=(3, 1, 48)), rng.uniform(size=(2, 1, 48)).astype(np.float32)
+    arguments = {"x": 3, "t": 0, "v": 2, "p": 0}
+    formula = Formula(model.measurement, "measurement", arguments, model.parameters, "robot")
+    layout = {"x": ("slots", 0), "v": ("noise", 0)}
+    source, results = Source(trace(formula, range(1)), layout, model.parameters), []
+    for most in (100_000, 300, 7):
+        monkeypatch.setattr(lowering, "_MOST_TOGETHER", most)
+        lowering.machine_code.cache_clear()
+        compiled = compile_blocks([source], range(1))
+        results.append(called(compiled.blocks, 0, x, v, np.zeros((1, 1)), 2))
+    lowering.machine_code.cache_clear()
+    np.testing.assert_array_equal(results[1], results[0])
+    np.testing.assert_array_equal(results[2], results[0])
