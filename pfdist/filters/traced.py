@@ -66,22 +66,33 @@ def simulate(
     draws = begun(model, horizon, index, stream, prior)
     compiled = simulation_blocks(model, draws.instants)
     sensors = [(part.y.start, part.v.start) for part in model.parts]
+    kinds = codes_of(model.initial_noise, model.process_noise, model.noise_of_measurements)
     request = simulation.Request(
+        len(index),
+        len(draws.instants),
+        *model.components,
+        len(sensors),
         np.uint64(stream),
         index.start,
         draws.start,
         prior is not None,
         np.array([*(y for y, _ in sensors), model.components[1]]),
         np.array([v for _, v in sensors]),
-        codes_of(model.initial_noise, model.process_noise, model.noise_of_measurements),
+        kinds.shape[1],
+        kinds,
     )
-    scratch = (
+    work = simulation.Work(
+        compiled.blocks,
+        request,
+        draws.x,
+        draws.y,
+        draws.z,
         np.zeros(2 * model.components[0] * simulation.TOGETHER),
         np.zeros(max(model.components) * simulation.TOGETHER),
-        np.zeros((request.kinds.shape[1] + 1) * simulation.TOGETHER, np.float32),
-        np.zeros((2, 2 * LANES), np.uint32),
+        np.zeros((kinds.shape[1] + 1) * simulation.TOGETHER, np.float32),
+        np.zeros(4 * LANES, np.uint32),
     )
-    simulation.simulate_draws(compiled.blocks, request, draws.x, draws.y, draws.z, *scratch)
+    simulation.simulate_draws(work)
     check_finite(model, draws, stream)
     return draws
 

@@ -34,8 +34,17 @@ from numpy.typing import NDArray
 from pfdist.kernels import schemes
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.variates import EXPONENTIAL, RESAMPLING, SPARE, UNIFORM, fill, words_of
-from pfdist.kernels.vectors import LANES, Array, Vector, iota, splat, vectorised, with_pointers
+from pfdist.kernels.variates import EXPONENTIAL, RESAMPLING, SPARE, UNIFORM, Key, fill, words_of
+from pfdist.kernels.vectors import (
+    LANES,
+    Array,
+    Vector,
+    ahead,
+    iota,
+    splat,
+    vectorised,
+    with_pointers,
+)
 
 _BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
 _IMPOSSIBLE = -np.finfo(np.float64).max
@@ -70,6 +79,17 @@ class Resampling(NamedTuple):
     words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
     chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
     counts: NDArray[np.int64]  # (2 * digits,): of the sort
+
+
+class Drawn(NamedTuple):
+    """Consecutive draws, and the key of the noise that places their points."""
+
+    stream: np.uint64
+    key: int
+    first: int  # index of the first draw
+    draws: int
+    width: int
+    particles: int
 
 
 def resampling_scratch(draws: int, width: int) -> Resampling:
@@ -352,19 +372,17 @@ def _store_scaled(
 
 
 @compiled
-def _fill_noise(scratch, width, kind, stream, draw, key):
+def _fill_noise(scratch, width, kind, drawn, draw):
     """Fill the noise that places the points of a draw."""
-    fill(
-        scratch.words, scratch.noise, width, kind, stream, key, RESAMPLING, _COMPONENT, draw,
-        np.int64(1),
-    )  # fmt: skip
+    key = Key(drawn.stream, drawn.key, RESAMPLING, _COMPONENT)
+    fill(scratch.words, scratch.noise, width, kind, key, draw, np.int64(1))
 
 
 @compiled
-def _ascending_points(scratch, to, stream, draw, key, count):
+def _ascending_points(scratch, to, drawn, draw, count):
     """Fill points with ordered uniforms: sums of exponentials over the last sum."""
     width = (count + np.int64(LANES)) // np.int64(LANES) * np.int64(LANES)  # count + 1 variates
-    _fill_noise(scratch, width, EXPONENTIAL, stream, draw, key)
+    _fill_noise(scratch, width, EXPONENTIAL, drawn, draw)
     carry = _numbers(0.0)
     for i in range(np.int64(0), width, np.int64(LANES)):
         carry = _add_noise(carry, scratch.noise, i, scratch.sums, 0.0)
@@ -374,10 +392,10 @@ def _ascending_points(scratch, to, stream, draw, key, count):
 
 
 @compiled
-def _stratified_points(scratch, to, stream, draw, key, count):
+def _stratified_points(scratch, to, drawn, draw, count):
     """Fill points with a point in each of `count` equal intervals."""
     width = (count + np.int64(LANES - 1)) // np.int64(LANES) * np.int64(LANES)
-    _fill_noise(scratch, width, UNIFORM, stream, draw, key)
+    _fill_noise(scratch, width, UNIFORM, drawn, draw)
     for i in range(count):
         scratch.points[to + i] = np.int32((i + np.float64(scratch.noise[i])) * (_POINTS / count))
 
@@ -402,12 +420,12 @@ def _passes(shares: Array, first: Vector, points: Array, begin: Vector) -> Vecto
 
 
 @compiled
-def _prepare_merge(scratch, number, weights, origin, total, particles, count):
+def _prepare_merge(scratch, number, cumulative, total, particles, count):
     """Fill shares from cumulative weights, and entries that end the merge."""
     base = number * scratch.span
     scale = _SHARES / max(total, _LEAST_TOTAL)
     for i in range(np.int64(0), particles, np.int64(LANES)):
-        _store_scaled(weights, origin + i, scale, _SHARES, scratch.shares, base + i)
+        _store_scaled(cumulative, i, scale, _SHARES, scratch.shares, base + i)
     behind = (particles + np.int64(LANES - 1)) // np.int64(LANES) * np.int64(LANES)
     for j in range(particles - 1, behind):
         scratch.shares[base + j] = _NOTHING_PASSES  # nothing passes the last particle
@@ -460,17 +478,15 @@ def _merge_two(scratch, count, to, other):
 
 
 @compiled
-def find_ancestors(
-    scheme, cumulative, resamples, stream, first, key, draws, width, particles, scratch
-):
+def find_ancestors(scheme, cumulative, resamples, drawn, scratch):
     """Find the ancestors of the particles of consecutive draws.
 
     A draw without the flag `resamples` keeps its particles. The ancestors of draw d begin at
     ``d * scratch.span``, and count from its first particle. `scheme` is a position in
-    `ALL_SCHEMES`, and `key` that of the noise.
+    `ALL_SCHEMES`.
     """
-    some, span = 0, scratch.span
-    for d in range(draws):
+    some, span, width = 0, scratch.span, drawn.width
+    for d in range(drawn.draws):
         if resamples[d]:
             scratch.chosen[some] = d
             some += 1
@@ -480,24 +496,24 @@ def find_ancestors(
     if scheme in (SYSTEMATIC, SORTED, RESIDUAL):
         for number in range(some):
             d = scratch.chosen[number]
-            origin, total, draw = d * width, cumulative[(d + 1) * width - 1], first + d
-            to = d * span
+            weights, total = ahead(cumulative, d * width), cumulative[(d + 1) * width - 1]
             if scheme == RESIDUAL:
-                _residual(cumulative, origin, total, stream, draw, key, particles, scratch, to)
+                _residual(weights, total, drawn, drawn.first + d, scratch, d * span)
             else:
-                _systematic(cumulative, origin, total, stream, draw, key, particles, scratch, to)
+                _systematic(weights, total, drawn, drawn.first + d, scratch, d * span)
     else:
-        _by_points(scheme, cumulative, stream, first, key, width, particles, scratch, some)
+        _by_points(scheme, cumulative, drawn, scratch, some)
 
 
 @compiled
-def _systematic(cumulative, origin, total, stream, draw, key, particles, scratch, to):
-    _fill_noise(scratch, np.int64(LANES), UNIFORM, stream, draw, key)
+def _systematic(cumulative, total, drawn, draw, scratch, to):
+    particles = drawn.particles
+    _fill_noise(scratch, np.int64(LANES), UNIFORM, drawn, draw)
     shift, starts = np.float64(scratch.noise[0]), scratch.points
     scale = particles / max(total, _LEAST_TOTAL)
     starts[0] = 0
     for i in range(np.int64(0), particles, np.int64(LANES)):
-        _store_starts(cumulative, origin + i, scale, shift, float(particles), starts, i + 1)
+        _store_starts(cumulative, i, scale, shift, float(particles), starts, i + 1)
     _end_starts(starts, particles, particles)
     _expand(starts, particles, particles, scratch.shares, scratch.ancestor, to)
 
@@ -510,48 +526,50 @@ def _end_starts(starts, particles, count):
 
 
 @compiled
-def _residual(cumulative, origin, total, stream, draw, key, particles, scratch, to):
+def _residual(cumulative, total, drawn, draw, scratch, to):
+    particles = drawn.particles
     starts, before, certain, rest = scratch.points, 0.0, 0, 0.0
     starts[0] = 0
     whole = max(total, _LEAST_TOTAL)
     for j in range(particles):
         # This order of operations does not round a whole number away. A sum may be a little less
         # than the sum before.
-        expected = max(cumulative[origin + j] - before, 0.0) * particles / whole
-        before = cumulative[origin + j]
+        expected = max(cumulative[j] - before, 0.0) * particles / whole
+        before = cumulative[j]
         children = math.floor(expected)
         certain += children
         rest += expected - children
         starts[j + 1] = min(certain, particles)
-        cumulative[origin + j] = rest
+        cumulative[j] = rest
     certain = min(certain, particles)
     if certain > 0:
         _end_starts(starts, particles, certain)
         _expand(starts, particles, certain, scratch.shares, scratch.ancestor, to)
     count = particles - certain
     if count > 0:
-        _ascending_points(scratch, np.int64(0), stream, draw, key, count)
-        _prepare_merge(scratch, np.int64(0), cumulative, origin, rest, particles, count)
+        _ascending_points(scratch, np.int64(0), drawn, draw, count)
+        _prepare_merge(scratch, np.int64(0), cumulative, rest, particles, count)
         _merge(scratch, np.int64(0), count, to + certain)
 
 
 @compiled
-def _by_points(scheme, cumulative, stream, first, key, width, particles, scratch, some):
+def _by_points(scheme, cumulative, drawn, scratch, some):
     """Multinomial, stratified and conditional ancestors, of two draws at a time."""
     skipped = np.int64(1) if scheme == CONDITIONAL else np.int64(0)
-    count, span, chosen = particles - skipped, scratch.span, scratch.chosen
+    count, span, chosen = drawn.particles - skipped, scratch.span, scratch.chosen
     for number in range(np.int64(0), some, np.int64(2)):
         pair = min(np.int64(2), some - number)
         for k in range(pair):
             d, base = chosen[number + k], k * span
             if scheme == STRATIFIED:
-                _stratified_points(scratch, base, stream, first + d, key, count)
+                _stratified_points(scratch, base, drawn, drawn.first + d, count)
             else:
                 # P - 1 points for the others of a conditional cloud. One of P sorted points cannot
                 # simply be left out: the point at a given position is not uniform.
-                _ascending_points(scratch, base, stream, first + d, key, count)
-            total = cumulative[(d + 1) * width - 1]
-            _prepare_merge(scratch, k, cumulative, d * width, total, particles, count)
+                _ascending_points(scratch, base, drawn, drawn.first + d, count)
+            weights = ahead(cumulative, d * drawn.width)
+            total = weights[drawn.width - 1]
+            _prepare_merge(scratch, k, weights, total, drawn.particles, count)
         to = chosen[number] * span + skipped
         if pair == 2:
             _merge_two(scratch, count, to, chosen[number + 1] * span + skipped)
@@ -682,14 +700,11 @@ def _weigh_rows(rows):
 
 
 @entry
-def _find_rows(rows, scheme, stream, first, key, scratch):
+def _find_rows(rows, scheme, drawn, scratch):
     rows, scratch = with_pointers(rows), with_pointers(scratch)
     for d in range(rows.draws):
         cumulate(rows.weight, d * rows.width, rows.width, rows.cumulative)
-    find_ancestors(
-        scheme, rows.cumulative, rows.resamples, stream, first, key, rows.draws, rows.width,
-        rows.particles, scratch,
-    )  # fmt: skip
+    find_ancestors(scheme, rows.cumulative, rows.resamples, drawn, scratch)
 
 
 def _padded(values: Any, dtype: Any) -> NDArray[Any]:
@@ -713,6 +728,7 @@ def ancestors_of(
     rows = _rows(weight, weight)
     scratch = resampling_scratch(rows.draws, rows.width)
     number = [*ALL_SCHEMES].index(scheme)
-    _find_rows(rows, number, np.uint64(stream), draws.start, key, scratch)
+    drawn = Drawn(np.uint64(stream), key, draws.start, rows.draws, rows.width, rows.particles)
+    _find_rows(rows, number, drawn, scratch)
     ancestors = scratch.ancestor[: rows.draws * scratch.span].reshape(rows.draws, -1)
     return ancestors[:, : rows.particles].astype(np.intp)

@@ -131,34 +131,20 @@ def run(address: int, out: Array, slots: Array) -> None:
 # --- calls of blocks from compiled functions ------------------------------------------------------
 
 
-_MEMORY = (types.Array, types.CPointer)
-
-
 @intrinsic
-def call(
-    context, address, out, out_at, out_stride, slots, slots_at, slots_stride,
-    noise, noise_at, noise_stride, given, given_at, draw_stride, component_stride,
-    table, place, draws, width,
-):  # fmt: skip
+def call(context, address, out, slots, noise, given, shared, size):
     """Call a block by its address; see `pfdist.kernels.lowering.ARGUMENTS`.
 
-    An array, or a pointer, is followed by the place at which the block begins to read or write.
+    `out`, `slots` and `noise` are a pointer and a stride, `given` a pointer and two strides,
+    `shared` is a pointer, and `size` the numbers of draws and of slots of each.
     """
-    arguments = (
-        address, out, out_at, out_stride, slots, slots_at, slots_stride, noise, noise_at,
-        noise_stride, given, given_at, draw_stride, component_stride, table, place, draws, width,
-    )  # fmt: skip
+    arguments = address, out, slots, noise, given, shared, size
 
     def generate(context, builder, signature, values):
-        kinds = [types.unliteral(kind) for kind in signature.args]
         numbers = []
-        for number, (kind, value) in enumerate(zip(kinds, values, strict=True)):
-            if isinstance(kind, _MEMORY):
-                is_array = isinstance(kind, types.Array)
-                data = context.make_array(kind)(context, builder, value).data if is_array else value
-                numbers.append(builder.gep(data, [values[number + 1]]))
-            elif not isinstance(kinds[number - 1], _MEMORY):
-                numbers.append(value)
+        for kind, value in zip(signature.args, values, strict=True):
+            count = len(kind) if isinstance(kind, types.BaseTuple) else 0
+            numbers += [builder.extract_value(value, k) for k in range(count)] or [value]
         function = builder.inttoptr(numbers[0], FUNCTION.as_pointer())
         builder.call(function, numbers[1:])
         return context.get_dummy_value()

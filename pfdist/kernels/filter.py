@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.kernels.ancestors import (
+    Drawn,
+    Resampling,
     find_ancestors,
     resampling_scratch,
     sort_by_state,
@@ -30,7 +32,7 @@ from pfdist.kernels.blocks import Blocks, call
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, fill, words_of
+from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, Key, fill, words_of
 from pfdist.kernels.vectors import LANES, ahead, with_pointers
 
 INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
@@ -182,17 +184,29 @@ class At(NamedTuple):
     draws: int  # number of draws
 
 
+class Work(NamedTuple):
+    """All that the functions of a filter share."""
+
+    blocks: Blocks
+    request: Request
+    plan: Plan
+    results: Results
+    wanted: Wanted
+    batch: Batch
+    scratch: Resampling
+    saved: Saved
+
+
 @entry
-def filter_draws(blocks, request, plan, results, wanted, batch, scratch, saved):
+def filter_draws(work):
     """Filter all draws with all sets of a plan.
 
     Sets are innermost and in the plan's order: a set resumes from a batch that an earlier set saved
     for the same draws and filter. The filter of a set pauses at each instant before which a later
     set resumes. `here` is 0 or 1: the half that counts.
     """
-    blocks, request, plan = with_pointers(blocks), with_pointers(request), with_pointers(plan)
-    results, batch, scratch = with_pointers(results), with_pointers(batch), with_pointers(scratch)
-    saved = with_pointers(saved)
+    work = with_pointers(work)
+    request, plan, batch = work.request, work.plan, work.batch
     for first in range(np.int64(0), request.draws, batch.draws):
         draws = min(batch.draws, request.draws - first)
         for number in range(request.filters):
@@ -200,56 +214,53 @@ def filter_draws(blocks, request, plan, results, wanted, batch, scratch, saved):
             for s in range(request.sets):
                 here, stop = np.int64(0), plan.begins[s]
                 if stop > 0:
-                    _resume(request, saved, batch, plan.sources[s])
+                    _resume(work, plan.sources[s])
                 else:
-                    _begin(blocks, request, batch, at)
+                    _begin(work, at)
                 last = plan.first_stops[s + 1] - 1
                 # Whether the last cloud counts, so that it is resampled after a measurement.
-                goes_on = plan.slots[last] >= 0 or wanted.cloud
+                goes_on = plan.slots[last] >= 0 or work.wanted.cloud
                 for k in range(plan.first_stops[s], last + 1):
                     begin, stop = stop, plan.stops[k]
                     for t in range(begin, stop):
                         resamples = goes_on or t + 1 < plan.ends[s]
                         sensors = plan.measured[s * request.instants + t]
-                        here = _filter_instant(
-                            blocks, request, results, wanted, batch, scratch, at, here, t, s,
-                            sensors, resamples,
-                        )  # fmt: skip
+                        here = _filter_instant(work, at, here, t, s, sensors, resamples)
                     if plan.slots[k] >= 0:
-                        _save(request, saved, batch, here, plan.slots[k])
-                _finish(request, results, wanted, batch, at, here, s)
+                        _save(work, here, plan.slots[k])
+                _finish(work, at, here, s)
 
 
 @compiled
-def _filter_instant(
-    blocks, request, results, wanted, batch, scratch, at, here, t, s, sensors, resamples
-):
+def _filter_instant(work, at, here, t, s, sensors, resamples):
     """Propagate, weight, estimate and resample; the half that then counts.
 
     The estimate comes before resampling, which adds noise. `sensors` has a bit for each sensor that
     measures.
     """
+    request, wanted, batch = work.request, work.wanted, work.batch
     if t > 0:
-        _step(blocks, request, batch, at, here, t, sensors > 0)
+        _step(work, at, here, t, sensors > 0)
         here = 1 - here
     if request.holds_truth:
-        _put_truth(request, batch, at, here, t)
+        _put_truth(work, at, here, t)
     if sensors > 0:
-        here = _measure(blocks, request, batch, scratch, at, here, t, sensors)
-    _estimate(blocks, request, results, wanted, batch, at, here, t, s)
+        here = _measure(work, at, here, t, sensors)
+    _estimate(work, at, here, t, s)
     if sensors > 0 and wanted.ranks:
-        _rank_truth(results, request, batch, at, t)
+        _rank_truth(work, at, t)
     if sensors > 0 and resamples:
         for d in range(at.draws):
-            batch.resamples[d] = batch.weighs[d] and _is_uneven(request, batch, d)
+            batch.resamples[d] = batch.weighs[d] and _is_uneven(work, d)
         key = (request.start + t + 1) * request.sensors - 1
-        here = _resample(request, batch, scratch, at, here, key)
+        here = _resample(work, at, here, key)
     return here
 
 
 @compiled
-def _half(request, batch, here):
+def _half(work, here):
     """A half of the cloud."""
+    request, batch = work.request, work.batch
     return ahead(batch.cloud, here * (request.states + 1) * batch.stride)
 
 
@@ -257,8 +268,9 @@ def _half(request, batch, here):
 
 
 @compiled
-def _resume(request, saved, batch, slot):
+def _resume(work, slot):
     """Fill the first half from a saved batch."""
+    request, saved, batch = work.request, work.saved, work.batch
     count, row = request.states * batch.stride, batch.row
     _copy(ahead(saved.cloud, slot * count), batch.cloud, count)
     _copy(ahead(saved.weight, slot * batch.stride), batch.weight, batch.stride)
@@ -269,10 +281,11 @@ def _resume(request, saved, batch, slot):
 
 
 @compiled
-def _save(request, saved, batch, here, slot):
+def _save(work, here, slot):
     """Save the batch, because a later set resumes from it."""
+    request, saved, batch = work.request, work.saved, work.batch
     count, row = request.states * batch.stride, batch.row
-    _copy(_half(request, batch, here), ahead(saved.cloud, slot * count), count)
+    _copy(_half(work, here), ahead(saved.cloud, slot * count), count)
     _copy(batch.weight, ahead(saved.weight, slot * batch.stride), batch.stride)
     _copy(batch.total, ahead(saved.numbers, 2 * slot * row), row)
     _copy(batch.error, ahead(saved.numbers, (2 * slot + 1) * row), row)
@@ -287,20 +300,22 @@ def _copy(source, target, count):
 
 
 @compiled
-def _begin(blocks, request, batch, at):
+def _begin(work, at):
     """Fill the first half with the prior, or with x(0)."""
+    request, batch = work.request, work.batch
     for d in range(at.draws):
         batch.total[d], batch.error[d] = float(request.particles), 0.0
         batch.weighted[d] = batch.weighs[d] = batch.degenerate[d] = 0
     if request.has_prior:
-        _take_prior(request, batch, at)
+        _take_prior(work, at)
         return
-    _fill_noise(request, batch, at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL)
-    _of_particles(blocks, request, batch, at, INITIAL, np.int64(0), batch.cloud, batch.cloud)
+    _fill_noise(work, at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL)
+    _of_particles(work, at, INITIAL, np.int64(0), batch.cloud, batch.cloud)
 
 
 @compiled
-def _take_prior(request, batch, at):
+def _take_prior(work, at):
+    request, batch = work.request, work.batch
     particles, width, stride = request.particles, batch.width, batch.stride
     for d in range(at.draws):
         origin = d * width
@@ -319,74 +334,94 @@ def _take_prior(request, batch, at):
 
 
 @compiled
-def _fill_noise(request, batch, at, process, t, role):
+def _fill_noise(work, at, process, t, role):
     """A row of noise for each component of a process."""
+    request, batch = work.request, work.batch
     for c in range(request.components):
         kind = request.kinds[process * request.components + c]
         if kind >= 0:
             fill(
-                batch.words, ahead(batch.noise, c * batch.spacious), batch.width, kind, at.stream,
-                t, role, c, request.first_draw + at.first, at.draws,
+                batch.words, ahead(batch.noise, c * batch.spacious), batch.width, kind,
+                Key(at.stream, t, role, c), request.first_draw + at.first, at.draws,
             )  # fmt: skip
 
 
 @compiled
-def _of_particles(blocks, request, batch, at, block, t, source, target):
+def _of_particles(work, at, block, t, source, target):
     """Call a block for all particles of the batch: from states and noise to rows of particles."""
+    blocks, request, batch = work.blocks, work.request, work.batch
     which, stride = block * request.instants + t, batch.stride
     call(
-        blocks.addresses[which], target, 0, stride, source, 0, stride,
-        batch.noise, 0, batch.spacious, batch.means, 0, 0, 0,
-        blocks.table, blocks.places[which], 1, at.draws * batch.width,
-    )  # fmt: skip
+        blocks.addresses[which],
+        (target, stride),
+        (source, stride),
+        (batch.noise, batch.spacious),
+        (batch.means, 0, 0),
+        ahead(blocks.table, blocks.places[which]),
+        (1, at.draws * batch.width),
+    )
 
 
 @compiled
-def _with_given(blocks, request, batch, at, block, t, source, target, given, of_draw, of_component):
+def _with_given(work, at, block, t, source, target, given, of_draw, of_component):
     """Call a block that also gets numbers of each draw, from a pointer on with two strides."""
+    blocks, request, batch = work.blocks, work.request, work.batch
     which, stride = block * request.instants + t, batch.stride
     call(
-        blocks.addresses[which], target, 0, stride, source, 0, stride,
-        batch.noise, 0, batch.spacious, given, 0, of_draw, of_component,
-        blocks.table, blocks.places[which], at.draws, batch.width,
-    )  # fmt: skip
+        blocks.addresses[which],
+        (target, stride),
+        (source, stride),
+        (batch.noise, batch.spacious),
+        (given, of_draw, of_component),
+        ahead(blocks.table, blocks.places[which]),
+        (at.draws, batch.width),
+    )
 
 
 @compiled
-def _of_draws(blocks, request, batch, block, t, source, target):
+def _of_draws(work, block, t, source, target):
     """Call a block for all draws of the batch: from rows of draws to other rows."""
+    blocks, request, batch = work.blocks, work.request, work.batch
     which, row = block * request.instants + t, batch.row
     call(
-        blocks.addresses[which], target, 0, row, source, 0, row, batch.noise, 0, 0,
-        batch.means, 0, 0, 0, blocks.table, blocks.places[which], 1, row,
-    )  # fmt: skip
+        blocks.addresses[which],
+        (target, row),
+        (source, row),
+        (batch.noise, 0),
+        (batch.means, 0, 0),
+        ahead(blocks.table, blocks.places[which]),
+        (1, row),
+    )
 
 
 @compiled
-def _measured_at(request, at, t, component):
+def _measured_at(work, at, t, component):
     """The pointer to a component of y(t) of the batch's first draw."""
+    request = work.request
     instant = at.first * request.instants + t
     return ahead(request.y, instant * request.measurements + component)
 
 
 @compiled
-def _step(blocks, request, batch, at, here, t, is_measured):
+def _step(work, at, here, t, is_measured):
     """Fill the other half with x(t); to a measurement by the proposal if there is one."""
-    source, target = _half(request, batch, here), _half(request, batch, 1 - here)
+    request = work.request
+    source, target = _half(work, here), _half(work, 1 - here)
     before = request.start + t - 1
     if is_measured and request.guided:
-        _fill_noise(request, batch, at, PROPOSAL_NOISE, before, FILTER_PROCESS)
-        y = _measured_at(request, at, t, np.int64(0))
+        _fill_noise(work, at, PROPOSAL_NOISE, before, FILTER_PROCESS)
+        y = _measured_at(work, at, t, np.int64(0))
         of_draw = request.instants * request.measurements
-        _with_given(blocks, request, batch, at, GUIDED, t - 1, source, target, y, of_draw, 1)
+        _with_given(work, at, GUIDED, t - 1, source, target, y, of_draw, 1)
     else:
-        _fill_noise(request, batch, at, PROCESS_NOISE, before, FILTER_PROCESS)
-        _of_particles(blocks, request, batch, at, TRANSITION, t - 1, source, target)
+        _fill_noise(work, at, PROCESS_NOISE, before, FILTER_PROCESS)
+        _of_particles(work, at, TRANSITION, t - 1, source, target)
 
 
 @compiled
-def _put_truth(request, batch, at, here, t):
-    cloud = _half(request, batch, here)
+def _put_truth(work, at, here, t):
+    request, batch = work.request, work.batch
+    cloud = _half(work, here)
     for d in range(at.draws):
         x = ahead(request.x, ((at.first + d) * request.instants + t) * request.states)
         for c in range(request.states):
@@ -397,30 +432,32 @@ def _put_truth(request, batch, at, here, t):
 
 
 @compiled
-def _measure(blocks, request, batch, scratch, at, here, t, sensors):
+def _measure(work, at, here, t, sensors):
     """Weigh the particles by the sensors that measure at t; the half that then counts.
 
     The sensors weigh in their turn. In between the cloud is resampled, but not propagated. If no
     particle explains a measurement, the draw is degenerate, and the measurement is left out.
     """
+    request, batch = work.request, work.batch
     for d in range(at.draws):
         batch.weighs[d] = 0
     for sensor in range(request.sensors):
         if (sensors >> sensor) & 1:
             _copy(batch.weighs, batch.resamples, at.draws)
             key = (request.start + t) * request.sensors + sensor - 1
-            here = _resample(request, batch, scratch, at, here, key)
-            _fill_log_weights(blocks, request, batch, at, here, t, sensor)
-            _weigh(request, batch, at)
+            here = _resample(work, at, here, key)
+            _fill_log_weights(work, at, here, t, sensor)
+            _weigh(work, at)
             if request.guided and t > 0:
-                _step_without(blocks, request, batch, at, here, t)
+                _step_without(work, at, here, t)
             if request.sorts:
-                here = _sort(request, batch, scratch, at, here)
+                here = _sort(work, at, here)
     return here
 
 
 @compiled
-def _weigh(request, batch, at):
+def _weigh(work, at):
+    request, batch = work.request, work.batch
     for d in range(at.draws):
         total = weigh(
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
@@ -434,16 +471,17 @@ def _weigh(request, batch, at):
 
 
 @compiled
-def _step_without(blocks, request, batch, at, here, t):
+def _step_without(work, at, here, t):
     """Repeat the step to t without the proposal for draws whose measurement is left out."""
+    request, batch = work.request, work.batch
     fails = False
     for d in range(at.draws):
         fails |= batch.weighs[d] == 0
     if not fails:
         return
-    source, cloud = _half(request, batch, 1 - here), _half(request, batch, here)
-    _fill_noise(request, batch, at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
-    _of_particles(blocks, request, batch, at, TRANSITION, t - 1, source, batch.quantity)
+    source, cloud = _half(work, 1 - here), _half(work, here)
+    _fill_noise(work, at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
+    _of_particles(work, at, TRANSITION, t - 1, source, batch.quantity)
     for d in range(at.draws):
         if not batch.weighs[d]:
             for c in range(request.states):
@@ -452,12 +490,13 @@ def _step_without(blocks, request, batch, at, here, t):
 
 
 @compiled
-def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
+def _fill_log_weights(work, at, here, t, sensor):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
-    cloud, used = _half(request, batch, here), at.draws * batch.width
-    y = _measured_at(request, at, t, request.first_components[sensor])
+    blocks, request, batch = work.blocks, work.request, work.batch
+    cloud, used = _half(work, here), at.draws * batch.width
+    y = _measured_at(work, at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
-    _with_given(blocks, request, batch, at, block, t, cloud, batch.log_weight, y, of_draw, 1)
+    _with_given(work, at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     if request.guided and t > 0:
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):
@@ -465,9 +504,14 @@ def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
     if request.threshold < np.inf:
         which = LOGARITHM * request.instants
         call(
-            blocks.addresses[which], batch.log_carried, 0, batch.stride, batch.cloud, 0, 0,
-            batch.weight, 0, 0, batch.means, 0, 0, 0, blocks.table, blocks.places[which], 1, used,
-        )  # fmt: skip
+            blocks.addresses[which],
+            (batch.log_carried, batch.stride),
+            (batch.cloud, 0),
+            (batch.weight, 0),
+            (batch.means, 0, 0),
+            ahead(blocks.table, blocks.places[which]),
+            (1, used),
+        )
         for d in range(at.draws):
             if batch.weighted[d]:
                 for i in range(d * batch.width, (d + 1) * batch.width):
@@ -475,9 +519,10 @@ def _fill_log_weights(blocks, request, batch, at, here, t, sensor):
 
 
 @compiled
-def _sort(request, batch, scratch, at, here):
+def _sort(work, at, here):
     """Sort the particles of each weighed draw by their state; the other half has the result."""
-    source, target = _half(request, batch, here), _half(request, batch, 1 - here)
+    request, batch, scratch = work.request, work.batch, work.scratch
+    source, target = _half(work, here), _half(work, 1 - here)
     for d in range(at.draws):
         sort_by_state(
             source, target, batch.weight, batch.cumulative, d * batch.width, batch.width,
@@ -487,12 +532,13 @@ def _sort(request, batch, scratch, at, here):
 
 
 @compiled
-def _is_uneven(request, batch, d):
+def _is_uneven(work, d):
     """Whether the effective sample size of a draw lies below the threshold.
 
     Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
     the American Statistical Association 89, 1994.
     """
+    request, batch = work.request, work.batch
     if request.threshold == np.inf:
         return True
     squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
@@ -500,18 +546,18 @@ def _is_uneven(request, batch, d):
 
 
 @compiled
-def _resample(request, batch, scratch, at, here, key):
+def _resample(work, at, here, key):
     """Resample the draws with the flag; the half that then counts."""
+    request, batch, scratch = work.request, work.batch, work.scratch
     some = False
     for d in range(at.draws):
         some |= batch.resamples[d] > 0
     if not some:
         return here
-    find_ancestors(
-        request.scheme, batch.cumulative, batch.resamples, at.stream,
-        request.first_draw + at.first, key, at.draws, batch.width, request.particles, scratch,
-    )  # fmt: skip
-    source, target = _half(request, batch, here), _half(request, batch, 1 - here)
+    first = request.first_draw + at.first
+    drawn = Drawn(at.stream, key, first, at.draws, batch.width, request.particles)
+    find_ancestors(request.scheme, batch.cumulative, batch.resamples, drawn, scratch)
+    source, target = _half(work, here), _half(work, 1 - here)
     for c in range(request.states):
         row = c * batch.stride
         take(scratch, ahead(source, row), ahead(target, row), at.draws, batch.width)
@@ -525,45 +571,48 @@ def _resample(request, batch, scratch, at, here, key):
 
 
 @compiled
-def _estimate(blocks, request, results, wanted, batch, at, here, t, s):
+def _estimate(work, at, here, t, s):
     """Estimate z(t) of each draw, and add the errors."""
+    request, wanted, batch = work.request, work.wanted, work.batch
     quantities, weights = request.quantities, request.weights
-    cloud, mean = _half(request, batch, here), ahead(batch.moments, quantities * batch.row)
+    cloud, mean = _half(work, here), ahead(batch.moments, quantities * batch.row)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
-            _fill_mean(request, batch, at, values, ahead(batch.means, r * batch.row))
+            _fill_mean(work, at, values, ahead(batch.means, r * batch.row))
     else:
-        _of_particles(blocks, request, batch, at, QUANTITY, t, cloud, batch.quantity)
-        _fill_means(request, batch, at, batch.means, request.means)
-    _of_draws(blocks, request, batch, ESTIMATE, t, batch.means, mean)
+        _of_particles(work, at, QUANTITY, t, cloud, batch.quantity)
+        _fill_means(work, at, batch.means, request.means)
+    _of_draws(work, ESTIMATE, t, batch.means, mean)
     if weights.variance != 0.0 or weights.distance != 0.0 or wanted.moments:
-        _estimate_variance(blocks, request, results, wanted, batch, at, cloud, t, s)
+        _estimate_variance(work, at, cloud, t, s)
     if weights.squared_error != 0.0:
         for d in range(at.draws):
             z = ahead(request.z, ((at.first + d) * request.instants + t) * quantities)
             for c in range(quantities):
                 batch.moments[c * batch.row + d] = z[c]
-        _of_draws(blocks, request, batch, ERROR, t, batch.moments, batch.distance)
+        _of_draws(work, ERROR, t, batch.moments, batch.distance)
         weight = request.instant_weights[t] * weights.squared_error
         for d in range(at.draws):
-            _add(request, results, wanted, batch, s, t, d, batch.distance[d], weight)
+            _add(work, s, t, d, batch.distance[d], weight)
     for d in range(at.draws):
         if not batch.error[d] < np.inf:
             batch.error[d] = np.inf
 
 
 @compiled
-def _fill_means(request, batch, at, means, rows):
+def _fill_means(work, at, means, rows):
     """Fill rows of draws with the weighted means of z, or of squared deviations."""
+    batch = work.batch
     for r in range(rows):
         values = ahead(batch.quantity, r * batch.stride)
-        _fill_mean(request, batch, at, values, ahead(means, r * batch.row))
+        _fill_mean(work, at, values, ahead(means, r * batch.row))
 
 
 @compiled
-def _fill_mean(request, batch, at, values, mean):
+def _fill_mean(work, at, values, mean):
     """Fill a row of draws with the weighted mean of a row of particles."""
+    request, batch = work.request, work.batch
     for d in range(at.draws):
         origin = d * batch.width
         if batch.weighted[d]:
@@ -574,22 +623,23 @@ def _fill_mean(request, batch, at, values, mean):
 
 
 @compiled
-def _estimate_variance(blocks, request, results, wanted, batch, at, cloud, t, s):
+def _estimate_variance(work, at, cloud, t, s):
     """Record mean and variance, and add the part of the error that they estimate.
 
     Each filter contributes its variance, by the estimator's weights. The first of two filters
     stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
     """
+    request, wanted, batch = work.request, work.wanted, work.batch
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
     variance = ahead(mean, quantities * row)
-    _with_given(blocks, request, batch, at, DEVIATIONS, t, cloud, batch.quantity, mean, 1, row)
-    _fill_means(request, batch, at, variance, quantities)
+    _with_given(work, at, DEVIATIONS, t, cloud, batch.quantity, mean, 1, row)
+    _fill_means(work, at, variance, quantities)
     if wanted.moments:
-        _record(request, results, batch, at, t, mean, variance)
+        _record(work, at, t, mean, variance)
     has_distance = request.filters > 1
     if has_distance:
-        _measure_distance(blocks, request, batch, at, t, s, mean)
+        _measure_distance(work, at, t, s, mean)
     for d in range(at.draws):
         error = 0.0
         if request.weights.variance != 0.0:  # else an infinite variance would make a NaN
@@ -598,11 +648,12 @@ def _estimate_variance(blocks, request, results, wanted, batch, at, cloud, t, s)
             error *= request.weights.variance
         if has_distance and at.number > 0:
             error += request.weights.distance * batch.distance[d]
-        _add(request, results, wanted, batch, s, t, d, error, request.instant_weights[t])
+        _add(work, s, t, d, error, request.instant_weights[t])
 
 
 @compiled
-def _record(request, results, batch, at, t, mean, variance):
+def _record(work, at, t, mean, variance):
+    request, results, batch = work.request, work.results, work.batch
     for d in range(at.draws):
         if batch.error[d] < np.inf:
             first = ((at.first + d) * request.instants + t) * request.quantities
@@ -612,23 +663,25 @@ def _record(request, results, batch, at, t, mean, variance):
 
 
 @compiled
-def _measure_distance(blocks, request, batch, at, t, s, mean):
+def _measure_distance(work, at, t, s, mean):
     """Keep the means of the first filter; the second measures the distance of its own to these."""
+    request, batch = work.request, work.batch
     count = request.quantities * batch.row
     first_means = ahead(batch.first_means, (s * request.instants + t) * count)
     if at.number == 0:
         _copy(mean, first_means, count)
     else:
         _copy(first_means, ahead(mean, 2 * count), count)
-        _of_draws(blocks, request, batch, DISTANCE, t, mean, batch.distance)
+        _of_draws(work, DISTANCE, t, mean, batch.distance)
 
 
 @compiled
-def _add(request, results, wanted, batch, s, t, d, error, weight):
+def _add(work, s, t, d, error, weight):
     """Add a weighted error to those of a draw that has not ended, and to the sum over draws.
 
     An instant of weight 0 does not count, even if its error is infinite.
     """
+    request, results, wanted, batch = work.request, work.results, work.wanted, work.batch
     if batch.error[d] < np.inf and weight != 0.0:
         batch.error[d] += weight * error
         if wanted.errors:
@@ -636,8 +689,9 @@ def _add(request, results, wanted, batch, s, t, d, error, weight):
 
 
 @compiled
-def _rank_truth(results, request, batch, at, t):
+def _rank_truth(work, at, t):
     """The place of the truth's z, which is that of particle 0, among the weighted particles."""
+    results, request, batch = work.results, work.request, work.batch
     half = request.draws * request.instants * request.quantities
     for d in range(at.draws):
         origin, total = d * batch.width, batch.total[d]
@@ -655,21 +709,23 @@ def _rank_truth(results, request, batch, at, t):
 
 
 @compiled
-def _finish(request, results, wanted, batch, at, here, s):
+def _finish(work, at, here, s):
     """Write the results of a set: mean errors, degenerate draws, and clouds that are wanted."""
+    request, results, wanted, batch = work.request, work.results, work.wanted, work.batch
     for d in range(at.draws):
         place = (at.first + d) * request.sets + s
         mse = batch.error[d] / request.instants
         results.mse[place] = mse if at.number == 0 else results.mse[place] + mse
         results.degenerate[place] |= batch.degenerate[d]
         if wanted.cloud and batch.error[d] < np.inf:
-            _keep(request, results, batch, at, here, d)
+            _keep(work, at, here, d)
 
 
 @compiled
-def _keep(request, results, batch, at, here, d):
+def _keep(work, at, here, d):
     """Copy the particles of a draw and their weights into the results."""
-    cloud, particles, row = _half(request, batch, here), request.particles, at.first + d
+    request, results, batch = work.request, work.results, work.batch
+    cloud, particles, row = _half(work, here), request.particles, at.first + d
     for i in range(particles):
         place = d * batch.width + i
         weight = np.float64(batch.weight[place]) if batch.weighted[d] else 1.0
@@ -695,7 +751,7 @@ def filter_all(blocks: Blocks, request: Request, plan: Plan, results: Results) -
     sizes = results.estimate.size, results.errors.size, results.ranks.size, results.cloud.size
     wanted = Wanted(*(size > 0 for size in sizes))
     scratch = resampling_scratch(draws, width)
-    filter_draws(blocks, request, plan, results, wanted, batch, scratch, saved)
+    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved))
 
 
 def _scratch(request: Request, plan: Plan, width: int, draws: int) -> tuple[Batch, Saved]:

@@ -8,14 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels.blocks import call
+from pfdist.kernels.blocks import Blocks, call
 from pfdist.kernels.cached import compiled, entry
 from pfdist.kernels.variates import (
     TRUTH_INITIAL,
     TRUTH_MEASUREMENT,
     TRUTH_PROCESS,
+    Key,
     fill_of_draws,
 )
+from pfdist.kernels.vectors import ahead, with_pointers
 
 INITIAL, TRANSITION, QUANTITY, MEASUREMENT = np.arange(4)
 """Rows of `pfdist.kernels.blocks.Blocks`. The measurements of further sensors follow."""
@@ -29,81 +31,123 @@ TOGETHER = np.int64(256)
 class Request(NamedTuple):
     """Which D draws are simulated, at T+1 instants."""
 
+    draws: int
+    instants: int
+    states: int  # n
+    measurements: int  # m
+    quantities: int  # q
+    sensors: int
     stream: np.uint64  # key of the noise
     first_draw: int  # index of the first draw in its stream
     start: int  # first instant
     has_begun: bool  # whether the first states are given
     first_components: NDArray[np.int64]  # (sensors + 1,): of y, and their number
     first_noises: NDArray[np.int64]  # (sensors,): of v, for each sensor
-    # (3, most components): kinds of the components of initial, process and measurement noise; -1
-    # for none
+    components: int  # of the longest process
+    # (3, components): kinds of initial, process and measurement noise; -1 for none
     kinds: NDArray[np.int64]
 
 
+class Work(NamedTuple):
+    """All that the functions of a simulation share; a row of draws has `TOGETHER` entries."""
+
+    blocks: Blocks
+    request: Request
+    x: NDArray[np.float64]  # (D, T+1, n)
+    y: NDArray[np.float64]  # (D, T+1, m)
+    z: NDArray[np.float64]  # (D, T+1, q)
+    states: NDArray[np.float64]  # 2 n rows: a step reads a half and writes the other
+    values: NDArray[np.float64]  # rows of a block's results
+    noise: NDArray[np.float32]  # a row for each component, and one more
+    words: NDArray[np.uint32]  # (64,)
+
+
+class _Now(NamedTuple):
+    """The draws that are simulated side by side, and the instant."""
+
+    begin: int | np.int64  # row of the first draw
+    draws: int | np.int64
+    k: int | np.int64  # number of the instant
+
+
 @entry
-def simulate_draws(blocks, request, x, y, z, states, values, noise, words):
-    """Fill x (D, T+1, n), y (D, T+1, m) and z (D, T+1, q).
-
-    `states` (2 * n * TOGETHER,), `values` and `noise`, with a row for each component, are scratch.
-    """
-    stride, half = TOGETHER, x.shape[2] * TOGETHER
-    for begin in range(0, x.shape[0], stride):
-        draws, here = min(stride, x.shape[0] - begin), 0
-        _begin(blocks, request, x, states, noise, words, begin, draws)
-        for k in range(x.shape[1]):
-            first = here * half
-            _fill(words, noise, request, MEASUREMENT_NOISE, begin, draws, k, TRUTH_MEASUREMENT)
-            _spread(states, first, x, begin, draws, k, 0, x.shape[2])
-            for sensor in range(request.first_noises.size):
-                _evaluate(
-                    blocks, MEASUREMENT + sensor, k, values, 0, states, first, noise,
-                    request.first_noises[sensor] * stride,
-                )  # fmt: skip
-                component = request.first_components[sensor]
-                count = request.first_components[sensor + 1] - component
-                _spread(values, 0, y, begin, draws, k, component, count)
-            _evaluate(blocks, QUANTITY, k, values, 0, states, first, noise, 0)
-            _spread(values, 0, z, begin, draws, k, 0, z.shape[2])
-            if k + 1 < x.shape[1]:
-                _fill(words, noise, request, PROCESS_NOISE, begin, draws, k, TRUTH_PROCESS)
-                _evaluate(blocks, TRANSITION, k, states, half - first, states, first, noise, 0)
+def simulate_draws(work):
+    """Fill x, y and z."""
+    work = with_pointers(work)
+    request = work.request
+    for begin in range(np.int64(0), request.draws, TOGETHER):
+        draws, here = min(TOGETHER, request.draws - begin), np.int64(0)
+        _begin(work, _Now(begin, draws, np.int64(0)))
+        for k in range(request.instants):
+            now = _Now(begin, draws, k)
+            states = ahead(work.states, here * request.states * TOGETHER)
+            _spread(work, now, states, work.x, np.int64(0), request.states, request.states)
+            _measure(work, now, states)
+            _evaluate(work, QUANTITY, k, states, work.values, work.noise)
+            count = request.quantities
+            _spread(work, now, work.values, work.z, np.int64(0), count, count)
+            if k + 1 < request.instants:
                 here = 1 - here
+                _fill(work, now, PROCESS_NOISE, request.start + k, TRUTH_PROCESS)
+                following = ahead(work.states, here * request.states * TOGETHER)
+                _evaluate(work, TRANSITION, k, states, following, work.noise)
 
 
 @compiled
-def _begin(blocks, request, x, states, noise, words, begin, draws):
+def _begin(work, now):
+    """Fill the first half with the given states, or with x(0)."""
+    request = work.request
     if request.has_begun:
-        for c in range(x.shape[2]):
-            for d in range(TOGETHER):
-                states[c * TOGETHER + d] = x[begin + min(d, draws - 1), 0, c]
+        for d in range(TOGETHER):
+            row = now.begin + min(d, now.draws - 1)
+            for c in range(request.states):
+                place = row * request.instants * request.states + c
+                work.states[c * TOGETHER + d] = work.x[place]
     else:
-        _fill(words, noise, request, INITIAL_NOISE, begin, draws, -request.start, TRUTH_INITIAL)
-        _evaluate(blocks, INITIAL, 0, states, 0, states, 0, noise, 0)
+        _fill(work, now, INITIAL_NOISE, np.int64(0), TRUTH_INITIAL)
+        _evaluate(work, INITIAL, np.int64(0), work.states, work.states, work.noise)
 
 
 @compiled
-def _fill(words, noise, request, process, begin, draws, k, role):
-    for c in range(request.kinds.shape[1]):
-        if request.kinds[process, c] >= 0:
+def _measure(work, now, states):
+    """Simulate the measurements by all sensors."""
+    request = work.request
+    _fill(work, now, MEASUREMENT_NOISE, request.start + now.k, TRUTH_MEASUREMENT)
+    for sensor in range(request.sensors):
+        noise = ahead(work.noise, request.first_noises[sensor] * TOGETHER)
+        _evaluate(work, MEASUREMENT + sensor, now.k, states, work.values, noise)
+        first = request.first_components[sensor]
+        count = request.first_components[sensor + 1] - first
+        _spread(work, now, work.values, work.y, first, count, request.measurements)
+
+
+@compiled
+def _fill(work, now, process, t, role):
+    """A row of noise for each component of a process."""
+    request = work.request
+    for c in range(request.components):
+        kind = request.kinds[process * request.components + c]
+        if kind >= 0:
             fill_of_draws(
-                words, noise, c * TOGETHER, request.kinds[process, c], request.stream,
-                request.start + k, role, c, request.first_draw + begin, draws,
+                work.words, work.noise, c * TOGETHER, kind, Key(request.stream, t, role, c),
+                request.first_draw + now.begin, now.draws,
             )  # fmt: skip
 
 
 @compiled
-def _evaluate(blocks, block, k, values, to, states, first, noise, first_noise):
+def _evaluate(work, block, k, states, values, noise):
     """Call a block for all draws that are simulated side by side."""
+    blocks, which = work.blocks, block * work.request.instants + k
     call(
-        blocks.addresses[block, k], values, to, TOGETHER, states, first, TOGETHER,
-        noise, first_noise, TOGETHER, states, 0, 0, 0, blocks.table, blocks.places[block, k],
-        1, TOGETHER,
+        blocks.addresses[which], (values, TOGETHER), (states, TOGETHER), (noise, TOGETHER),
+        (states, 0, 0), ahead(blocks.table, blocks.places[which]), (1, TOGETHER),
     )  # fmt: skip
 
 
 @compiled
-def _spread(values, first, result, begin, draws, k, component, count):
-    """Copy rows of draws into an array (draws, instants, components)."""
+def _spread(work, now, values, result, first, count, components):
+    """Copy rows of draws to some components of an array (draws, instants, components)."""
     for c in range(count):
-        for d in range(draws):
-            result[begin + d, k, component + c] = values[first + c * TOGETHER + d]
+        for d in range(now.draws):
+            place = ((now.begin + d) * work.request.instants + now.k) * components + first + c
+            result[place] = values[c * TOGETHER + d]

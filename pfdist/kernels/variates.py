@@ -221,6 +221,15 @@ def _store_centred(
 # --- a variate for each particle, or for each draw ------------------------------------------------
 
 
+class Key(NamedTuple):
+    """The key of the cipher, which is the same for all draws and particles."""
+
+    stream: np.uint64
+    t: int
+    role: int | np.signedinteger[Any]
+    component: int | np.signedinteger[Any]
+
+
 def words_of(draws: int, width: int) -> NDArray[np.uint32]:
     """The array in which `fill` works: words for whole tiles."""
     tiles = -(-width // TILE)
@@ -228,9 +237,9 @@ def words_of(draws: int, width: int) -> NDArray[np.uint32]:
 
 
 @compiled
-def fill_words(words, part, tiles, stream, t, role, component, first, draws):
+def fill_words(words, part, tiles, key, first, draws):
     """Fill words: so many tiles for each of consecutive draws, two at a time."""
-    lanes, two = np.int64(LANES), np.int64(2)
+    lanes, two, (stream, t, role, component) = np.int64(LANES), np.int64(2), key
     for d in range(draws):
         at, draw = d * tiles * TILE, first + d
         for tile in range(np.int64(0), tiles - 1, two):
@@ -245,7 +254,7 @@ def fill_words(words, part, tiles, stream, t, role, component, first, draws):
 
 
 @compiled
-def fill(words, out, width, kind, stream, t, role, component, first, draws):
+def fill(words, out, width, kind, key, first, draws):
     """Fill a row with a variate for each particle of consecutive draws.
 
     Particle i of draw ``first + d`` is at ``d * width + i``; `width` is a multiple of `LANES`, and
@@ -254,9 +263,9 @@ def fill(words, out, width, kind, stream, t, role, component, first, draws):
     """
     tiles = (width + np.int64(TILE - 1)) // np.int64(TILE)
     zero, lanes, lows = np.int64(0), np.int64(LANES), ahead(words, draws * tiles * TILE)
-    fill_words(words, zero, tiles, stream, t, role, component, first, draws)
+    fill_words(words, zero, tiles, key, first, draws)
     if kind == CENTRED:
-        fill_words(lows, zero + 1, tiles, stream, t, role, component, first, draws)
+        fill_words(lows, zero + 1, tiles, key, first, draws)
     for d in range(draws):
         at, to = d * tiles * TILE, d * width
         if kind == NORMAL:
@@ -274,12 +283,12 @@ def fill(words, out, width, kind, stream, t, role, component, first, draws):
 
 
 @compiled
-def fill_of_draws(words, out, at, kind, stream, t, role, component, first, draws):
+def fill_of_draws(words, out, at, kind, key, first, draws):
     """Fill a row, from an index on, with the variates of the first particle of consecutive draws.
 
     Up to 15 entries behind the last are overwritten. `words` has 64 entries or more.
     """
-    zero, low = np.int64(0), np.int64(2 * LANES)
+    zero, low, (stream, t, role, component) = np.int64(0), np.int64(2 * LANES), key
     for d in range(zero, draws, np.int64(LANES)):
         _fill_words_of_draws(words, zero, stream, t, role, component, zero, first + d)
         if kind == NORMAL:
@@ -302,14 +311,11 @@ class _Rows(NamedTuple):
 
 
 @entry
-def _fill_rows(rows, kind, stream, t, role, component):
+def _fill_rows(rows, kind, key):
     rows = with_pointers(rows)
     for d in range(rows.rows):
         out = ahead(rows.out, d * (rows.width + SPARE))
-        fill(
-            rows.words, out, rows.width, kind, stream, t, role, component, rows.draws[d],
-            np.int64(1),
-        )  # fmt: skip
+        fill(rows.words, out, rows.width, kind, key, rows.draws[d], np.int64(1))
 
 
 def variates(
@@ -329,9 +335,9 @@ def variates(
     draws = np.atleast_1d(np.asarray(draw, np.int64))
     width = -(-particles // LANES) * LANES
     out = np.empty((draws.size, width + SPARE), np.float32)
-    numbers = int(t), int(role), int(component)
+    key = Key(np.uint64(stream), int(t), int(role), int(component))
     rows = _Rows(words_of(1, width), out, draws, draws.size, width)
-    _fill_rows(rows, KINDS.index(kind), np.uint64(stream), *numbers)
+    _fill_rows(rows, KINDS.index(kind), key)
     values = out[:, :particles].astype(np.float64)
     return values if np.ndim(draw) else values[0]
 

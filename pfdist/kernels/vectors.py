@@ -374,27 +374,39 @@ def _operand(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 @intrinsic
 def with_pointers(context: Any, fields: Any) -> Any:
-    """A named tuple whose arrays are pointers; numbers, and named tuples in it, remain.
+    """A named tuple whose arrays are pointers, also those of named tuples in it; numbers remain.
 
     Compiled functions pass a pointer from one to another as a single number, without counting
     references. This takes less time than an array does, also to compile.
     """
-    kinds = [
-        types.CPointer(kind.dtype) if isinstance(kind, types.Array) else kind for kind in fields
-    ]
-    result = types.NamedTuple(kinds, fields.instance_class)
 
     def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
-        (given,) = values
-        items = []
-        for number, kind in enumerate(fields):
-            item = builder.extract_value(given, number)
-            if isinstance(kind, types.Array):
-                item = context.make_array(kind)(context, builder, item).data
-            items.append(item)
-        return context.make_tuple(builder, result, items)
+        return _pointers(context, builder, fields, values[0])
 
-    return result(fields), generate
+    return _with_pointers(fields)(fields), generate
+
+
+def _with_pointers(kind: Any) -> Any:
+    """The type of a field with pointers in the place of arrays."""
+    if isinstance(kind, types.Array):
+        return types.CPointer(kind.dtype)
+    if isinstance(kind, types.BaseNamedTuple):
+        return types.BaseTuple.from_types(
+            [_with_pointers(each) for each in kind], kind.instance_class
+        )
+    return kind
+
+
+def _pointers(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.Array):
+        return context.make_array(kind)(context, builder, value).data
+    if not isinstance(kind, types.BaseNamedTuple):
+        return value
+    items = [
+        _pointers(context, builder, each, builder.extract_value(value, number))
+        for number, each in enumerate(kind)
+    ]
+    return context.make_tuple(builder, _with_pointers(kind), items)
 
 
 @intrinsic

@@ -1,11 +1,14 @@
 """Values of single operations of programs, by machine code."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from pfdist.kernels.blocks import call, run
 from pfdist.kernels.lowering import Half, machine_code
-from pfdist.kernels.vectors import LANES
+from pfdist.kernels.vectors import LANES, ahead, with_pointers
 from pfdist.models.program import MASKS, Operation
 
 
@@ -31,14 +34,25 @@ def called(blocks, t, x, w, y, outputs):
     out = np.empty((outputs, draws, width))
     x, w, y = (np.ascontiguousarray(each) for each in (x, w, y))
     address, place = int(blocks.addresses[0, t]), int(blocks.places[0, t])
-    _call(address, out, x, w, y, blocks.table, place, draws, width)
+    _call(address, _Arrays(out, x, w, y, blocks.table, y.shape[1], draws, width), place)
     return out
 
 
+class _Arrays(NamedTuple):
+    out: NDArray[np.float64]
+    x: NDArray[np.float64]
+    w: NDArray[np.float32]
+    y: NDArray[np.float64]
+    table: NDArray[np.float64]
+    components: int
+    draws: int
+    width: int
+
+
 @njit
-def _call(address, out, x, w, y, table, place, draws, width):
-    stride = draws * width
+def _call(address, arrays, place):
+    given, stride = with_pointers(arrays), arrays.draws * arrays.width
     call(
-        address, out, 0, stride, x, 0, stride, w, 0, stride, y, 0, y.shape[1], 1, table, place,
-        draws, width,
+        address, (given.out, stride), (given.x, stride), (given.w, stride),
+        (given.y, given.components, 1), ahead(given.table, place), (given.draws, given.width),
     )  # fmt: skip
