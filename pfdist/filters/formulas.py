@@ -1,7 +1,7 @@
 """The formulas of simulations and filters, traced and compiled for the instants at hand."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pfdist.models.base import angular_error
 from pfdist.models.tracing import Formula, trace
 
 _LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
+_MOST_KEPT = 8  # simulations and filters of a model
 
 
 def filter_blocks(
@@ -26,9 +27,9 @@ def filter_blocks(
     """
     guided, error = settings.guides(model), truth.formulas["error"]
     key = "filter", instants, guided, error, tuple(truth.parameters.items()), truth.is_angle
-    if key not in model.derived:
-        model.derived[key] = _filter_blocks(model, truth, guided, instants)
-    result: tuple[Compiled, tuple[int, ...]] = model.derived[key]
+    result: tuple[Compiled, tuple[int, ...]] = _kept(
+        model, key, lambda: _filter_blocks(model, truth, guided, instants)
+    )
     return result
 
 
@@ -93,22 +94,37 @@ def simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 
     A `TraceError` says that a formula cannot be traced.
     """
-    key = "simulation", instants
-    if key not in model.derived:
-        w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
-        x = {"x": model.components[0], "t": 0}
-        z = "quantity_of_interest"
-        sources = [
-            _source(model, "initial", model.initial, w0, range(1)),
-            _source(model, "transition", model.transition, {**x, **w}, instants[:-1]),
-            _source(model, z, model.quantity_of_interest, x, instants),
-        ]
-        for _, sensor, _, variates in model.parts:
-            v = {**x, "v": variates.stop - variates.start}
-            sources.append(_source(sensor, "measurement", sensor.measurement, v, instants))
-        model.derived[key] = compile_blocks(sources, instants)
-    compiled: Compiled = model.derived[key]
+    compiled: Compiled = _kept(
+        model, ("simulation", instants), lambda: _simulation_blocks(model, instants)
+    )
     return compiled
+
+
+def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
+    w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
+    x, z = {"x": model.components[0], "t": 0}, "quantity_of_interest"
+    sources = [
+        _source(model, "initial", model.initial, w0, range(1)),
+        _source(model, "transition", model.transition, {**x, **w}, instants[:-1]),
+        _source(model, z, model.quantity_of_interest, x, instants),
+    ]
+    for _, sensor, _, variates in model.parts:
+        v = {**x, "v": variates.stop - variates.start}
+        sources.append(_source(sensor, "measurement", sensor.measurement, v, instants))
+    return compile_blocks(sources, instants)
+
+
+def _kept(model: StateSpaceModel, key: Hashable, make: Callable[[], Any]) -> Any:
+    """What was made for a model, or is made now; the last few remain.
+
+    A filter without a horizon asks for other instants at each of its steps.
+    """
+    made = model.derived.get(key)
+    if made is None:
+        made = model.derived[key] = make()
+        for oldest in [*model.derived][:-_MOST_KEPT]:
+            model.derived.pop(oldest, None)  # another thread may have done so
+    return made
 
 
 def _source(

@@ -59,7 +59,7 @@ def simulate(
     Raises
     ------
     ModelError
-        A formula cannot be compiled, failed, or gave a value that is not finite.
+        A formula cannot be traced, or gave a value that is not finite.
     PriorError
         The prior does not fit the model or the horizon.
     """
@@ -233,9 +233,9 @@ def _filter(
         prior=prior,
         chosen=chosen,
         prior_weight=prior_weight,
-        x=np.ascontiguousarray(draws.x),
-        y=np.ascontiguousarray(draws.y),
-        z=np.ascontiguousarray(draws.z),
+        x=_array(draws.x),
+        y=_array(draws.y),
+        z=_array(draws.z),
         first_components=np.array([part.y.start for part in model.parts]),
         particles=settings.particles,
         scheme=list(ALL_SCHEMES).index(scheme.name),
@@ -244,7 +244,7 @@ def _filter(
         guided=settings.guides(model),
         threshold=float(settings.threshold),
         weights=ALL_ESTIMATORS[settings.estimator].weights,
-        instant_weights=np.ascontiguousarray(draws.instant_weights, np.float64),
+        instant_weights=_array(draws.instant_weights),
         components=kinds.shape[1],
         kinds=kinds,
     )
@@ -272,11 +272,20 @@ def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
     prior, particles = settings.prior, settings.particles
-    states = np.ascontiguousarray(prior.x)
+    states = _array(prior.x)
     keys = filter_streams(stream, settings.estimator)
     weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
         as_it_is = np.broadcast_to(np.arange(particles), (len(keys), len(draws.index), particles))
-        return states, np.ascontiguousarray(as_it_is), weight
+        return states, _array(as_it_is, np.int64), _array(weight)
     chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
-    return states, np.stack(chosen), np.empty(0)
+    return states, _array(np.stack(chosen), np.int64), np.empty(0)
+
+
+def _array(values: NDArray[Any], kind: Any = np.float64) -> NDArray[Any]:
+    """The values as an array of the one type for which the filter is compiled.
+
+    Numba would compile it once more for a prior with whole numbers, or for an array that cannot be
+    written, as it arrives at a worker.
+    """
+    return np.require(values, kind, ["C_CONTIGUOUS", "WRITEABLE"])

@@ -39,14 +39,6 @@ def compiled(function: Callable[..., Any]) -> Any:
     return numba.njit(function, **_IN_COMPILED_CODE)
 
 
-def inlined(function: Callable[..., Any]) -> Any:
-    """The function for compiled code, as a part of each function that calls it.
-
-    A call of a function with many arrays, such as those of a named tuple, takes much longer.
-    """
-    return numba.njit(function, forceinline=True, **_IN_COMPILED_CODE)
-
-
 def entry(function: Callable[..., Any]) -> Any:
     """The function that Python calls; its machine code is kept. It runs without Python's lock.
 
@@ -61,12 +53,6 @@ def entry(function: Callable[..., Any]) -> Any:
         )
     finally:
         numba.config.CACHE_DIR = before
-
-
-def is_kept() -> bool:
-    """Whether the folder holds machine code, so that nothing needs to be compiled."""
-    folder = _folder()
-    return bool(folder) and any(Path(folder).rglob("*.nbi"))
 
 
 @cache

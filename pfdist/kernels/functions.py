@@ -1,7 +1,7 @@
 """Elementary functions of vectors: polynomials without branches, and no call of a library.
 
 Each function writes the instructions that compute it for all lanes. Results are within 2 units in
-the last place of the exact values, and special values are NumPy's. Float32 is computed in float64.
+the last place of the exact values, and special values are NumPy's.
 The arguments of trigonometric functions are at most `LARGEST_ANGLE`; beyond, the result is NaN.
 
 Each polynomial interpolates at the Chebyshev nodes of its interval, with an error of less than half
@@ -18,7 +18,7 @@ Dekker, "A floating-point technique for extending the available precision", Nume
 import math
 from collections.abc import Callable
 
-from pfdist.kernels.vectors import Vector
+from pfdist.kernels.vectors import Vector, polynomial
 
 LARGEST_ANGLE = 3.5e15
 
@@ -28,14 +28,6 @@ _SMALLEST_NORMAL = 2.2250738585072014e-308
 _ROOT = 2.0**500  # squares of larger numbers may be infinite
 
 Pair = tuple[Vector, Vector]  # a sum of two numbers, the second far below the first
-
-
-def _polynomial(x: Vector, *coefficients: float) -> Vector:
-    """A polynomial, the highest power first."""
-    value = x.number(coefficients[0])
-    for coefficient in coefficients[1:]:
-        value = value.fma(x, coefficient)
-    return value
 
 
 def _bits_of_sign(x: Vector) -> Vector:
@@ -87,7 +79,7 @@ def _quarter_turns(x: Vector) -> Pair:
 
 def _sine_rest(r: Vector) -> Vector:
     """(sin r - r) / r^3."""
-    return _polynomial(
+    return polynomial(
         r * r, -7.586094789672621e-13, 1.6058521349954986e-10, -2.5052106167335705e-08,
         2.7557319219150783e-06, -0.00019841269841264821, 0.008333333333333331, -0.16666666666666666,
     )  # fmt: skip
@@ -95,7 +87,7 @@ def _sine_rest(r: Vector) -> Vector:
 
 def _cosine_rest(r: Vector) -> Vector:
     """(cos r - 1 + r^2 / 2) / r^4."""
-    return _polynomial(
+    return polynomial(
         r * r, 4.745537017319258e-14, -1.1470455178216906e-11, 2.0876755754879594e-09,
         -2.755731922129809e-07, 2.480158730158451e-05, -0.0013888888888888887, 0.041666666666666664,
     )  # fmt: skip
@@ -159,7 +151,7 @@ def _limited(x: Vector, low: float, high: float) -> Vector:
 
 def _exp_part(r: Vector) -> Vector:
     """(e^r - 1 - r) / r^2 for r in -0.35..0.35."""
-    return _polynomial(
+    return polynomial(
         r, 2.510134692835034e-08, 2.7621338669142925e-07, 2.75572664186123e-06,
         2.4801518641395993e-05, 0.00019841269864380513, 0.0013888888918939168,
         0.008333333333329793, 0.04166666666662064, 0.16666666666666669, 0.5,
@@ -207,7 +199,7 @@ def _log_part(f: Vector) -> Vector:
     """log(1 + f) for f in -0.3..0.42."""
     s = f / (f + 2.0)
     q = s * s
-    p = _polynomial(
+    p = polynomial(
         q, 0.06550360691751746, 0.06633709298237442, 0.07693145267329496, 0.090908973504489,
         0.1111111120027388, 0.14285714285382226, 0.2000000000000047, 0.3333333333333333,
     )  # fmt: skip
@@ -298,7 +290,7 @@ def _log_pair(f: Vector) -> Pair:
     s_rest = ((-s).fma(divisor, f) - s * divisor_rest) / divisor
     q = s * s
     q_rest = s.fma(s, -q) + s * s_rest * 2.0
-    p = q * _polynomial(
+    p = q * polynomial(
         q, 0.1310072138350349, 0.13267418596474884, 0.15386290534658992, 0.181817947008978,
         0.2222222240054776, 0.2857142857076445, 0.4000000000000094,
     )  # fmt: skip
@@ -415,7 +407,7 @@ def _arctan_part(x: Vector) -> Vector:
     large = x > 0.41421356237309503  # tan(pi/8): beyond, pi/4 + arctan((x - 1) / (x + 1))
     r = large.select((x - 1.0) / (x + 1.0), x)
     q = r * r
-    p = _polynomial(
+    p = polynomial(
         q, -0.019029290809743138, 0.03911053674347613, -0.05081236164642543, 0.058573396761385246,
         -0.06664417824186955, 0.07692176510795928, -0.09090904289128517, 0.11111111008107874,
         -0.14285714284577217, 0.1999999999999509, -0.3333333333333333,

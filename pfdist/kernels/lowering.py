@@ -28,7 +28,6 @@ The arrays are "slots" (a float64 for each particle), "noise" (a float32 for eac
 "given" (a float64 for each draw).
 """
 
-ARRAYS = ("slots", "noise", "given")
 _SHARED = ("t", "parameter", "covariate", "constant")  # leaves with one value for all particles
 _INDEX, _DOUBLE, _FLOAT = ir.IntType(64), ir.DoubleType(), ir.FloatType()
 _MOST_COMPILED = 32
@@ -58,11 +57,6 @@ class Split(NamedTuple):
     shared: Half  # from a slot for each instant to the entries of the table
     leaves: tuple[int, ...]  # the operations of the program that are the rows of slots of `shared`
     particles: Half
-
-    @property
-    def needs_code(self) -> bool:
-        """Whether the shared half computes anything."""
-        return any(each.name not in ("slots", "number") for each in self.shared.operations)
 
 
 class _Writer:

@@ -261,6 +261,14 @@ def splat(number: Vector, lanes: int) -> Vector:
     return Vector(builder, builder.shuffle_vector(vector, nothing, zeros), number.kind)
 
 
+def polynomial(x: Vector, *coefficients: float) -> Vector:
+    """A polynomial, the highest power first."""
+    value = x.number(coefficients[0])
+    for coefficient in coefficients[1:]:
+        value = value.fma(x, coefficient)
+    return value
+
+
 def iota(builder: ir.IRBuilder, kind: str, lanes: int) -> Vector:
     """The vector 0, 1, 2, ..."""
     whole = ir.VectorType(KINDS[kind], lanes)

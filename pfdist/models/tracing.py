@@ -92,19 +92,18 @@ class Formula:
     def recorded(self, mode: str, t: int) -> Program:
         """The program of one call at the instant t."""
         recording = Recording()
-        given = [self._given(name, count, recording, mode, t) for name, count in self._items]
+        given = [
+            self._given(name, count, recording, mode, t) for name, count in self.arguments.items()
+        ]
         with np.errstate(all="ignore"):  # as in the compiled program
             value = self.function(*given)
         return recording.closed(self._outputs(value))
 
-    @property
-    def _items(self) -> Any:
-        return self.arguments.items()
-
     def _given(self, name: str, count: int, recording: Recording, mode: str, t: int) -> Any:
         """An argument of a call."""
         if name == "t":
-            return _instant(recording) if mode == MODES[0] else t
+            symbol = Symbol(recording, recording.leaf("t", shared=True), "whole")
+            return symbol if mode == MODES[0] else t
         if name == "p":
             numbers = mode == MODES[2]
             return self._numbers if numbers else _Parameters(recording, self.parameters)
@@ -130,10 +129,6 @@ def _result(value: Any) -> Any:
     if isinstance(value, Symbol):
         return value
     return value if isinstance(value, bool | int | float | np.number | np.bool_) else None
-
-
-def _instant(recording: Recording) -> Symbol:
-    return Symbol(recording, recording.leaf("t", shared=True), "whole")
 
 
 class _Parameters:

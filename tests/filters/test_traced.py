@@ -9,7 +9,9 @@ from oracles.guided import bootstrap, growth
 from pfdist import load_model
 from pfdist.filters import kalman, particle_filter, traced
 from pfdist.filters.cloud import Cloud
+from pfdist.filters.formulas import simulation_blocks
 from pfdist.filters.work import Estimation, with_truth
+from pfdist.kernels import filter as kernel
 from pfdist.kernels.schemes import ALWAYS, SCHEMES
 from pfdist.times.measurement_times import regular
 
@@ -158,3 +160,32 @@ def test_a_simulated_draw_does_not_depend_on_the_others():
     alone = traced.simulate(model, 10, range(299, 302), 1)
     for name in "xyz":
         np.testing.assert_array_equal(getattr(together, name)[299:302], getattr(alone, name))
+
+
+def test_the_filter_is_compiled_for_one_type_of_arrays():
+    """Whole numbers, and arrays that cannot be written, as they arrive at a worker."""
+    model = load_model("ungm")
+    draws = traced.simulate(model, 6, range(3), 1)
+    traced.filter_draws(model, draws, (2,), 50, 2, "systematic")
+    before = len(kernel.filter_draws.signatures)
+    for values in (draws.x, draws.y, draws.z):
+        values.flags.writeable = False
+    x, weight = np.arange(50).reshape(1, -1), np.ones(50, np.int64)
+    for each in (x, weight):
+        each.flags.writeable = False
+    for threshold in (ALWAYS, 0.5):
+        prior = Cloud(0, x, weight)
+        traced.filter_draws(
+            model, draws, (2,), 50, 2, "systematic", True, prior=prior, threshold=threshold
+        )
+    assert len(kernel.filter_draws.signatures) == before
+
+
+def test_a_model_keeps_a_few_of_its_filters():
+    """A filter without a horizon asks for other instants at each of its steps."""
+    model = load_model("ungm")
+    for horizon in range(1, 30):
+        traced.simulate(model, horizon, range(1), 1)
+    assert len(model.derived) == 8
+    first = simulation_blocks(model, range(30))
+    assert simulation_blocks(model, range(30)) is first

@@ -70,3 +70,16 @@ def test_neighbouring_normals_are_independent():
         for a, b in ((values, values), (values**2 - 1, values**2 - 1), (values, values**2 - 1)):
             products = a[:, distance:] * b[:, :-distance]
             assert abs(products.mean()) < 4 * products.std() / products.size**0.5
+
+
+def test_the_polynomials_of_the_reference_have_small_errors():
+    """The compiled noise has the bits of the reference; the exact values are those of float64."""
+    words = np.random.default_rng(5).integers(0, 2**32, 200_000).astype(np.uint32)
+    words[:3] = 0, 1, 2**32 - 1
+    got = keyed.exponential(words).astype(float)
+    assert got.min() > 0.0
+    np.testing.assert_allclose(got, -np.log((words + 0.5) * 2.0**-32), rtol=0, atol=4e-6)
+    half = np.full(words.size, np.uint32(2**31))
+    radius = np.sqrt(2.0 * keyed.exponential(half).astype(float))
+    sine, cosine = (each / radius for each in keyed.box_muller(half, words))
+    np.testing.assert_allclose(sine**2 + cosine**2, 1.0, rtol=3e-6)

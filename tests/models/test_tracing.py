@@ -1,5 +1,6 @@
 """Tracing: what a formula computes becomes a program; what cannot be traced has a clear error."""
 
+import dataclasses
 import math
 import random
 import types
@@ -205,7 +206,7 @@ def test_an_index_outside_a_table_gives_nan():
     np.testing.assert_array_equal(got, [3.0, 1.5] + [np.nan] * 5)
 
 
-def test_a_class_and_a_jitted_helper_may_be_used():
+def test_a_class_may_be_used():
     class Satellite:
         def __init__(self, steps):
             self.steps = steps
@@ -228,6 +229,18 @@ def test_a_class_and_a_jitted_helper_may_be_used():
     got = result.values({"x": x, "w": (np.array([0.5]),)}, 0, {})
     expected = Satellite(3)((1.0, 0.25), 0, (0.5,), None)
     np.testing.assert_allclose(np.concatenate(got), expected, rtol=1e-12)
+
+
+def test_a_jitted_helper_runs_as_its_python_function():
+    """A model sees the function from which `numba.njit` made the helper."""
+
+    def transition(x, t, w, p):
+        return (helper(x[0], w[0]),)
+
+    model = dataclasses.replace(load_model("random_walk"), transition=transition)
+    result, _ = traced(model.transition, x=1, t=0, w=1, p=0)
+    (got,) = result.values({"x": (np.array([2.0]),), "w": (np.array([3.0]),)}, 0, {})
+    np.testing.assert_allclose(got, 6.0 + math.exp(0.5))
 
 
 def test_programs_of_instants_with_the_same_operations_are_one():
