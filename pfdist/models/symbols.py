@@ -414,9 +414,11 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.
     return result
 
 
-def _clip(value: Any, low: Any = None, high: Any = None, **limits: Any) -> Any:
-    low, high = limits.get("min", low), limits.get("max", high)
-    value = value if low is None else np.maximum(value, low)
+def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: None = None, **limits: Any) -> Any:
+    low, high = limits.pop("min", a_min), limits.pop("max", a_max)
+    if limits or out is not None:
+        raise RefusedError("np.clip with other arguments than a value and its limits")
+    value = a if low is None else np.maximum(a, low)
     return value if high is None else np.minimum(value, high)
 
 
@@ -465,7 +467,10 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
 def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
     """Linear interpolation in a table, whose place is found by bisection."""
     knots, values = (np.asarray(each, np.float64) for each in (xp, fp))
-    slopes = np.append(np.diff(values) / np.diff(knots), 0.0)
+    if knots.shape != values.shape:
+        raise ValueError("fp and xp are not of the same length")
+    with np.errstate(all="ignore"):
+        slopes = np.append(np.diff(values) / np.diff(knots), 0.0)
     place: Any = Symbol(x.recording, x.recording.number(0.0), "whole")
     step = 1 << max(0, knots.size - 1).bit_length()
     while step:
@@ -473,7 +478,15 @@ def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> An
         place = choose(take(knots, following) <= x, following, place)
         place.kind = "whole"
         step >>= 1
-    found = take(slopes, place) * (x - take(knots, place)) + take(values, place)
+    slope, knot, value = (take(each, place) for each in (slopes, knots, values))
+    found = slope * (x - knot) + value
+    if not np.isfinite(slopes).all():  # as NumPy: from the other end, or the value of both
+        after, next_value = (take(np.append(each[1:], each[-1]), place) for each in (knots, values))
+        found = choose(np.isnan(found), slope * (x - after) + next_value, found)
+        found = choose(np.isnan(found) & (value == next_value), value, found)
+        found = choose(x == knot, value, choose(np.isnan(x), x, found))
+    if knots.size == 1:
+        found = values[0]
     found = choose(x < knots[0], values[0] if left is None else left, found)
     return choose(x > knots[-1], values[-1] if right is None else right, found)
 

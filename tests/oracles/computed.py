@@ -1,15 +1,18 @@
-"""Values of single operations of programs, by machine code."""
+"""Values of operations and formulas by machine code, and the functions that it calls."""
 
+import re
 from typing import NamedTuple
 
+import llvmlite.binding as llvm
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.blocks import call, run
-from pfdist.kernels.lowering import Half, machine_code
+from pfdist.kernels.blocks import Source, call, compile_blocks, run
+from pfdist.kernels.lowering import Half, machine_code, module_of, split
 from pfdist.kernels.vectors import LANES, ahead, with_pointers
-from pfdist.models.program import MASKS, Operation
+from pfdist.models.program import MASKS, Operation, merged
+from pfdist.models.tracing import Formula, trace
 
 
 def computed(name, *arguments):
@@ -26,6 +29,50 @@ def computed(name, *arguments):
     out = np.empty((1, slots.shape[1]))
     run(machine_code((half,)).addresses[half], out, slots)
     return out[0, :size]
+
+
+def formula(function):
+    """A function of numbers as one of arrays of these, which machine code computes."""
+
+    def by_machine_code(*arguments):
+        arrays = np.broadcast_arrays(*(np.asarray(each, float) for each in arguments))
+        size = arrays[0].size
+        x = np.ones((len(arrays), 1, -(-size // LANES) * LANES))
+        for row, values in zip(x, arrays, strict=True):
+            row[0, :size] = values.ravel()
+        source = _source(function, len(arrays))
+        blocks = compile_blocks([source], range(1))
+        (result,) = called(blocks.blocks, 0, x, np.empty((1, 1, 1), np.float32), x[0], 1)
+        return result[0, :size].reshape(arrays[0].shape)
+
+    return by_machine_code
+
+
+def _source(function, arguments):
+    given = Formula(lambda x, p: function(*x), "a formula", {"x": arguments, "p": 0}, {}, "a model")
+    return Source(trace(given, range(1)), {"x": ("slots", 0)}, {})
+
+
+def libraries_of(function, arguments):
+    """Names of the functions that the machine code of a function of numbers calls elsewhere."""
+    traced = _source(function, arguments).traced
+    halves = [split(merged(each), {"x": ("slots", 0)})[::2] for each in traced.programs]
+    return called_elsewhere([half for both in halves for half in both])
+
+
+def called_elsewhere(halves, triple="x86_64-unknown-linux-gnu", processor="haswell"):
+    """Names of the functions outside that the machine code of some halves of programs calls."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    module = module_of(tuple(dict.fromkeys(each for each in halves if each.outputs)))
+    module.triple = triple
+    machine = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=processor, opt=2, codemodel="small"
+    )
+    assembly = machine.emit_assembly(llvm.parse_assembly(str(module)))
+    assert "ret" in assembly
+    names = re.findall(r"^\s+(?:bl|call\w*)\s+(\S+)", assembly, re.MULTILINE)
+    return {*names} - {*re.findall(r"^(\w+):", assembly, re.MULTILINE)}
 
 
 def called(blocks, t, x, w, y, outputs):
