@@ -248,7 +248,7 @@ def _filter_instant(work, at, here, t, s, sensors, resamples):
         here = _measure(work, at, here, t, sensors)
     _estimate(work, at, here, t, s)
     if sensors > 0 and wanted.ranks:
-        _rank_truth(work, at, t)
+        _rank_truth(work, at, here, t)
     if sensors > 0 and resamples:
         for d in range(at.draws):
             batch.resamples[d] = batch.weighs[d] and _is_uneven(work, d)
@@ -689,10 +689,11 @@ def _add(work, s, t, d, error, weight):
 
 
 @compiled
-def _rank_truth(work, at, t):
+def _rank_truth(work, at, here, t):
     """The place of the truth's z, which is that of particle 0, among the weighted particles."""
     results, request, batch = work.results, work.request, work.batch
     half = request.draws * request.instants * request.quantities
+    _of_particles(work, at, QUANTITY, t, _half(work, here), batch.quantity)
     for d in range(at.draws):
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities

@@ -154,6 +154,20 @@ def test_a_measurement_that_no_particle_explains_is_left_out():
     np.testing.assert_array_equal(both.estimate[3], fewer.estimate[3])
 
 
+def test_the_place_of_the_truth_is_its_weighted_rank_among_the_particles():
+    """The cloud before the measurement gives the rank; weights are rounded to float32."""
+    model, settings = load_model("random_walk"), with_truth(50)
+    draws = traced.simulate(model, 5, range(30), 1)
+    filtered, before = (
+        traced.filter_checked_draws(model, draws, times, 2, settings, trajectories=True)
+        for times in ((0, 2, 5), (0, 2))
+    )
+    for d, (x,) in enumerate(before.last):
+        weight = np.exp(model.log_likelihood((draws.y[d, 5, 0],), (x,), 5, model.p))
+        below = weight[x < draws.z[d, 5, 0]].sum() / weight.sum()
+        assert filtered.ranks[0, d, 5, 0] == pytest.approx(below, abs=1e-6)
+
+
 def test_a_simulated_draw_does_not_depend_on_the_others():
     model = load_model("bearings_only")
     together = traced.simulate(model, 10, range(600), 1)
