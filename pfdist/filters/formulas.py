@@ -115,7 +115,7 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 
 
 def _kept(model: StateSpaceModel, key: Hashable, make: Callable[[], Any]) -> Any:
-    """A thing that was made for a model, or is made now; the last few remain.
+    """The blocks that a model keeps under a key, made if they are missing; the last few remain.
 
     A filter without a horizon asks for other instants at each of its steps.
     """

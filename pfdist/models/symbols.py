@@ -417,7 +417,7 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.
 def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: None = None, **limits: Any) -> Any:
     low, high = limits.pop("min", a_min), limits.pop("max", a_max)
     if limits or out is not None:
-        raise RefusedError("np.clip with other arguments than a value and its limits")
+        raise RefusedError(f"np.clip with the argument {min(limits, default='out')}")
     value = a if low is None else np.maximum(a, low)
     return value if high is None else np.minimum(value, high)
 

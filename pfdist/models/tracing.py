@@ -102,8 +102,9 @@ class Formula:
     def _given(self, name: str, count: int, recording: Recording, mode: str, t: int) -> Any:
         """An argument of a call."""
         if name == "t":
-            symbol = Symbol(recording, recording.leaf("t", shared=True), "whole")
-            return symbol if mode == MODES[0] else t
+            if mode != MODES[0]:
+                return t
+            return Symbol(recording, recording.leaf("t", shared=True), "whole")
         if name == "p":
             numbers = mode == MODES[2]
             return self._numbers if numbers else _Parameters(recording, self.parameters)

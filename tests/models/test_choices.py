@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy import where as numpy_where
 
-from oracles.computed import formula
+from oracles.computed import formula, libraries_of
 from pfdist.errors import TraceError
 
 GRID = np.array([-2.0, -1.0, -0.5, 0.0, 1.0, 1.0, 4.0])
@@ -41,6 +41,12 @@ def test_a_choice_is_numpys_bit_for_bit(function):
     with np.errstate(all="ignore"):
         expected = [float(function(x)) for x in POINTS]
     np.testing.assert_array_equal(formula(function)(np.array(POINTS)), expected)
+    assert not libraries_of(function, 1)
+
+
+def test_clip_refuses_an_argument_that_would_change_nothing():
+    with pytest.raises(TraceError, match=r"np\.clip with the argument dtype"):
+        formula(lambda x: np.clip(x, 0.0, 1.0, dtype=np.float32))(0.3)
 
 
 def test_interpolation_is_numpys_on_any_increasing_grid():
