@@ -4,19 +4,19 @@ Every argument of a function differs from particle to particle. A parameter that
 particles costs less, because its part of the formula is computed once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numba import njit
 
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist.densities import DENSITIES
-from pfdist.kernels.formulas import formula
-from pfdist.kernels.noise import FILL, padded
+from pfdist.kernels.blocks import Source, compile_blocks, run
+from pfdist.kernels.variates import FILTER_PROCESS, variates
+from pfdist.models.tracing import Formula, trace
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 
 TITLE = "Densities and draws"
@@ -77,49 +77,46 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _looping(name: str, *, draws: bool) -> Callable[[], None]:
-    """A function that calls a log density or a draw for each particle."""
+    """A function that computes a log density or a draw for each particle."""
     density, rng = DENSITIES[name], np.random.default_rng(0)
     first, *others = RANGES[name]
-    parts = [f"a{i}[i]" for i in range(len(others))]
-    ranges: list[tuple[float, float]] = [first, *others]
-    y = ["y[i]"]
-    if name == "mixture":
-        y, parts = [], ["(y[i], a0[i])", "(a1[i], a2[i])"]
-    elif name == "categorical":
-        parts = [f"({', '.join(parts)})"]
-    if draws:
-        y = ["u[i]", "v[i]"][: len(density.noise)]
-    names = ", ".join(["u", "v", "y", *(f"a{i}" for i in range(len(others)))])
-    scope: dict[str, Any] = {"function": density.draw if draws else density.log_density}
-    entries = ", ".join([*y, *parts]).replace("[i]", "")
-    exec(f"def call({names}):\n    return function({entries})", scope)  # noqa: S102  our own names
-    scope["call"] = formula(scope["call"])
-    each = ", ".join(f"{name}[i]" for name in names.split(", "))
-    exec(  # noqa: S102
-        f"def loop(out, {names}):\n    for i in range(out.size):\n        out[i] = call({each})",
-        scope,
-    )
-    loop = njit(scope["loop"], error_model="numpy")
-    arrays = [rng.uniform(*bounds, PARTICLES) for bounds in [(0, 1), (0, 1), *ranges]]
+    function = density.draw if draws else density.log_density
+    noise = len(density.noise) if draws else 0
+
+    def formula(x: Sequence[Any], p: Any) -> Any:
+        """The noise or y first, then the parameters."""
+        u, y, given = x[:noise], x[2], x[3:]
+        begin: Sequence[Any] = u if draws else [y]
+        if name == "mixture":
+            return function(*u, (y, given[0]), (given[1], given[2]))
+        if name == "categorical":
+            return function(*begin, tuple(given))
+        return function(*begin, *given)
+
+    ranges: list[tuple[float, float]] = [(0, 1), (0, 1), first, *others]
+    arrays = np.array([rng.uniform(*bounds, PARTICLES) for bounds in ranges])
     if first in (_COUNT, (0, 3)):
         arrays[2] = np.floor(arrays[2])
     if name == "binomial":
         arrays[3] = np.floor(arrays[3])
-    out = np.empty(PARTICLES)
+    arguments = {"x": len(arrays), "p": 0}
+    traced = trace(Formula(formula, name, arguments, {}, "benchmark"), range(1))
+    compiled = compile_blocks([Source(traced, {"x": ("slots", 0)}, {})], range(1))
+    address, place = int(compiled.blocks.addresses[0, 0]), int(compiled.blocks.places[0, 0])
+    out, shared = np.empty((1, PARTICLES)), compiled.blocks.table[place:]
 
     def call() -> None:
         for _ in range(CALLS):
-            loop(out, *arrays)
+            run(address, out, arrays, shared)
 
+    call.code = compiled.code  # type: ignore[attr-defined]  # it lives as long as its function
     return call
 
 
 def _filling(kind: str) -> Callable[[], None]:
-    out = np.empty((1, padded(PARTICLES)), np.float32)
-
     def call() -> None:
         for draw in range(CALLS):
-            FILL[kind](out, 0, PARTICLES, np.uint64(1), draw, 0, 0, 0)
+            variates(kind, PARTICLES, 1, draw, 0, FILTER_PROCESS, 0)
 
     return call
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import pandas as pd
 
-from pfdist.kernels.disk_cache import FOLDER_VARIABLE
+from pfdist.kernels.cached import FOLDER_VARIABLE
 
 _CHILD = """
 import json, sys, time

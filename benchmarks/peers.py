@@ -27,7 +27,7 @@ from pfdist import load_model
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
-from pfdist.kernels.disk_cache import FOLDER_VARIABLE
+from pfdist.kernels.cached import FOLDER_VARIABLE
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 from pfdist.times.measurement_times import regular
 

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
-from pfdist.kernels.disk_cache import FOLDER_VARIABLE
+from pfdist.kernels.cached import FOLDER_VARIABLE
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY
 
 TITLE = "Whole commands"

@@ -1,16 +1,8 @@
-"""Elementwise functions for a model's formulas, for scalars in compiled code and for arrays.
-
-A formula runs in two ways: on scalars, for each particle, in the compiled filter, and on whole
-NumPy arrays in the plain filter. `numpy.where` makes an array even of scalars, which costs 140 ns
-for each particle in compiled code. `numpy.clip` does not compile on scalars. The functions `where`
-and `clip` work in both ways.
-"""
+"""Functions of NumPy that formulas often need, by short names."""
 
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 
 
 def where(condition: Any, if_true: Any, if_false: Any) -> Any:
@@ -54,19 +46,3 @@ def clip(x: Any, low: Any, high: Any) -> Any:
     array([0. , 0.5, 1. ])
     """
     return np.minimum(np.maximum(x, low), high)
-
-
-# These functions have no type hints, because Numba compares their signatures with those of the
-# functions that they give.
-
-
-@overload(where, jit_options={"forceinline": True})
-def _where_compiled(condition, if_true, if_false):
-    if any(isinstance(kind, types.Array) for kind in (condition, if_true, if_false)):
-        return lambda condition, if_true, if_false: np.where(condition, if_true, if_false)  # noqa: PLW0108
-    return lambda condition, if_true, if_false: if_true if condition else if_false
-
-
-@overload(clip, jit_options={"forceinline": True})
-def _clip_compiled(x, low, high):
-    return lambda x, low, high: np.minimum(np.maximum(x, low), high)

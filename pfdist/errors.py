@@ -6,7 +6,6 @@
     ├── JobError                    a value in a job, or of an option, is wrong
     ├── ArgumentError               another argument of a function is wrong; also a ValueError
     ├── ModelError                  a model cannot be loaded, or a formula is wrong
-    │   ├── CompileError            Numba cannot compile a formula
     │   └── TraceError              a formula cannot be traced
     ├── MeasurementTimesError       measurement times or their constraints are wrong
     ├── MeasurementsError           measured values or their table are wrong
@@ -138,10 +137,6 @@ class ArgumentError(PfdistError, ValueError):
 
 class ModelError(PfdistError):
     """A model cannot be loaded, or one of its formulas is wrong."""
-
-
-class CompileError(ModelError):
-    """Numba cannot compile a formula of a model."""
 
 
 class TraceError(ModelError):

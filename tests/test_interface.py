@@ -44,14 +44,6 @@ def test_a_plan_loads_pandas_when_it_reads_tables() -> None:
     assert _printed(f"{imports}; print({heavy} & {{*sys.modules}})") == "set()\n"
 
 
-def test_a_compiled_formula_may_call_where_before_anyone_else_has() -> None:
-    code = (
-        "import numpy as np, pfdist; from pfdist.kernels.formulas import formula;"
-        "print(formula(lambda x: pfdist.where(x > 1.0, 2.0, 3.0))(0.5))"
-    )
-    assert _printed(code) == "3.0\n"
-
-
 def test_evaluate_is_a_function_of_its_arguments(small_job: Job) -> None:
     once, again = (pfdist.evaluate(small_job, [8, 0, 4]) for _ in range(2))
     np.testing.assert_array_equal(once.mse, again.mse)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
-from pfdist.kernels.noise import TRUTH_RANK, variates
+from pfdist.kernels.variates import TRUTH_RANK, variates
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.formulas import compiled_as_in_numpy, elementwise, pure
+from pfdist.checks.formulas import elementwise, pure
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws, not_finite
-from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel
+from pfdist.models.mistakes import formulas_of
 
 Array = NDArray[np.float64]
 Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]
@@ -102,11 +102,6 @@ def check_formulas(model: StateSpaceModel, draws: Draws) -> None:
     """
     for _, state, text in look_at_formulas(model, draws):
         _refuse(model, state, text)
-
-
-def check_compiled(model: StateSpaceModel, draws: Draws) -> None:
-    """Raise a `ModelError` if compiled formulas of a model give other values than in NumPy."""
-    _refuse(model, *looked(compiled_as_in_numpy, model, draws))
 
 
 def _refuse(model: StateSpaceModel, state: str, text: str) -> None:

@@ -1,13 +1,11 @@
-"""Checks that formulas are pure, elementwise and quick, and the likelihood right, on a few draws.
+"""Checks that formulas are pure and elementwise, and the likelihood right, on a few draws.
 
 Each check gives a state, "ok", "note" or "wrong", and a text.
 """
 
-import ast
 import math
 import time
-import types
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import product
 from typing import Any, SupportsIndex, TypeVar
 
@@ -16,14 +14,9 @@ from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
 from pfdist.filters.draws import Draws
-from pfdist.filters.engines import ENGINES
-from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation
-from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
+from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
-from pfdist.models.seeing import names_in
-from pfdist.models.syntax import node_of
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -132,27 +125,6 @@ def _entry(argument: Any, i: int) -> Any:
     if type(argument) is tuple:
         return tuple(component[i] for component in argument)  # of NumPy: x / 0 is infinite
     return argument
-
-
-def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text: x, y and z of two instants, simulated both ways, must agree.
-
-    Later instants of a chaotic model differ by the last digit.
-    """
-    del draws  # they have too many instants
-    few = range(100)
-    compiled, plain = (
-        ENGINES[engine].simulate(model, 1, few, 0) for engine in ("compiled", "numpy")
-    )
-    for name in "xyz":
-        values, expected = getattr(compiled, name), getattr(plain, name)
-        if not np.allclose(values, expected, rtol=1e-7, atol=1e-9):
-            worst = float(np.abs(values - expected).max())
-            return "wrong", (
-                f"{name} must be the same compiled and in NumPy, got a difference of {worst:.3g}: "
-                "does a formula use what Numba treats otherwise?"
-            )
-    return "ok", "x, y and z of the first two instants agree"
 
 
 # --- the log-likelihood against the measurement ---------------------------------------------------
@@ -294,79 +266,3 @@ def _shown(r: Array) -> float:
 def formatted_state(x: Array) -> str:
     """A state as messages show it."""
     return f"({', '.join(f'{value:.4g}' for value in x)})"
-
-
-# --- formulas that make arrays for each particle --------------------------------------------------
-
-_OUT = "write each component out, for instance A[0, 0] * x[0] + A[0, 1] * x[1]"
-_SLOW = {
-    **dict.fromkeys(
-        ("array", "asarray", "zeros", "ones", "full", "empty", "stack", "hstack", "concatenate",
-         "dot", "matmul", "inner", "outer", "cross", "sum", "prod", "mean", "norm"), _OUT,
-    ),
-    **dict.fromkeys(("solve", "inv", "det", "cholesky"), "compute it above, once"),
-    "select": "give np.select tuples in the place of lists, or write pfdist.where",
-    "interp": "compute its tables above, once",
-}  # fmt: skip
-
-
-def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text: which formulas make or index arrays for each particle, and on which lines."""
-    indexed = [
-        f"{array} in {name} ({place})"
-        for name, function in model.formulas.items()
-        for array, place in _indexed(function)
-    ]
-    if not Evaluator(model, draws.instants[-1], estimations=(Estimation(1),)).makes_arrays:
-        if not indexed:
-            return "ok", "no formula makes or indexes an array for a particle"
-        return "note", (
-            f"{', '.join(dict.fromkeys(indexed))}: each index is checked for each particle, which "
-            "may take 8 times the time; a parameter p.NAME[t] needs no check"
-        )
-    places = [
-        f"{what} in {name} ({place}): {cure}"
-        for name, function in model.formulas.items()
-        for what, place, cure in _slow_places(function)
-    ]
-    return "note", (
-        "formulas that make arrays for each particle take 30 to 500 ns where others take 1: "
-        + ("; ".join(dict.fromkeys(places)) or f"which is not known; {_OUT}")
-    )
-
-
-def _slow_places(function: Callable[..., Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield calls that make an array, in a function and those it calls, with place and remedy."""
-    for place, _, node in _nodes(function):
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
-            yield "@", place, _OUT
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
-            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if name in _SLOW:
-                yield name, place, _SLOW[name]
-
-
-def _indexed(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
-    """Yield the global arrays that a function and those it calls index, and the places."""
-    for place, scope, node in _nodes(function):
-        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name):
-            name = node.value.id
-            if isinstance(scope.get(name), np.ndarray):
-                yield name, place
-
-
-def _nodes(function: Any) -> Iterator[tuple[str, dict[str, Any], ast.AST]]:
-    """The syntax of a function and of the module's functions that it calls, node by node.
-
-    Each node has its place and the global variables of its function.
-    """
-    waiting, seen = [function], set[int]()
-    while waiting:
-        called = waiting.pop()
-        if not isinstance(called, types.FunctionType) or id(called) in seen:
-            continue
-        seen.add(id(called))
-        scope, code, node = called.__globals__, called.__code__, node_of(called)
-        for each in ast.walk(node) if node else ():
-            yield f"{code.co_filename}:{getattr(each, 'lineno', 0)}", scope, each
-        waiting += [scope.get(name) for name in names_in(code)]

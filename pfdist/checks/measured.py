@@ -19,8 +19,8 @@ from pfdist.checks.formulas import (
 )
 from pfdist.common.estimate import Estimate
 from pfdist.filters.draws import Draws
-from pfdist.kernels.guiding import plain_log_density
-from pfdist.kernels.noise import FILTER_PROCESS, variates
+from pfdist.filters.formulas import log_density as log_density_of_noise
+from pfdist.kernels.variates import FILTER_PROCESS, variates
 from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
@@ -218,7 +218,7 @@ def proposal(model: StateSpaceModel, draws: Draws, within: Within) -> tuple[str,
             following = values_of(model, "transition", (x, t, tuple(w), model.p), MEASUREMENTS)
             arguments = y, tuple(following), t + 1, model.p
             (log_weight,) = values_of(model, "log_likelihood", arguments, MEASUREMENTS)
-            log_weight += plain_log_density(model.process_noise, tuple(w)) - log_density(w)
+            log_weight += log_density_of_noise(model.process_noise, tuple(w)) - log_density(w)
             if not np.isfinite(log_weight).any():
                 return "wrong", f"proposal must give some w that are possible, got none at {where}"
             weight = np.exp(log_weight - np.nanmax(log_weight[log_weight < np.inf]))

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
-from pfdist.checks.formulas import Within, compiled_as_in_numpy, likelihood, speed
+from pfdist.checks.contract import few_draws, look_at_formulas, looked
+from pfdist.checks.formulas import Within, likelihood
 from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.particles import (
     NUMBERS,
@@ -22,7 +22,7 @@ from pfdist.checks.particles import (
 from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.rounding import rounded
-from pfdist.errors import CompileError, JobError, ModelError
+from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator
@@ -38,24 +38,6 @@ _DRAWS = 1000
 _FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
-
-
-def _same_bytes(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text: whether compiled formulas give the same bytes on other processors."""
-    called = Evaluator(model, draws.instants[-1], estimations=(Estimation(1),)).libm_functions
-    if not called:
-        return "ok", "the compiled formulas give the same bytes on all processors"
-    return "note", (
-        f"the formulas call {', '.join(called)} of the C library: results may differ in the last "
-        "digits between machines"
-    )
-
-
-_COMPILED: dict[str, Look] = {
-    "compiled as in NumPy": compiled_as_in_numpy,
-    "same bytes": _same_bytes,
-    "speed": speed,
-}
 
 
 @dataclass(frozen=True)
@@ -144,13 +126,13 @@ def check_loaded(
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
-    """The evaluator, which computes in NumPy if a formula cannot be compiled, and the result."""
+    """The evaluator, which computes in NumPy if a formula cannot be traced, and the result."""
     try:
         evaluator.compile(estimation)
-    except CompileError as error:
+    except TraceError as error:
         slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
         return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
-    return evaluator, Check("compile", "ok", "Numba compiles every formula")
+    return evaluator, Check("compile", "ok", "every formula is traced and compiled")
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
@@ -169,11 +151,8 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         return
     text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
     yield Check("simulate", "ok", text)
-    looks = _COMPILED if evaluator.computed_by.compiled else {}
     if model.linear_gaussian:
-        looks = looks | {"linear_gaussian": _linear_gaussian}
-    for look, function in looks.items():
-        yield Check(look, *looked(function, model, draws))
+        yield Check("linear_gaussian", *looked(_linear_gaussian, model, draws))
     for look, is_declared, patient in (
         ("log_likelihood", True, likelihood),
         ("normalised", model.normalised, normalised),

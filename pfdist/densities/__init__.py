@@ -1,8 +1,8 @@
 """Log densities for likelihoods, and draws: noise of any kind from uniform and normal noise.
 
 A model's formulas call these functions. They are formulas themselves: written once with NumPy's
-elementwise functions, they work on arrays, and `pfdist.kernels.formulas` compiles them for numbers,
-with elementary functions of our own. So all processors give the same bytes.
+elementwise functions, they work on arrays, and are traced and compiled with the formula that calls
+them. So all processors give the same bytes.
 
 `DENSITIES` declares each density once. Tables of the manual, advice and tests follow from it.
 """

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import PriorError, shown
-from pfdist.kernels.noise import FILTER_INITIAL, TRUTH_INITIAL, variates
+from pfdist.kernels.variates import FILTER_INITIAL, TRUTH_INITIAL, variates
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

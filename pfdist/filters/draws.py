@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
-from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
+from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of, place_of_function
 

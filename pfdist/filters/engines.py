@@ -6,7 +6,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any, Final
 
-AUTO: Final = "auto"  # the compiled engine, or NumPy where Numba cannot compile the model
+AUTO: Final = "auto"  # the compiled engine, or NumPy for a model that cannot be traced
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Engine:
     # have no `sum_errors`.
     filtered_by: str
     seconds_a_step: float = 2e-9  # about how long a particle takes for one instant
-    # Whether Numba compiles the formulas. The figures then have the same bits on every processor.
+    # Whether the formulas are compiled. The figures then have the same bits on every processor.
     compiled: bool = True
     exact: bool = False  # whether the expected MSE is known without draws
 
@@ -40,13 +40,13 @@ class Engine:
 
 COMPILED = Engine(
     "compiled",
-    "Formulas compiled by Numba into one loop over draws, instants and particles.",
+    "Formulas traced with symbols, and compiled for sixteen particles at a time.",
     simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.particle_filter",
 )
 NUMPY = Engine(
     "numpy",
-    "Formulas as they stand, on NumPy arrays; for models that Numba cannot compile.",
+    "Formulas as they stand, on NumPy arrays; for models that cannot be traced.",
     simulated_by="pfdist.filters.plain",
     filtered_by="pfdist.filters.plain",
     seconds_a_step=2e-7,

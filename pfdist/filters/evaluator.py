@@ -5,7 +5,7 @@ draw stays the same, and so does every figure that is computed from the draws in
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -13,26 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common import stopping
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters import kalman
-from pfdist.filters.cloud import Prior
+from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
-from pfdist.filters.particle_filter import (
-    KERNEL_VERSION,
-    compiled_filter,
-    filter_checked_draws,
-)
+from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter, check_fits
-from pfdist.filters.simulation import compiled_simulation, simulate
+from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
-from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.models import CarriedModel, StateSpaceModel
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
@@ -307,41 +303,19 @@ class Evaluator:
         return f"{key:016x}"
 
     def compile(self, *estimations: Estimation) -> None:
-        """Compile the simulation, and the filter of each estimation, by a draw of two instants.
+        """Compile the simulation, and the filter of each estimation, by an empty range of draws.
 
-        A `ModelError` says that a formula cannot be compiled, or failed.
+        A `TraceError` says that a formula cannot be traced.
         """
+        stopping.check()
         if not self.computed_by.compiled or not estimations:
             return
-        draws = simulate(self.model, 1, range(1), 0)
+        prior = None if isinstance(self.prior, Gaussian) else self.prior
+        draws = simulate(self.model, self.horizon, range(0), 0, prior)
         for estimation in estimations:
             if not self.exact:
                 settings = self.settings(replace(estimation, particles=1))
-                filter_checked_draws(self.believed, draws, (0,), 0, settings)
-
-    @cached_property
-    def libm_functions(self) -> tuple[str, ...]:
-        """Functions of the C library that the compiled formulas of the estimations call.
-
-        The last digits of these functions may differ between processors. All other compiled code
-        gives the same bytes on every processor.
-        """
-        if not self.computed_by.compiled:
-            return ()
-        return tuple(sorted({name for each in self._compiled for name in libm_functions(each)}))
-
-    @property
-    def makes_arrays(self) -> bool:
-        """Whether compiled formulas make arrays for each particle."""
-        return any(map(makes_arrays, self._compiled))
-
-    @property
-    def _compiled(self) -> Iterator[Any]:
-        """The compiled simulation, and the compiled filters of the estimations."""
-        self.compile(*self.estimations)
-        yield compiled_simulation(self.model).compiled
-        for each in () if self.exact else self.estimations:
-            yield compiled_filter(self.believed, self.model, self.settings(each)).compiled
+                filter_checked_draws(self.believed, draws, (), 0, settings)
 
     def check(self, estimation: Estimation) -> None:
         """Raise a `ModelError` if the estimator or the resampling scheme does not fit the models.

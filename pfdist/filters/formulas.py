@@ -11,6 +11,7 @@ from pfdist.kernels import filter as rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
+from pfdist.models.parameters import check_lengths
 from pfdist.models.tracing import Formula, trace
 
 _LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
@@ -36,6 +37,8 @@ def filter_blocks(
 def _filter_blocks(
     model: StateSpaceModel, truth: StateSpaceModel, guided: bool, instants: range
 ) -> tuple[Compiled, tuple[int, ...]]:
+    check_lengths(model.parameters, instants.stop)
+    check_lengths(truth.parameters, instants.stop)
     states, (own, once) = model.components[0], (_Formulas(model, truth.is_angle), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
@@ -101,6 +104,7 @@ def simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 
 
 def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
+    check_lengths(model.parameters, instants.stop)
     w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
     x, z = {"x": model.components[0], "t": 0}, "quantity_of_interest"
     sources = [

@@ -21,7 +21,7 @@ cos(z - m) is R if the particles are draws from the distribution of z. So 1 - R 
 the variance. The mean vectors of two filters are independent. So R' cos(m - m'), with the second
 filter's R' and m', has the expectation of cos(z - m), and the distance is R' (1 - cos(m - m')).
 
-The compiled filter sums these estimates at each instant (`pfdist.kernels.fused_filter`). This
+The compiled filter sums these estimates at each instant (`pfdist.kernels.filter`). This
 module computes them from the recorded means and variances.
 
 Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
@@ -68,7 +68,7 @@ class Filtered:
     # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
     weight: NDArray[np.float64] | None = None
     # (2, D, T+1, q), if trajectories were wanted: where z of the truth lies among the particles at
-    # measured instants, see `pfdist.kernels.fused_filter.Results`; NaN elsewhere, and if the truth
+    # measured instants, see `pfdist.kernels.filter.Results`; NaN elsewhere, and if the truth
     # is not among them
     ranks: NDArray[np.float64] | None = None
 

@@ -31,8 +31,8 @@ from pfdist.filters.interface import (
     weighed,
 )
 from pfdist.filters.work import Estimation
-from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.mistakes import formulas_of
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
-"""The intermittent particle filter (paper, section 2.1).
+"""The intermittent particle filter (paper, section 2.1) by the traced formulas of a model.
 
 Sampling importance resampling: particles are propagated by the model, and weighted and resampled
-only at the measurement times. `pfdist.kernels.fused_filter` compiles it. `pfdist.filters.plain`
-holds the same filter in plain NumPy, for reading.
+only at the measurement times. `pfdist.kernels.filter` computes it. `pfdist.filters.plain` holds the
+same filter in plain NumPy, for reading.
 
 Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4
 (which resamples systematically; a job chooses the scheme).
@@ -15,28 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import PriorError
-from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
+from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import Filtered, checking
 from pfdist.filters.work import Estimation, filter_streams
-from pfdist.kernels.cloud import FROM_INITIAL, FilterFormulas, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS
-from pfdist.kernels.formulas import compiled_formulas
-from pfdist.kernels.fused_filter import Request, Results, fused_filter
-from pfdist.kernels.prefixes import Plan, Planned, measurements_of, plan
+from pfdist.kernels.filter import Request, Results, filter_all
+from pfdist.kernels.prefixes import Plan, Planned, plan
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.scratch import WithScratch
+from pfdist.kernels.variates import codes_of
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import flat_parameters, parameter_names
 from pfdist.times.measurement_times import Times
 
-KERNEL_VERSION = 5
+KERNEL_VERSION = 6
 """Number of changes after which the same keys give other figures; part of a run's identity."""
 
 
 class _Wanted(NamedTuple):
-    """Arrays that the filter fills besides the mse; see `pfdist.kernels.fused_filter.Results`."""
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.filter.Results`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
@@ -143,40 +140,53 @@ def _filter(
 
     The other arrays that are wanted are filled.
     """
-    mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
+    truth, scheme = draws.model, ALL_SCHEMES[settings.resampling]
+    mse = np.empty((len(draws.index), len(planned.measured)))
     degenerate = np.zeros(mse.shape, np.bool_)
+    prior, chosen, prior_weight = _prior(draws, stream, settings)
+    blocks, components = filter_blocks(model, truth, settings, draws.instants)
+    streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
+    kinds = codes_of(model.initial_noise, model.process_noise, model.proposal_variates)
     request = Request(
-        np.array(filter_streams(stream, settings.estimator), np.uint64),
-        draws.index.start,
-        draws.start,
-        _prior(draws, stream, settings),
-        draws.x,
-        draws.y,
-        draws.z,
-        settings.particles,
-        ALL_ESTIMATORS[settings.estimator].weights,
-        draws.instant_weights,
-        settings.threshold,
-        flat_parameters(model.parameters, draws.instants.stop),
-        flat_parameters(truth.parameters, draws.instants.stop),
+        draws=mse.shape[0],
+        filters=streams.size,
+        sets=mse.shape[1],
+        instants=len(draws.instants),
+        states=model.components[0],
+        measurements=model.components[1],
+        quantities=len(truth.is_angle),
+        means=len(truth.is_angle) + 2 * sum(truth.is_angle),
+        components_of_state=np.array(components, np.int64),
+        is_state=bool(components) and not wanted.ranks.size,
+        sensors=len(model.parts),
+        streams=streams,
+        first_draw=draws.index.start,
+        start=draws.start,
+        has_prior=settings.prior is not None,
+        has_weights=prior_weight.size > 0,
+        columns=prior.shape[1],
+        prior=prior,
+        chosen=chosen,
+        prior_weight=prior_weight,
+        x=_array(draws.x),
+        y=_array(draws.y),
+        z=_array(draws.z),
+        first_components=np.array([part.y.start for part in model.parts]),
+        particles=settings.particles,
+        scheme=list(ALL_SCHEMES).index(scheme.name),
+        sorts=scheme.sorts,
+        holds_truth=scheme.holds_truth,
+        guided=settings.guides(model),
+        threshold=float(settings.threshold),
+        weights=ALL_ESTIMATORS[settings.estimator].weights,
+        instant_weights=_array(draws.instant_weights),
+        components=kinds.shape[1],
+        kinds=kinds,
     )
     estimate, variance = wanted.moments
-    at = np.zeros(2, np.int64)
-    results = Results(mse, degenerate, estimate, variance, *wanted[1:], at)
-
-    def again() -> str:
-        """Filter the failed draw in NumPy."""
-        row, number = at
-        sensors = len(model.parts)
-        measured = measurements_of(planned.measured[number], sensors)
-        times = tuple(draws.start * sensors + measurement for measurement in measured)
-        end, draw = draws.start + planned.ends[number] - 1, draws[row : row + 1]
-        plain.filter_checked_sets(model, draw, [times], [end], stream, settings)
-        return f"the filter of draw {draw.index.start}"
-
-    with compiled_formulas(model.name, again):
-        compiled_filter(model, truth, settings)(request, planned, results)
-    if ALL_SCHEMES[settings.resampling].holds_truth:
+    results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
+    filter_all(blocks.blocks, request, planned, results)
+    if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate
 
@@ -190,48 +200,27 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
     return plan(tuple(sets), instants, stops, sensors)
 
 
-def _prior(draws: Draws, stream: int, settings: Estimation) -> Prior:
-    """The particles from which each draw's filter starts."""
+def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:
+    """States, choice and weights of the prior's particles; see `pfdist.kernels.filter.Request`."""
     if settings.prior is None:
-        return FROM_INITIAL
+        return np.empty((draws.x.shape[2], 0)), np.empty((0, 0, 0), np.int64), np.empty(0)
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
     prior, particles = settings.prior, settings.particles
+    states = _array(prior.x)
+    keys = filter_streams(stream, settings.estimator)
     weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
-        as_it_is = np.broadcast_to(np.arange(particles), (2, len(draws.index), particles))
-        return Prior(np.ascontiguousarray(prior.x), np.ascontiguousarray(as_it_is), weight)
-    chosen = [
-        prior.chosen_for_filters(particles, draws.index, key)
-        for key in filter_streams(stream, settings.estimator)
-    ]
-    return Prior(np.ascontiguousarray(prior.x), np.stack(chosen), np.empty(0))
+        as_it_is = np.broadcast_to(np.arange(particles), (len(keys), len(draws.index), particles))
+        return states, _array(as_it_is, np.int64), _array(weight)
+    chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
+    return states, _array(np.stack(chosen), np.int64), np.empty(0)
 
 
-def compiled_filter(
-    model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation
-) -> WithScratch:
-    """The compiled filter of a model, whose errors the truth defines."""
-    proposal: tuple[Any, ...] = ()
-    noise_kinds: tuple[tuple[str, ...], ...] = (model.initial_noise, model.process_noise)
-    if settings.guides(model):
-        proposal = (model.proposal, model.proposal_log_density)
-        noise_kinds = (*noise_kinds, model.proposal_variates)
-    formulas = FilterFormulas(
-        model.initial,
-        model.transition,
-        model.quantity_of_interest,
-        truth.formulas["error"],
-        tuple(part.model.log_likelihood for part in model.parts),
-        proposal,
-    )
-    states, _, quantities = model.components
-    return fused_filter(
-        formulas,
-        noise_kinds,
-        (states, tuple(part.model.components[1] for part in model.parts), quantities),
-        (parameter_names(model.parameters), parameter_names(truth.parameters)),
-        settings.resampling,
-        truth.is_angle,
-        settings.carries,
-    )
+def _array(values: NDArray[Any], kind: Any = np.float64) -> NDArray[Any]:
+    """The values as an array of the one type for which the filter is compiled.
+
+    Numba would compile it once more for a prior with whole numbers, or for an array that cannot be
+    written, as it arrives at a worker.
+    """
+    return np.require(values, kind, ["C_CONTIGUOUS", "WRITEABLE"])

@@ -1,7 +1,7 @@
 """Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
-They use the same keys and the same formulas on arrays (draws, particles), and none of our compiled
-code. They are also the engine for models that Numba cannot compile, and about 100 times slower.
+They call the formulas as they stand, on arrays (draws, particles), with the noise and the
+resampling of the compiled filter. They are the engine for models that cannot be traced.
 """
 
 import math
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
+from pfdist.filters.formulas import log_density
 from pfdist.filters.interface import (
     Filtered,
     checking,
@@ -22,9 +23,9 @@ from pfdist.filters.interface import (
     weighed,
 )
 from pfdist.filters.work import Estimation
-from pfdist.kernels.formulas import formulas_of
-from pfdist.kernels.guiding import plain_log_density
-from pfdist.kernels.noise import (
+from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
+from pfdist.kernels.schemes import ALL_SCHEMES
+from pfdist.kernels.variates import (
     FILTER_INITIAL,
     FILTER_PROCESS,
     TRUTH_INITIAL,
@@ -32,12 +33,9 @@ from pfdist.kernels.noise import (
     TRUTH_PROCESS,
     variates,
 )
-from pfdist.kernels.resampling import plain_ancestors
-from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.sorting import plain_order
-from pfdist.kernels.weights import plain_weights
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
+from pfdist.models.mistakes import formulas_of
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -191,15 +189,15 @@ def step(
     """x(t+1) from x(t), and log p(w) - log q(w | x, y) of a proposal that knows y at t + 1.
 
     Without y the noise of the process makes the step. The particles of all draws lie along one
-    axis. Plain twin of `pfdist.kernels.guiding.step_of`.
+    axis. Plain twin of `pfdist.filters.formulas.filter_blocks`.
     """
     kinds = model.process_noise if y is None else model.proposal_variates
     w = _flat(_noise(kinds, particles, stream, draws, t, FILTER_PROCESS))
     log_guide: Array = np.zeros(1)
     if model.proposal is not None and model.proposal_log_density is not None and y is not None:
         w = tuple(_like(part, x[0].shape) for part in model.proposal(x, y, t, w, model.p))
-        log_density = model.proposal_log_density(w, x, y, t, model.p)
-        log_guide = plain_log_density(model.process_noise, w) - log_density
+        by_proposal = model.proposal_log_density(w, x, y, t, model.p)
+        log_guide = log_density(model.process_noise, w) - by_proposal
     return model.transition(x, t, w, model.p), log_guide
 
 
@@ -230,10 +228,10 @@ def _weighed(
         x, weight = _resampled(x, weight, settings, stream, draws.index, first + number - 1, weighs)
         y = tuple(np.repeat(values, particles) for values in draws.y[:, k, of_sensor].T)
         log_weight = sensor.log_likelihood(y, _flat(x), draws.instants[k], model.p) + log_guide
-        new = plain_weights(_of_cloud(log_weight, cloud) + np.log(weight))
+        new = weights_of(_of_cloud(log_weight, cloud) + np.log(weight))
         weighs = np.any(new > 0.0, axis=1)
         if ALL_SCHEMES[settings.resampling].sorts:
-            order = np.where(weighs[:, None], plain_order(x[0], new), np.arange(particles))
+            order = np.where(weighs[:, None], _order_by_state(x[0], new), np.arange(particles))
             x = (np.take_along_axis(x[0], order, axis=1),)
             new = np.take_along_axis(new, order, axis=1)
         weight = np.where(weighs[:, None], new, weight)
@@ -257,12 +255,22 @@ def _resampled(
     particles = settings.particles
     if not weighs.any():
         return x, weight
-    ancestors = plain_ancestors(settings.resampling, weight, stream, index, key)
+    ancestors = ancestors_of(settings.resampling, weight, stream, index, key)
     effective_sizes = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
     uneven = (weighs & (effective_sizes < settings.threshold * particles))[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
     x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return x, np.where(uneven, 1.0, weight)
+
+
+def _order_by_state(state: Array, weight: Array) -> NDArray[np.intp]:
+    """Plain twin of `pfdist.kernels.ancestors.sort_by_state`: the order along the last axis."""
+    counted = (weight > 0.0) & np.isfinite(state)
+    low = np.where(counted, state, np.inf).min(axis=-1, keepdims=True)
+    high = np.where(counted, state, -np.inf).max(axis=-1, keepdims=True)
+    level = (state - low) * ((LEVELS - 1) / (high - low))
+    level = np.where(level > 0.0, np.minimum(level, LEVELS - 1.0), 0.0)
+    return np.argsort(level.astype(np.int64), axis=-1, kind="stable")
 
 
 def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]:

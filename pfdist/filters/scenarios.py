@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.filters.work import BLOCK
-from pfdist.kernels.noise import TRUTH_INITIAL, variates
+from pfdist.kernels.variates import TRUTH_INITIAL, variates
 
 Numbers = NDArray[np.int64]
 

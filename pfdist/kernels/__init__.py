@@ -7,25 +7,25 @@ function is tested against a plain twin or against NumPy's own function.
 
 import os
 
-from pfdist.errors import CompileError, shown
+from pfdist.errors import PfdistError, shown
 
 _FILE = ".numba_config.yaml"
 
 
 def check_settings() -> None:
-    """Raise a `CompileError` if Numba would not compile, or reads a file of settings.
+    """Raise a `PfdistError` if Numba would not compile, or reads a file of settings.
 
     Numba reads such a file in the working folder whenever it compiles. The file may change every
     number, and belong to another project.
     """
     without = os.environ.get("NUMBA_DISABLE_JIT", "")
     if without not in ("", "0"):
-        raise CompileError(
+        raise PfdistError(
             "the environment variable NUMBA_DISABLE_JIT must be 0 or unset, because filters are "
             f"compiled, got {shown(without)}"
         )
     if os.path.lexists(_FILE):
-        raise CompileError(
+        raise PfdistError(
             f"the working folder must hold no {_FILE}, because Numba reads it and may compute "
             "other numbers: move it, or start in another folder"
         )

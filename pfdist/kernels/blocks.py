@@ -121,11 +121,15 @@ _CALL = ctypes.CFUNCTYPE(
 )
 
 
-def run(address: int, out: Array, slots: Array) -> None:
-    """Call a block that needs nothing but rows of slots, (rows, a multiple of `LANES`)."""
+def run(address: int, out: Array, slots: Array, shared: Array | None = None) -> None:
+    """Call a block that needs nothing but rows of slots, (rows, a multiple of `LANES`).
+
+    `shared` has the numbers of its instant, if it needs any.
+    """
     width = slots.shape[1]
     rows, results = slots.ctypes.data, out.ctypes.data
-    _CALL(address)(results, width, rows, width, rows, 0, rows, 0, 0, rows, 1, width)
+    numbers = rows if shared is None else shared.ctypes.data
+    _CALL(address)(results, width, rows, width, rows, 0, rows, 0, 0, numbers, 1, width)
 
 
 # --- calls of blocks from compiled functions ------------------------------------------------------

@@ -219,7 +219,7 @@ class Key(NamedTuple):
     """The key of the cipher, which is the same for all draws and particles."""
 
     stream: np.uint64
-    t: int
+    t: int | np.signedinteger[Any]
     role: int | np.signedinteger[Any]
     component: int | np.signedinteger[Any]
 

@@ -5,7 +5,7 @@ Two models with the same fingerprint give the same figures. The fingerprint hold
 - the syntax of the formulas, and of all functions of the user that they reach, without comments,
   docstrings and positions;
 - the value of each global variable, variable of a closure and default argument that these functions
-  name: numbers, text, tuples and arrays;
+  name: numbers, text, tuples, lists, dictionaries, arrays and frames of pandas;
 - the version of every other installed package of which they use a function;
 - the parameters, the kinds of noise, the names of components, those that are circular, and the
   bytes of declared data files.
@@ -50,12 +50,6 @@ _HIDDEN = {
     "__name__",
 }
 _PLAIN = (bool, int, float, complex, str, type(None))
-_INSTEAD = {
-    "dict": ": give each of its values a name, or use an array",
-    "list": ": use a tuple or an array",
-    "DataFrame": ": take its values out above, VALUES = FRAME['a'].to_numpy()",
-    "Series": ": take its values out above, VALUES = SERIES.to_numpy()",
-}
 _BUILT_IN = {*sys.builtin_module_names, *sys.stdlib_module_names} - {"__main__"}
 _WIDEST = {"f": 8, "c": 16}  # bytes
 _OF_TYPING = {"__annotations__", "__orig_bases__", "__annotate__", "__annotate_func__"}
@@ -224,11 +218,16 @@ class _Walk:
             for number, each in enumerate(value):
                 self._value(f"{label}[{number}]", each)
         else:
-            content = _content_of(value)
+            try:
+                content = _content_of(value)
+            except RecursionError:
+                content = None
             if content is None:
                 self._refuse(label, f"is {_described(value)}")
             before = self._values.get(label)  # of another function with the same name
             same = before is None or repr(before) == repr(content)
+            if type(value).__module__.startswith("pandas."):
+                self._package("pandas")
             self._values[label] = content if same else digest([repr(before), repr(content)])
 
     def _package(self, module: str) -> None:
@@ -253,14 +252,15 @@ class _Walk:
 
     def _refuse(self, label: str, what: str) -> NoReturn:
         raise ModelError(
-            f"model {self._model}: {label} {what} (formulas may use numbers, text, tuples, arrays "
-            "and functions, so that pfdist can tell whether a run goes on with the same model)"
+            f"model {self._model}: {label} {what} (formulas may use numbers, text, tuples, lists, "
+            "dictionaries, arrays, frames of pandas and functions, so that pfdist can tell "
+            "whether a run goes on with the same model)"
             f"{self._place}"
         )
 
 
 def _content_of(value: Any) -> Any:
-    """A number, or a hash of text, a tuple or an array; None for another kind of value."""
+    """A number, or a hash of text, a container or an array; None for another kind of value."""
     if type(value) is float and np.isfinite(value):
         return value
     if type(value) in _PLAIN:
@@ -272,11 +272,25 @@ def _content_of(value: Any) -> Any:
         order = f"{value.flags.c_contiguous} {value.flags.f_contiguous}"
         about = f"{type(value).__name__} {value.dtype.str} {value.shape} {order}"
         return digest([about, value.tobytes()])
-    if type(value) is tuple or _is_named_tuple(value):
-        entries = [_content_of(entry) for entry in value]
-        named = str(getattr(value, "_fields", ""))
+    if type(value) in (tuple, list, dict) or _is_named_tuple(value):
+        kind = type(value).__name__ if type(value) in (list, dict) else ""
+        named = str(getattr(value, "_fields", kind))
+        entries = [_content_of(each) for each in (value.items() if kind == "dict" else value)]
         return None if None in entries else digest([named, *map(repr, entries)])
-    return None
+    return _content_of_frame(value)
+
+
+def _content_of_frame(value: Any) -> str | None:
+    """A hash of a frame or a series of pandas; None for another kind of value."""
+    pandas = sys.modules.get("pandas")
+    if pandas is None or type(value) not in (pandas.DataFrame, pandas.Series):
+        return None
+    columns = value.to_frame() if type(value) is pandas.Series else value
+    about = f"{type(value).__name__} {[*columns.columns]} {[*map(str, columns.dtypes)]}"
+    try:
+        return digest([about, pandas.util.hash_pandas_object(value).to_numpy().tobytes()])
+    except TypeError:  # an entry has no hash
+        return None
 
 
 def _is_named_tuple(value: Any) -> bool:
@@ -294,9 +308,8 @@ def _described(value: Any) -> str:
         return f"the class {value.__name__}"
     kind = type(value).__name__
     if kind == "tuple":
-        return "a tuple that holds something else than numbers, text, tuples, arrays or functions"
-    remedy = next((cure for name, cure in _INSTEAD.items() if name == kind), "")
-    return f"a value of the kind {kind}{remedy}"
+        return "a tuple that holds something else than formulas may use"
+    return f"a value of the kind {kind}"
 
 
 def _library_of(value: Any) -> str | None:

@@ -1,11 +1,12 @@
 """Errors in a model's code in plain English: what failed, where, and what to write instead."""
 
+import contextlib
 import linecache
 import math
 import re
 import sysconfig
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -13,7 +14,9 @@ from typing import Any
 import numba
 import numpy as np
 
+from pfdist.common.stopping import check
 from pfdist.densities import DENSITIES
+from pfdist.errors import ModelError, PfdistError
 
 _LONGEST = 500  # characters of an error's text
 _PACKAGE = Path(__file__).parents[1]
@@ -87,6 +90,39 @@ def is_a_models(file: str) -> bool:
     if path.is_relative_to(_STANDARD_LIBRARY):
         return "site-packages" in path.parts and not any(map(path.is_relative_to, _LIBRARIES))
     return not any(map(path.is_relative_to, _LIBRARIES))
+
+
+@contextlib.contextmanager
+def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
+    """Turn an error of a model's formulas in NumPy into a `ModelError` of one line.
+
+    It has the formula's name, the instant if it is known, and the line.
+    """
+    check()
+    try:
+        yield
+    except (MemoryError, PfdistError):
+        raise
+    except BaseException as error:  # a formula may raise whatever it likes
+        place = place_of(error)
+        if is_interrupt(error) or not (isinstance(error, Exception) or place):
+            raise
+        name, instant = _formula_at_fault(error, formulas)
+        at = "" if instant is None else f" at t = {instant}"
+        raise ModelError(
+            f"model {model}: {name} failed: {error_line(error)}{at}{remedy(error)}{place}"
+        ) from error
+
+
+def _formula_at_fault(
+    error: BaseException, formulas: Mapping[str, Callable[..., Any]]
+) -> tuple[str, int | None]:
+    """Name of the formula that an error passed through, and the value of its t if it has one."""
+    names = {function.__code__: name for name, function in formulas.items()}
+    for frame, _ in frames_of(error):
+        if frame.f_code in names:
+            return names[frame.f_code], frame.f_locals.get("t")
+    return "a formula", None
 
 
 # --- what to write instead --------------------------------------------------------------------

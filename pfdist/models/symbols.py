@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from pfdist.models.mistakes import advice_on_special
 from pfdist.models.program import MASKS, Operation, Program
 from pfdist.models.program import take as take_entries
 
@@ -256,9 +257,10 @@ class Symbol:
     def __array_ufunc__(self, function: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
         name = function.__name__
         if method != "__call__" or keywords or name not in UFUNCS:
-            called = f"np.{name}" if method == "__call__" else f"np.{name}.{method}"
+            called = name if method == "__call__" else f"{name}.{method}"
             given = f" with {', '.join(keywords)}" if keywords else ""
-            raise RefusedError(f"{called}{given} of a value of particles: write it with operators")
+            advice = advice_on_special(name) or ": write it with operators"
+            raise RefusedError(f"{called}{given} of a value of particles{advice}")
         if any(isinstance(each, np.ndarray | list | tuple) and np.ndim(each) for each in inputs):
             return elementwise(UFUNCS[name], *inputs)
         return UFUNCS[name](*inputs)
@@ -423,9 +425,9 @@ def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: None = None, **limi
 
 
 def take(table: Any, index: Any, axis: int | None = None) -> Any:
-    """Entries of a table by whole numbers; NaN where these lie outside.
+    """Entries of a table by whole numbers that depend on a state; NaN where these lie outside.
 
-    NumPy does not hand its own ``take`` over to an index that is a symbol.
+    In formulas, it takes the place of ``np.take``, which accepts nothing but numbers as an index.
 
     Parameters
     ----------
@@ -440,13 +442,19 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
     -------
     float or array
         A row or column is an array of its entries.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> take([0.1, 0.7], np.array([1.9, 0.2, 5.0]).astype(int))
+    array([0.7, 0.1, nan])
     """
     values = np.asarray(table)
     if axis is not None and values.ndim > 1:
         rows = np.moveaxis(values, axis, 0)
-        columns = rows.reshape(len(rows), -1).T
-        taken = np.array([take(column, index) for column in columns], object)
-        return taken.reshape(rows.shape[1:])
+        columns = [take(column, index) for column in rows.reshape(len(rows), -1).T]
+        taken = np.array(columns, object) if isinstance(index, Symbol) else np.array(columns)
+        return taken.reshape(*rows.shape[1:], *np.shape(index))
     flat = values.ravel()
     if not isinstance(index, Symbol):
         return take_entries(flat, index)

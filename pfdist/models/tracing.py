@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
-from pfdist.errors import TraceError
+from pfdist.errors import ModelError, TraceError
 from pfdist.models.mistakes import error_line, place_of, remedy
 from pfdist.models.parameters import Parameter, named_parameters
 from pfdist.models.program import Program, evaluate
@@ -174,13 +174,15 @@ def trace(formula: Formula, instants: range) -> Traced:
     Raises
     ------
     TraceError
-        The formula fails, does not always compute the same, asks a value of particles for what it
-        cannot give, or is too large. The error names the formula, t and the user's line.
+        The formula does not always compute the same, asks a value of particles for what it cannot
+        give, or is too large. The error names the formula, t and the user's line.
+    ModelError
+        The formula fails, also with numbers.
     """
     for mode in MODES:
         try:
             return _TRACERS[mode](formula, mode, instants)
-        except TraceError:
+        except ModelError:
             raise
         except Exception as error:  # a formula may raise whatever it likes
             if mode == MODES[-1]:
@@ -246,7 +248,7 @@ def _at(formula: Formula, mode: str, t: int) -> Program:
     """The program of an instant; with numbers alone, an error names t."""
     try:
         return formula.recorded(mode, t)
-    except Exception as error:
+    except Exception as error:  # a formula may raise whatever it likes
         if mode == MODES[-1]:
             raise _explained(formula, error, t) from error
         raise
@@ -300,12 +302,19 @@ def _check_limits(formula: Formula, structures: int, size: int) -> None:
         )
 
 
-def _explained(formula: Formula, error: Exception, t: int | None = None) -> TraceError:
-    """The error of a formula in one line, with t, the user's line and what to write instead."""
+def _explained(formula: Formula, error: Exception, t: int | None = None) -> ModelError:
+    """The error of a formula in one line, with t, the user's line and what to write instead.
+
+    It is a `TraceError` unless the formula would fail in NumPy, too.
+    """
     what = str(error) if isinstance(error, RefusedError) else f"{error_line(error)}{remedy(error)}"
+    at = "" if t is None else f" at t = {t}"
     if isinstance(error, IndexError) and "only integers" in str(error):
         what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"
-    at = "" if t is None else f" at t = {t}"
+    elif isinstance(error, ArithmeticError | LookupError):
+        return ModelError(
+            f"model {formula.model}: {formula.name} failed: {what}{at}{place_of(error)}"
+        )
     return TraceError(
         f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "
         "the engine 'numpy' computes it as it is"

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.contract import check_compiled, check_formulas, few_draws
+from pfdist.checks.contract import check_formulas, few_draws
 from pfdist.common.component_names import Component
-from pfdist.errors import CompileError, EngineWarning, JobError, ModelError, shown
-from pfdist.filters.draws import Draws
+from pfdist.errors import EngineWarning, JobError, ModelError, TraceError, shown
 from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
 from pfdist.filters.work import Estimation
@@ -120,10 +119,8 @@ def build(job: Job) -> Built:
         wanted.append(planning_of(job, evaluator.cheapest_estimator).estimation)
     wanted = [*evaluator.estimations, *wanted]
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
-    draws = _checked_formulas(evaluator)
+    _check_formulas(evaluator)
     evaluator = replace(evaluator, engine=_compiled_or_numpy(evaluator))
-    if draws and evaluator.engine == COMPILED.name:
-        check_compiled(draws.model, draws)
     built = Built(job, feasible, study, evaluator, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
@@ -251,25 +248,23 @@ def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
         say(f"runs the model file {file}, which your job names")
 
 
-def _checked_formulas(evaluator: Evaluator) -> Draws | None:
-    """A few draws of a user's true model, or None; wrong formulas of a user are refused."""
-    draws, (model, filter_model) = None, evaluator.carried
+def _check_formulas(evaluator: Evaluator) -> None:
+    """Raise a `ModelError` if formulas of a user's model are wrong, on a few draws."""
+    model, filter_model = evaluator.carried
     if not _ships(model):
         for part in reversed(evaluator.model.parts):
-            draws = few_draws(part.model, evaluator.horizon)
-            check_formulas(part.model, draws)
+            check_formulas(part.model, few_draws(part.model, evaluator.horizon))
     if filter_model.key != model.key and not _ships(filter_model):
         sensors = [part.model for part in evaluator.believed.parts]
         try:
             believed_draws = [few_draws(each, evaluator.horizon) for each in sensors]
         except ModelError:  # its simulation may diverge: measurements guide the particles
-            return draws
+            return
         try:
             for each, some in zip(sensors, believed_draws, strict=True):
                 check_formulas(each, some)
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
-    return draws
 
 
 def _ships(model: CarriedModel) -> bool:
@@ -278,14 +273,14 @@ def _ships(model: CarriedModel) -> bool:
 
 
 def _compiled_or_numpy(evaluator: Evaluator) -> str:
-    """Name of the engine: NumPy where Numba fails, unless the job demands another engine.
+    """Name of the engine: NumPy if a formula cannot be traced, unless the job demands another one.
 
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
     try:
         # For every engine, so that a wrong model is refused at once.
         evaluator.compile(*evaluator.estimations)
-    except CompileError as error:
+    except TraceError as error:
         if evaluator.engine != AUTO:
             raise
         warnings.warn(

@@ -22,7 +22,7 @@ from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.kernels.noise import generator
+from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import EVALUATIONS, Batch, Session

@@ -23,7 +23,7 @@ from pfdist.runner.build import Built, folder_of_models
 from pfdist.store import Store, add_to_provenance, read_run
 
 CONTINUED = "continued_on"
-_LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
+_LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "ray", "pandas", "pyarrow", "matplotlib")
 
 
 def provenance(built: Built) -> dict[str, Any]:
@@ -42,8 +42,6 @@ def provenance(built: Built) -> dict[str, Any]:
             "cores": affinity(),
         },
         "processor": processor(),
-        # Compiled code that calls no function of the C library gives the same bytes everywhere.
-        "libm_functions": list(built.evaluator.libm_functions),
         "execution": job.execution.model_dump(mode="json"),
     }
 
@@ -86,13 +84,10 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
 
 def what_may_differ(built: Built) -> str:
     """How results of another processor may differ; empty if it computes the same bytes."""
-    engine, called = built.evaluator.engine, built.evaluator.libm_functions
-    if engine != COMPILED.name:
-        return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
-    if called:
-        names = ", ".join(called)
-        return f"the last digits may differ, because the formulas call {names} of the C library"
-    return ""
+    engine = built.evaluator.engine
+    if engine == COMPILED.name:
+        return ""
+    return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
 
 
 def lender(path: Path, built: Built | None = None) -> Store:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pfdist.analysis.relative_loss import INSIDE, OPEN, OUTSIDE, RelativeLoss
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Work, cut
-from pfdist.kernels.noise import generator
+from pfdist.kernels.variates import generator
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.worth import mse_of_sets

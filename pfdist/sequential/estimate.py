@@ -14,10 +14,10 @@ from pfdist.errors import ArgumentError, shown
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.plain import step
-from pfdist.kernels.formulas import formulas_of
-from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
+from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
+from pfdist.models.mistakes import formulas_of
 from pfdist.sequential.one_filter import OneFilter, log_likelihood
 
 Array = NDArray[np.float64]

@@ -1,5 +1,6 @@
 """A filter of real measurements, one after another."""
 
+import contextlib
 import math
 import warnings
 from collections.abc import Sequence
@@ -14,10 +15,10 @@ from pfdist.common.nearest import did_you_mean
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
-    CompileError,
     EngineWarning,
     MeasurementsError,
     ModelError,
+    TraceError,
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
@@ -72,7 +73,7 @@ class Filter:
         "always", or "below 0.5" to resample only if the effective sample size falls below this
         share of the particles.
     engine : {"auto", "compiled", "numpy", "kalman"}
-        "auto" is the compiled engine, or NumPy for a model that Numba cannot compile. "kalman" is
+        "auto" is the compiled engine, or NumPy for a model that cannot be traced. "kalman" is
         exact, for models that declare themselves linear-Gaussian.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
@@ -275,8 +276,11 @@ class Filter:
             matrices_of(self.model, 0)
         first = OneFilter(self.model, settings, self.stream, draw, name)
         try:
+            with contextlib.suppress(MeasurementsError):  # it will be raised when it is at hand
+                if name == COMPILED.name and first.t < self.horizon:
+                    first.at(first.t + 1)  # the transition can be traced, too
             return first.at(first.t)
-        except CompileError as error:
+        except TraceError as error:
             if engine != AUTO:
                 raise
             warnings.warn(

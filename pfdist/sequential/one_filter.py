@@ -17,8 +17,8 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.filters.plain import step
 from pfdist.filters.work import Estimation
-from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.mistakes import formulas_of
 from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.times.measurement_times import Times
 

@@ -20,7 +20,7 @@ from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.kernels.noise import generator
+from pfdist.kernels.variates import generator
 from pfdist.search.base import Candidate, Optimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.section import SearchSection

@@ -162,7 +162,7 @@ def test_the_command_says_how_many_are_enough(
     assert f"\ntarget {target:g}: 4 found times reach it (95 %: " in text
     assert "; proved: no 3 times can (95 % confidence)" in " ".join(text.split())
     assert f"\nTo reach {target:g}, measure at t = " in text
-    row = rf"^5  .*\(.* to .*\) +{costs[5]:.3f} \(.* to .*\) +{bounds[5]:.4f}$"
+    row = rf"^5  .*\(.* to .*\) +{costs[5]:.2f} \(.* to .*\) +{bounds[5]:.4f}$"
     assert re.search(row, text, re.MULTILINE)
     assert main(["status", str(run)]) == 0
     assert "\n2  " in capsys.readouterr().out

@@ -155,7 +155,7 @@ def test_a_filter_that_fails_rarely_is_not_enough_whatever_few_draws_say(small_j
         initial_noise=[[1.0]],
     )
     evaluator, times = Evaluator(model, 44), regular(44, 8)
-    few = work_of_loss(evaluator, times, 1, Estimation(1000), 1000)
+    few = work_of_loss(evaluator, times, 5, Estimation(1000), 1000)
     loss, _ = measured_loss(evaluator, few)
     assert loss.is_small
     assert not loss.rare
@@ -164,6 +164,6 @@ def test_a_filter_that_fails_rarely_is_not_enough_whatever_few_draws_say(small_j
     assert loss.rare
     assert not loss.is_small
     assert loss.limit <= 1.0
-    enough = enough_particles(evaluator, times, 1, Estimation(1))
+    enough = enough_particles(evaluator, times, 5, Estimation(1))
     assert enough.rare
     assert not enough.is_small

@@ -14,10 +14,8 @@ from pfdist import Job, load_job, load_model
 from pfdist.api.sweep import foreseen
 from pfdist.checks.model import check_model
 from pfdist.filters import plain
-from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation
 from pfdist.models import installed_models
 from pfdist.plots import figure as figures
 from pfdist.pools.kinds import POOLS
@@ -61,14 +59,6 @@ def test_check_model_finds_nothing_wrong(name: str) -> None:
     checks = list(check_model(name, horizon=30, particles=100, times=times))
     assert [check for check in checks if check.state == "wrong"] == []
     assert checks[-1].name == "an evaluation"
-
-
-@pytest.mark.parametrize("name", _by_model(SHIPPED, str))
-def test_no_function_of_the_c_library_is_called(name: str) -> None:
-    # Such a function may round otherwise on another machine; a root, a fused multiplication and
-    # a remainder do not.
-    model = with_clock(load_model(name), 1)
-    assert Evaluator(model, 1, estimations=(Estimation(1),)).libm_functions == ()
 
 
 @pytest.mark.parametrize("name", SHIPPED)

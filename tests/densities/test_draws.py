@@ -4,13 +4,12 @@ import inspect
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy import integrate, special, stats
 
+from oracles.computed import formula
 from pfdist import densities
 from pfdist.densities import DENSITIES, gamma_draw, laplace_draw, von_mises_draw
-from pfdist.kernels.formulas import formula
-from pfdist.kernels.noise import variates
+from pfdist.kernels.variates import variates
 
 RNG = np.random.default_rng(2)
 COUNT = 300
@@ -167,17 +166,8 @@ EXAMPLES = {
 def test_a_compiled_draw_is_that_of_numpy(name):
     density, parameters = DENSITIES[name], EXAMPLES[name]
     draw, two = density.draw, len(density.noise) == 2
-    call = formula(
-        (lambda u, v: draw(u, v, *parameters)) if two else lambda u, v: draw(u, *parameters)
-    )
-
-    @njit(error_model="numpy")
-    def loop(u, v, out):
-        for i in range(out.size):
-            out[i] = call(u[i], v[i])
-
-    u, v, out = U, U[::-1].copy(), np.empty(U.size)
-    loop(u, v, out)
+    u, v = U, U[::-1].copy()
+    out = formula(lambda u, v: draw(*((u, v) if two else (u,)), *parameters))(u, v)
     expected = draw(*((u, v) if two else (u,)), *parameters)
     np.testing.assert_allclose(out, expected, rtol=1e-9)
     if density.support.startswith("0, 1"):

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy import special, stats
 
 import pfdist
+from oracles.computed import formula, libraries_of
 from pfdist import densities
 from pfdist.densities import DENSITIES, poisson_logpmf
-from pfdist.kernels.formulas import formula
-from pfdist.kernels.libm import libm_functions
 from pfdist.models.fingerprint import formulas_key
 
 RNG = np.random.default_rng(1)
@@ -104,24 +102,6 @@ CERTAIN = [
 ]
 
 
-def compiled(function, arguments):
-    """A loop over numbers that calls a function as a formula, and its values."""
-    names = ", ".join(f"a{i}" for i in range(len(arguments)))
-    scope = {"function": function}
-    call = formula(eval(f"lambda {names}: function({names})", scope), function.__name__)
-    entries = ", ".join(f"a{i}[i]" for i in range(len(arguments)))
-    scope |= {"call": call}
-    exec(
-        f"def loop(out, {names}):\n    for i in range(out.size):\n        out[i] = call({entries})",
-        scope,
-    )
-    loop = njit(scope["loop"], error_model="numpy")
-    arrays = [np.ascontiguousarray(argument, float) for argument in arguments]
-    out = np.empty_like(arrays[0])
-    loop(out, *arrays)
-    return loop, out
-
-
 def assert_close(given, expected):
     expected = np.asarray(expected)
     finite = np.isfinite(expected)
@@ -137,9 +117,8 @@ def test_a_log_density_is_scipys_in_both_engines_and_calls_no_c_library(name):
     function = DENSITIES[name].log_density
     expected = exact(*arguments)
     assert_close(function(*arguments), expected)
-    loop, values = compiled(function, arguments)
-    assert_close(values, expected)
-    assert libm_functions(loop) == ()
+    assert_close(formula(function)(*arguments), expected)
+    assert not libraries_of(function, len(arguments))
 
 
 def test_every_density_is_compared_with_scipy():
@@ -173,7 +152,7 @@ def test_a_student_t_has_its_tail_where_squares_overflow_and_none_without_a_scal
         (of_ends, [-np.inf, -np.inf, np.inf, -np.inf]),
     ):
         assert_close(function(*arguments), exact)
-        assert_close(compiled(function, arguments)[1], exact)
+        assert_close(formula(function)(*arguments), exact)
     assert np.isnan(function(np.nan, 2.0, 0.0, 1.0))
 
 
@@ -219,10 +198,9 @@ def test_categories_and_mixtures_need_no_normalised_weights():
 )
 def test_special_functions_are_scipys(name, exact, x, error):
     function = getattr(densities, name)
-    loop, values = compiled(function, (x,))
-    for given in (function(x), values):
+    for given in (function(x), formula(function)(x)):
         np.testing.assert_allclose(given, exact(x), rtol=1e-13, atol=error)
-    assert libm_functions(loop) == ()
+    assert not libraries_of(function, 1)
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")

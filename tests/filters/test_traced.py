@@ -1,19 +1,18 @@
-"""The filter and the simulation by traced formulas, beside the former engine and exact filters."""
+"""The filter and the simulation by traced formulas, beside exact filters."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from oracles.guided import bootstrap, growth
 from pfdist import load_model
-from pfdist.filters import kalman, particle_filter, traced
+from pfdist.filters import kalman, particle_filter
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.formulas import simulation_blocks
+from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels import filter as kernel
 from pfdist.kernels.schemes import ALWAYS, SCHEMES
-from pfdist.times.measurement_times import regular
 
 CLOCK = tuple(0.5 * t for t in range(31))
 
@@ -28,56 +27,16 @@ def mean_over_error(difference):
     return difference.mean() / (difference.std(ddof=1) / difference.size**0.5)
 
 
-@pytest.mark.parametrize("resampling", SCHEMES)
-def test_both_engines_have_the_same_expected_mse(resampling):
-    """Paired on 2,000 draws of the growth model, 4.5 standard errors."""
-    model, times = load_model("ungm"), regular(30, 11)
-    draws = traced.simulate(model, 30, range(2000), 1)
-    new, old = (
-        engine.filter_draws(model, draws, times, 100, 2, resampling)
-        for engine in (traced, particle_filter)
-    )
-    assert abs(mean_over_error(new.mse - old.mse)) < 4.5
-    assert not new.degenerate.any()
-
-
-@pytest.mark.slow  # both engines compile four models
-@pytest.mark.parametrize("name", ["robot", "tumour", "two_compartments", "epidemic_counts"])
-@pytest.mark.parametrize("estimator", ["squared_error", "two_filters"])
-def test_they_agree_for_angles_uniform_noise_sensors_and_counts(name, estimator):
-    model = model_of(name)
-    sensors = len(model.parts)
-    times = tuple(t * sensors + k for t in (2, 9, 17, 25) for k in range(sensors))
-    draws = traced.simulate(model, 30, range(300), 1)
-    settings = Estimation(100, "systematic", estimator)
-    new, old = (
-        engine.filter_checked_sets(model, draws, [times], [30], 2, settings)[0][:, 0]
-        for engine in (traced, particle_filter)
-    )
-    assert abs(mean_over_error(new - old)) < 4.5
-
-
-@pytest.mark.parametrize("model", [growth, bootstrap(growth)], ids=["guided", "plain"])
-@pytest.mark.parametrize("threshold", [ALWAYS, 0.5])
-def test_they_agree_for_proposals_and_carried_weights(model, threshold):
-    draws, times = traced.simulate(model, 12, range(1000), 1), (0, 3, 4, 9, 12)
-    new, old = (
-        engine.filter_draws(model, draws, times, 60, 2, "systematic", threshold=threshold)
-        for engine in (traced, particle_filter)
-    )
-    assert abs(mean_over_error(new.mse - old.mse)) < 4.5
-
-
 def test_many_particles_reach_the_kalman_filter():
     """Estimates of 60 filters with 2,000 particles for the same measurements, 4.5 standard errors.
 
     The bias of a filter is of the order 1/2,000 of its variance, far below.
     """
     model, times = load_model("linear_gaussian"), (0, 2, 5, 6, 11)
-    draws = traced.simulate(model, 12, range(60), 1)
+    draws = simulate(model, 12, range(60), 1)
     for values in (draws.x, draws.y, draws.z):
         values[:] = values[:1]
-    filtered = traced.filter_draws(model, draws, times, 2000, 2, "systematic", True)
+    filtered = particle_filter.filter_draws(model, draws, times, 2000, 2, "systematic", True)
     exact = kalman.filter_draws(model, draws[:1], times, 1, 2, "systematic", True)
     errors = filtered.estimate.std(axis=0, ddof=1) / 60**0.5
     apart = np.abs(filtered.estimate.mean(axis=0) - exact.estimate[0]) / errors
@@ -88,9 +47,9 @@ def test_many_particles_reach_the_kalman_filter():
 def test_the_variance_beside_the_truth_is_the_squared_error_on_average():
     """With the truth among ten particles, for 4,000 draws (Andrieu, Doucet, Holenstein, 2010)."""
     model, times = load_model("linear_gaussian"), [(0, 2, 5, 6, 11)]
-    draws = traced.simulate(model, 12, range(4000), 1)
+    draws = simulate(model, 12, range(4000), 1)
     error, variance = (
-        traced.filter_checked_sets(
+        particle_filter.filter_checked_sets(
             model, draws, times, [12], 2, replace(with_truth(10), estimator=estimator)
         )[0][:, 0]
         for estimator in ("squared_error", "filter_variance")
@@ -105,14 +64,14 @@ SETS = [(0, 3, 6, 9), (0, 3, 7), (0, 3, 6, 11), (1, 2), (), (0, 3, 6, 9)]
 def test_results_depend_neither_on_other_draws_nor_on_other_sets(resampling):
     """Batches hold several draws, and sets resume from each other: the bits are the same."""
     model = load_model("ungm")
-    draws = traced.simulate(model, 12, range(70), 1)
+    draws = simulate(model, 12, range(70), 1)
     for estimator in ("squared_error", "filter_variance", "two_filters"):
         settings = Estimation(50, resampling, estimator)
         ends = [12, 12, 12, 8, 12, 10]
-        together, _ = traced.filter_checked_sets(model, draws, SETS, ends, 2, settings)
+        together, _ = particle_filter.filter_checked_sets(model, draws, SETS, ends, 2, settings)
         for number, (times, end) in enumerate(zip(SETS, ends, strict=True)):
             for some in (slice(0, 1), slice(17, 20), slice(3, 70)):
-                alone, _ = traced.filter_checked_sets(
+                alone, _ = particle_filter.filter_checked_sets(
                     model, draws[some], [times], [end], 2, settings
                 )
                 np.testing.assert_array_equal(alone[:, 0], together[some, number])
@@ -120,24 +79,26 @@ def test_results_depend_neither_on_other_draws_nor_on_other_sets(resampling):
 
 def test_sums_of_errors_are_those_of_the_draws():
     model = load_model("ungm")
-    draws = traced.simulate(model, 12, range(30), 1)
+    draws = simulate(model, 12, range(30), 1)
     settings = Estimation(50, "systematic")
-    sums = traced.sum_errors(model, draws, SETS, [12] * len(SETS), 2, settings)
-    mse, _ = traced.filter_checked_sets(model, draws, SETS, [12] * len(SETS), 2, settings)
+    sums = particle_filter.sum_errors(model, draws, SETS, [12] * len(SETS), 2, settings)
+    mse, _ = particle_filter.filter_checked_sets(model, draws, SETS, [12] * len(SETS), 2, settings)
     np.testing.assert_allclose(sums.sum(axis=1) / 13, mse.sum(axis=0), rtol=1e-12)
 
 
 def test_a_filter_that_stops_has_the_bits_of_one_that_does_not():
     """Also if it carries weights: `prior` holds particles and weights of the instant."""
     model = load_model("ungm")
-    draws = traced.simulate(model, 12, range(1), 1)
-    whole = traced.filter_draws(model, draws, (0, 3, 9), 50, 2, "systematic", True, threshold=0.3)
-    first = traced.filter_draws(
+    draws = simulate(model, 12, range(1), 1)
+    whole = particle_filter.filter_draws(
+        model, draws, (0, 3, 9), 50, 2, "systematic", True, threshold=0.3
+    )
+    first = particle_filter.filter_draws(
         model, draws.upto(5), (0, 3), 50, 2, "systematic", True, threshold=0.3
     )
     prior = Cloud(5, first.last[0], first.weight[0])
     rest = replace(draws, x=draws.x[:, 5:], y=draws.y[:, 5:], z=draws.z[:, 5:], start=5)
-    second = traced.filter_draws(
+    second = particle_filter.filter_draws(
         model, rest, (9,), 50, 2, "systematic", True, prior=prior, threshold=0.3
     )
     np.testing.assert_array_equal(second.estimate[:, 1:], whole.estimate[:, 6:])
@@ -146,10 +107,10 @@ def test_a_filter_that_stops_has_the_bits_of_one_that_does_not():
 def test_a_measurement_that_no_particle_explains_is_left_out():
     """The draw is degenerate, and its filter goes as if the measurement were not made."""
     model = load_model("ungm")
-    draws = traced.simulate(model, 6, range(8), 1)
+    draws = simulate(model, 6, range(8), 1)
     draws.y[3, 4] = np.nan
-    both = traced.filter_draws(model, draws, (2, 4), 50, 2, "systematic", True)
-    fewer = traced.filter_draws(model, draws, (2,), 50, 2, "systematic", True)
+    both = particle_filter.filter_draws(model, draws, (2, 4), 50, 2, "systematic", True)
+    fewer = particle_filter.filter_draws(model, draws, (2,), 50, 2, "systematic", True)
     np.testing.assert_array_equal(both.degenerate, np.arange(8) == 3)
     np.testing.assert_array_equal(both.estimate[3], fewer.estimate[3])
 
@@ -157,9 +118,9 @@ def test_a_measurement_that_no_particle_explains_is_left_out():
 def test_the_place_of_the_truth_is_its_weighted_rank_among_the_particles():
     """The cloud before the measurement gives the rank; weights are rounded to float32."""
     model, settings = load_model("random_walk"), with_truth(50)
-    draws = traced.simulate(model, 5, range(30), 1)
+    draws = simulate(model, 5, range(30), 1)
     filtered, before = (
-        traced.filter_checked_draws(model, draws, times, 2, settings, trajectories=True)
+        particle_filter.filter_checked_draws(model, draws, times, 2, settings, trajectories=True)
         for times in ((0, 2, 5), (0, 2))
     )
     for d, (x,) in enumerate(before.last):
@@ -170,8 +131,8 @@ def test_the_place_of_the_truth_is_its_weighted_rank_among_the_particles():
 
 def test_a_simulated_draw_does_not_depend_on_the_others():
     model = load_model("bearings_only")
-    together = traced.simulate(model, 10, range(600), 1)
-    alone = traced.simulate(model, 10, range(299, 302), 1)
+    together = simulate(model, 10, range(600), 1)
+    alone = simulate(model, 10, range(299, 302), 1)
     for name in "xyz":
         np.testing.assert_array_equal(getattr(together, name)[299:302], getattr(alone, name))
 
@@ -179,8 +140,8 @@ def test_a_simulated_draw_does_not_depend_on_the_others():
 def test_the_filter_is_compiled_for_one_type_of_arrays():
     """Whole numbers, and arrays that cannot be written, as they arrive at a worker."""
     model = load_model("ungm")
-    draws = traced.simulate(model, 6, range(3), 1)
-    traced.filter_draws(model, draws, (2,), 50, 2, "systematic")
+    draws = simulate(model, 6, range(3), 1)
+    particle_filter.filter_draws(model, draws, (2,), 50, 2, "systematic")
     before = len(kernel.filter_draws.signatures)
     for values in (draws.x, draws.y, draws.z):
         values.flags.writeable = False
@@ -189,7 +150,7 @@ def test_the_filter_is_compiled_for_one_type_of_arrays():
         each.flags.writeable = False
     for threshold in (ALWAYS, 0.5):
         prior = Cloud(0, x, weight)
-        traced.filter_draws(
+        particle_filter.filter_draws(
             model, draws, (2,), 50, 2, "systematic", True, prior=prior, threshold=threshold
         )
     assert len(kernel.filter_draws.signatures) == before
@@ -199,7 +160,7 @@ def test_a_model_keeps_a_few_of_its_filters():
     """A filter without a horizon asks for other instants at each of its steps."""
     model = load_model("ungm")
     for horizon in range(1, 30):
-        traced.simulate(model, horizon, range(1), 1)
+        simulate(model, horizon, range(1), 1)
     assert len(model.derived) == 8
     first = simulation_blocks(model, range(30))
     assert simulation_blocks(model, range(30)) is first

@@ -15,7 +15,6 @@ from pfdist.errors import ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
-from pfdist.kernels.formulas import formula
 
 HORIZON = 6
 RATES = tuple(0.5 + 0.1 * t for t in range(HORIZON + 1))
@@ -129,14 +128,3 @@ def test_a_check_and_a_filter_say_how_many_numbers_a_parameter_needs(tmp_path: P
         filtering.update(3, 0.5)
         with pytest.raises(ModelError, match=r"rate needs 7 values, .*, got 4$"):
             filtering.update(6, 0.5)
-
-
-def test_a_parameter_at_t_needs_no_check_and_another_entry_does() -> None:
-    # A check in the loop over particles ends vectorisation: such formulas took 8 times the time.
-    # The text of a check is in the compiled code.
-    at_t = formula(lambda x, t, p: x + p.rate[t], "transition")
-    later = formula(lambda x, t, p: x + p.rate[t + 1], "transition")
-    for compiled, is_checked in ((at_t, False), (later, True)):
-        assert compiled(1.0, 2, WALK.p) == 1 + RATES[3 if is_checked else 2]
-        (text,) = compiled._standing.inspect_llvm().values()
-        assert ("out of bounds" in text) is is_checked

@@ -21,6 +21,7 @@ MODEL = (
 import collections, dataclasses, enum, functools, math, types
 import numpy as np
 import numba
+import pandas as pd
 from pfdist import StateSpaceModel, clip
 {before}
 
@@ -72,6 +73,13 @@ HELPER = "C = {0}\ndef f(x): return {0} * x\ndef g(x): return h(x)\ndef h(x): re
         ("C = np.array({})", "C[0] * x[0]", "[1.0, 2]", "[1.0, 3]", "C"),
         ("C = np.array({})", "C[0] * x[0]", "[1.0]", "[1]", "C"),
         ("C = (1, ({}, 'a'))", "C[0] * x[0]", "2", "3", "C"),
+        ("C = [1.0, {}]", "C[0] * x[0]", "2.0", "3.0", "C"),
+        ("C = {}", "C[0] * x[0]", "(2, 3)", "[2, 3]", "C"),
+        ("C = dict(a=1.0, b={})", "C['a'] * x[0]", "2.0", "3.0", "C"),
+        ("C = dict({}=1.0)", "sum(C.values()) * x[0]", "a", "b", "C"),
+        ("C = pd.DataFrame(dict(a=[1.0, {}]))", "C.loc[0, 'a'] * x[0]", "2.0", "3.0", "C"),
+        ("C = pd.DataFrame(dict({}=[1.0]))", "C.iloc[0, 0] * x[0]", "a", "b", "C"),
+        ("C = pd.Series([1.0], index=[{}])", "C.iloc[0] * x[0]", "2", "3", "C"),
         ("P = collections.namedtuple('P', 'a b')\nC = P(1.0, {})", "C.a * x[0]", "2", "3", "C"),
         ("C = {}", "C * x[0] if C is not None else x[0]", "None", "1.0", "C"),
         ("C = {}", "x[0] if C == 'a' else 2 * x[0]", "'a'", "'b'", "C"),
@@ -125,10 +133,10 @@ def test_words_and_what_is_not_reached_make_no_difference(take: Take) -> None:
 @pytest.mark.parametrize(
     ("before", "formula", "what"),
     [
-        ("C = {'a': 1.0}", "C['a'] * x[0]", "C is a value of the kind dict: give each"),
-        ("C = [1.0]", "C[0] * x[0]", "C is a value of the kind list: use a tuple"),
+        ("C = {'a': object()}", "x[0] * len(C)", "C is a value of the kind dict "),
+        ("C = [1.0]; C.append(C)", "C[0] * x[0]", "C is a value of the kind list "),
         ("C = open(__file__)", "x[0] * bool(C)", "C is .*TextIOWrapper"),
-        ("C = (1, [2])", "C[0] * x[0]", "C is a tuple that holds something else"),
+        ("C = (1, object())", "C[0] * x[0]", "C is a tuple that holds something else"),
         ("class P:\n    A = 1.0", "P.A * x[0]", "P is the class P"),
         ("@dataclasses.dataclass\nclass P:\n    a: float\nC = P(1.0)", "C.a * x[0]", "C is .* P"),
         ("g = functools.partial(np.multiply, 2.0)", "g(x[0])", "g is .* partial"),
@@ -153,8 +161,8 @@ def test_words_and_what_is_not_reached_make_no_difference(take: Take) -> None:
         ("from pfdist import load_model\nbase = load_model('ungm')",
          "base.transition(x, t, w, base.p)[0] if t > 99 else x[0]", "base is .*StateSpaceModel"),
         # The line is that of the function that uses the value, also after another call.
-        ("from helper import f\nz = {'a': 1.0}", "f(x[0]) * z['a']",
-         r"z is .* dict: .*mine\.py:\d+\)$"),
+        ("from helper import f\nz = {'a': object()}", "f(x[0]) * len(z)",
+         r"z is .* dict .*mine\.py:\d+\)$"),
     ],
 )  # fmt: skip
 def test_what_could_change_without_notice_is_refused_by_its_name(

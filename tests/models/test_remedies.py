@@ -5,17 +5,11 @@ import math
 import re
 from pathlib import Path
 from runpy import run_path
-from typing import Any
 
 import numpy as np
 import pytest
-import scipy.special
-import scipy.stats
-from scipy.special import gammaln
-from scipy.stats import nbinom
 
 import pfdist
-from pfdist.kernels.formulas import NOT_COMPILED, formula, reason_of
 from pfdist.models.mistakes import remedy
 
 A = np.array([0.25, 0.5, 0.75])
@@ -88,8 +82,6 @@ def test_what_takes_the_place_of_a_function_of_math_is_the_same_in_both_engines(
     scope = {"np": np, "pfdist": pfdist}
     follow = eval(f"lambda a, b, c, d: {expression}", scope)
     np.testing.assert_allclose(follow(a, b, c, b), expected, rtol=1e-14)
-    compiled = formula(follow, name)
-    np.testing.assert_allclose([compiled(each, b, c, b) for each in a], expected, rtol=1e-14)
 
 
 LGAMMA = "write pfdist.densities.lgamma in the place of math.lgamma"
@@ -117,22 +109,3 @@ def test_a_special_function_that_numpy_lacks_is_answered_by_advice(name: str, ad
     with pytest.raises(AttributeError) as raised:
         getattr(np, name)
     assert remedy(raised.value) == (advice and f"; write pfdist.densities.{advice}")
-
-
-@pytest.mark.parametrize(
-    ("function", "says"),
-    [
-        (lambda x: -scipy.special.gammaln(x), "densities.lgamma"),
-        (lambda x: -gammaln(x), "densities.lgamma"),
-        (lambda x: -scipy.special.gamma(x), "np.exp(pfdist.densities.lgamma(a))"),
-        (lambda x: -scipy.special.logsumexp(x), "densities.logsumexp((a, b))"),
-        (lambda x: -scipy.stats.poisson.logpmf(x, 2.0), "densities.poisson_logpmf"),
-        (lambda x: -scipy.stats.norm.logpdf(x), "densities.normal_logpdf"),
-        (lambda x: -scipy.stats.gamma.logpdf(x, 2.0), "densities.gamma_logpdf"),
-        (lambda x: -nbinom.logpmf(x, 2, 0.5), "densities.negative_binomial_logpmf"),
-    ],
-)
-def test_functions_of_scipy_are_answered_by_ours(function: Any, says: str) -> None:
-    with pytest.raises(NOT_COMPILED) as raised:
-        formula(function)(1.0)
-    assert f"; write pfdist.{says}".replace("pfdist.np", "np") in reason_of(raised.value)

@@ -14,7 +14,7 @@ from oracles.clocked import with_clock
 from pfdist import load_model
 from pfdist.densities import gamma_logpdf, poisson_draw
 from pfdist.elementwise import clip, where
-from pfdist.errors import TraceError
+from pfdist.errors import ModelError, TraceError
 from pfdist.models.checks import ARGUMENTS
 from pfdist.models.program import Operation, Program, evaluate, merged
 from pfdist.models.symbols import take
@@ -349,7 +349,6 @@ REFUSED = {
     loops: "pfdist.where(condition, a, b)",
     assigns: "np.array([a, b])",
     rounds: "np.round",
-    divides_by_zero: "at t = 3: ZeroDivisionError",
     never_ends: "at most 50,000 operations",
     gives_text: "must give numbers, got str",
 }
@@ -367,6 +366,11 @@ def test_what_cannot_be_traced_is_named_with_its_line(function):
         first = function.__code__.co_firstlineno
         assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
         assert "the engine 'numpy'" in message
+
+
+def test_a_formula_that_fails_with_numbers_fails_in_numpy_too():
+    with pytest.raises(ModelError, match=r"failed: ZeroDivisionError.* at t = 3 \(.*py:\d+\)$"):
+        traced(divides_by_zero)
 
 
 def test_a_value_kept_from_another_call_is_an_error():

@@ -121,7 +121,7 @@ def test_without_measurements_the_expected_mse_is_the_variance():
 # --- a source so far away that its rays are parallel: linear and Gaussian ------------------------
 
 # Measured so badly, and so soon forgotten, that many particles differ after thirteen measurements:
-# with the model's own figures they share few ancestors, and 4,000 are too few for these tolerances.
+# with the model's own figures they share few ancestors, and 8,000 are too few for these tolerances.
 ANGLE, DAMPING, MEASUREMENT_SD = math.radians(30), 0.3, 6.0
 PARALLEL = MODEL.with_parameters(
     {
@@ -146,7 +146,7 @@ LINEAR = LinearGaussian(
 @pytest.mark.zoo
 @pytest.mark.parametrize("times", [(0, 3, 4, 9), tuple(range(13))], ids=["some", "all"])
 def test_with_parallel_rays_the_filter_is_the_kalman_filter(times):
-    particles, count = 4000, 100
+    particles, count = 8000, 100
     draws = simulate(PARALLEL, 12, range(count), 1)
     filtered = filter_draws(PARALLEL, draws, times, particles, 2, trajectories=True)
     exact = [kalman_filter(LINEAR, y, times) for y in draws.y]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import pfdist
-from pfdist import Job, load_job
+from pfdist import Job
 from pfdist.runner import provenance as provenance_module
 
 HERE = {"compiled_for": "haswell", "model": "A processor"}
@@ -56,7 +56,6 @@ def test_the_processor_stands_in_the_provenance(small_run: pfdist.Run) -> None:
     assert found["processor"] == provenance_module.processor()
     assert set(provenance_module.processor()) == {"compiled_for", "model"}
     assert all(provenance_module.processor().values())
-    assert found["libm_functions"] == []
 
 
 def test_nothing_is_said_where_nothing_may_differ(
@@ -66,21 +65,6 @@ def test_nothing_is_said_where_nothing_may_differ(
     assert lines_when_it_goes_on(small_job, path, monkeypatch, HERE, THERE, THERE, HERE) == []
     assert provenance(path)["processor"] == HERE
     assert provenance(path)["continued_on"] == [THERE]
-
-
-@pytest.mark.slow
-def test_the_functions_of_the_c_library_are_named_when_a_run_goes_on_elsewhere(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "power.py").write_text(POWER)
-    text = small_job.path.read_text()
-    small_job.path.write_text(text + '[model]\nname = "power.py:model"\n')
-    job, path = load_job(small_job.path), tmp_path / "run"
-    assert lines_when_it_goes_on(job, path, monkeypatch, HERE, THERE) == [
-        "this run was started on A processor (haswell) and goes on on Another processor (znver3): "
-        "the last digits may differ, because the formulas call pow of the C library"
-    ]
-    assert provenance(path)["libm_functions"] == ["pow"]
 
 
 @pytest.mark.slow

@@ -11,12 +11,12 @@ from scipy import stats
 import oracles.kalman
 from pfdist import Cloud, Filter, StateSpaceModel, load_model
 from pfdist.errors import (
-    CompileError,
     EngineWarning,
     MeasurementsError,
     ModelError,
     PfdistError,
     PriorError,
+    TraceError,
 )
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
@@ -513,7 +513,7 @@ def test_levels_of_quantiles_lie_between_0_and_1(ungm: StateSpaceModel, levels: 
         Filter(ungm, 20).now.quantiles(levels)
 
 
-def test_a_model_that_numba_cannot_compile_is_filtered_in_numpy() -> None:
+def test_a_model_that_cannot_be_traced_is_filtered_in_numpy() -> None:
     slow = replace(
         FIRST_SENSOR,
         transition=lambda x, t, w, p: (np.piecewise(x[0], [x[0] > 0], [1, 2]) + w[0],),
@@ -521,7 +521,7 @@ def test_a_model_that_numba_cannot_compile_is_filtered_in_numpy() -> None:
     with pytest.warns(EngineWarning, match=r"in NumPy .* \(engine='numpy' says that you know\)"):
         found = Filter(slow, 30).update(2, 1.0)
     np.testing.assert_array_equal(found.mean, Filter(slow, 30, engine="numpy").update(2, 1.0).mean)
-    with pytest.raises(CompileError):
+    with pytest.raises(TraceError):
         Filter(slow, 30, engine="compiled")
 
 
