@@ -5,17 +5,20 @@ particles costs less, because its part of the formula is computed once.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from numba import njit
+from numpy.typing import NDArray
 
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist.densities import DENSITIES
 from pfdist.kernels.blocks import Source, compile_blocks, run
-from pfdist.kernels.variates import FILTER_PROCESS, variates
+from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, fill, words_of
+from pfdist.kernels.vectors import LANES, with_pointers
 from pfdist.models.tracing import Formula, trace
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 
@@ -102,23 +105,33 @@ def _looping(name: str, *, draws: bool) -> Callable[[], None]:
     arguments = {"x": len(arrays), "p": 0}
     traced = trace(Formula(formula, name, arguments, {}, "benchmark"), range(1))
     compiled = compile_blocks([Source(traced, {"x": ("slots", 0)}, {})], range(1))
-    address, place = int(compiled.blocks.addresses[0, 0]), int(compiled.blocks.places[0, 0])
-    out, shared = np.empty((1, PARTICLES)), compiled.blocks.table[place:]
+    out = np.empty((1, PARTICLES))
 
     def call() -> None:
+        blocks = compiled.blocks
         for _ in range(CALLS):
-            run(address, out, arrays, shared)
+            run(int(blocks.addresses[0, 0]), out, arrays, blocks.table[blocks.places[0, 0] :])
 
-    call.code = compiled.code  # type: ignore[attr-defined]  # it lives as long as its function
     return call
+
+
+class _Rows(NamedTuple):
+    words: NDArray[np.uint32]
+    out: NDArray[np.float32]
 
 
 def _filling(kind: str) -> Callable[[], None]:
-    def call() -> None:
-        for draw in range(CALLS):
-            variates(kind, PARTICLES, 1, draw, 0, FILTER_PROCESS, 0)
+    width = -(-PARTICLES // LANES) * LANES
+    rows = _Rows(words_of(1, width), np.empty(width + SPARE, np.float32))
+    return lambda: _fill_often(rows, KINDS.index(kind), width)
 
-    return call
+
+@njit(nogil=True)
+def _fill_often(rows, kind, width):  # type: ignore[no-untyped-def]
+    given, zero = with_pointers(rows), np.int64(0)
+    key = Key(np.uint64(1), zero, FILTER_PROCESS, zero)
+    for draw in range(CALLS):
+        fill(given.words, given.out, width, kind, key, draw, np.int64(1))
 
 
 def summary(tables: Tables) -> str:

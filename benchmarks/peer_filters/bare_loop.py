@@ -23,7 +23,7 @@ from pfdist.kernels.variates import (
     fill,
     words_of,
 )
-from pfdist.kernels.vectors import with_pointers
+from pfdist.kernels.vectors import LANES, with_pointers
 
 
 def filter_draws(
@@ -54,16 +54,17 @@ class _Pointers(NamedTuple):
 def _loop(stream, z, measured, particles, points, cloud, noise, pointers, ancestor, mse):  # type: ignore[no-untyped-def]
     given = with_pointers(pointers)
     zero, single = np.int64(0), np.int64(1)
+    width = np.int64(-(-particles // LANES) * LANES)
     for d in range(mse.size):
         key = Key(stream, zero, FILTER_INITIAL, zero)
-        fill(given.words, given.noise, particles, NORMAL, key, d, single)
+        fill(given.words, given.noise, width, NORMAL, key, d, single)
         for i in range(particles):
             cloud[0, i] = 5.0 * noise[i]
         here, error = 0, 0.0
         for t in range(measured.size):
             if t > 0:
                 key = Key(stream, t, FILTER_PROCESS, zero)
-                fill(given.words, given.noise, particles, NORMAL, key, d, single)
+                fill(given.words, given.noise, width, NORMAL, key, d, single)
                 for i in range(particles):
                     cloud[1 - here, i] = cloud[here, i] + noise[i]
                 here = 1 - here

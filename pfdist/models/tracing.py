@@ -6,6 +6,7 @@ If it also needs parameters as numbers, it gets these, too. Programs of single i
 same operations become one, whose constants are rows of a table.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,7 @@ from pfdist.models.symbols import Recording, RefusedError, Symbol
 
 MOST_STRUCTURES: Final = 32
 MOST_CONSTANTS: Final = 2**23  # numbers of a formula, 64 MiB
+_OUTSIDE = re.compile(r".*index .*out of (bounds|range)")  # and no axis, which arrays may have
 _CLOSE = 1e-9  # relative difference of a formula with numbers in the place of t and parameters
 _TRIED = np.array([[0.3, -1.7, 0.9, 2.1, -0.4], [-0.8, 0.6, 1.3, -0.2, 0.7]])
 
@@ -311,7 +313,7 @@ def _explained(formula: Formula, error: Exception, t: int | None = None) -> Mode
     at = "" if t is None else f" at t = {t}"
     if isinstance(error, IndexError) and "only integers" in str(error):
         what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"
-    elif isinstance(error, ArithmeticError | LookupError):
+    elif isinstance(error, ArithmeticError | KeyError) or _OUTSIDE.match(str(error)):
         return ModelError(
             f"model {formula.model}: {formula.name} failed: {what}{at}{place_of(error)}"
         )

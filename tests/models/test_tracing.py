@@ -373,6 +373,11 @@ def test_a_formula_that_fails_with_numbers_fails_in_numpy_too():
         traced(divides_by_zero)
 
 
+def test_an_index_that_arrays_of_particles_have_is_left_to_numpy():
+    with pytest.raises(TraceError, match=r"too many indices.*the engine 'numpy'"):
+        traced(lambda x, t, w, p: (np.stack(x)[0, :], x[1]))
+
+
 def test_a_value_kept_from_another_call_is_an_error():
     kept = []
 
