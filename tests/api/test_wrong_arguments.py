@@ -125,7 +125,7 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("load_model", (5,), {}),
 ]
 NO_CASES = {"Run", "Job", "Evaluation", "StateSpaceModel", "PfdistError", "Sweep", "plots"}
-NO_CASES |= {"clip", "densities", "where", "linear_gaussian", "Sensor"}  # what makes models
+NO_CASES |= {"clip", "densities", "take", "where", "linear_gaussian", "Sensor"}  # what makes models
 
 
 @pytest.mark.parametrize(("name", "arguments", "options"), CASES)
