@@ -18,7 +18,6 @@ from benchmarks.first_call import measure_first_calls
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
-from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
@@ -41,7 +40,8 @@ SIZES = {
     "horizon": (15, 30, 60, 120, 240, 480, 1000, 2000),
     "measurement_budget": (2, 11, 21, 31, 61),
     "draws": (1, 10, 100, 1000, 10_000),
-    "components": (1, 2, 3, 4, 6, 8, 12),
+    "components": (1, 2, 3, 4, 6, 8, 12, 20),
+    "sub_steps": (1, 2, 5, 10, 20),
 }
 """The quantities that are varied, one at a time, and their values."""
 
@@ -52,6 +52,7 @@ _LABELS = {
     "measurement_budget": "measurement budget $N$, $T = 60$",
     "draws": "draws $K$",
     "components": "components of a linear system",
+    "sub_steps": "Runge-Kutta steps of prey and predators",
 }
 
 
@@ -73,6 +74,7 @@ class Case:
     measurement_budget: int = 21
     draws: int = 1000
     components: int = 0  # of a linear system in the place of the model
+    sub_steps: int = 0  # of a differential equation in the place of the model
 
     @property
     def steps(self) -> int:
@@ -97,7 +99,7 @@ def cases(quick: bool) -> Iterator[Case]:
                 case = replace(Case(series, resampling=resampling), **changed)
                 if series == "horizon":
                     case = replace(case, measurement_budget=size // 3 + 1)
-                if series == "components":
+                if series in ("components", "sub_steps"):
                     case = replace(case, draws=100)
                 if series in ("particles", "horizon"):  # keeps the work about the same
                     case = replace(case, draws=max(1, case.draws * Case().steps // case.steps))
@@ -149,8 +151,8 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _calls(case: Case) -> Callable[[], None]:
-    model = _model(case.model, case.components)
-    draws = _draws(case.model, case.components, case.horizon, case.draws)
+    model = _model(case.model, case.components, case.sub_steps)
+    draws = simulate(model, case.horizon, range(case.draws), stream=1)
     times = regular(case.horizon, case.measurement_budget)
     once = partial(filter_draws, model, draws, times, case.particles, 2, case.resampling)
 
@@ -162,8 +164,10 @@ def _calls(case: Case) -> Callable[[], None]:
 
 
 @cache
-def _model(name: str, components: int) -> StateSpaceModel:
-    """The model of a name, or independent components that decay and are all measured."""
+def _model(name: str, components: int, sub_steps: int) -> StateSpaceModel:
+    """The model of a name, independent components that decay, or a differential equation."""
+    if sub_steps:
+        return _prey_and_predators(sub_steps)
     if not components:
         return load_model(name)
     unit = np.eye(components)
@@ -178,9 +182,34 @@ def _model(name: str, components: int) -> StateSpaceModel:
     )
 
 
-@cache
-def _draws(model: str, components: int, horizon: int, count: int) -> Draws:
-    return simulate(_model(model, components), horizon, range(count), stream=1)
+def _prey_and_predators(steps: int) -> StateSpaceModel:
+    """The equation of Lotka and Volterra by so many steps of Runge and Kutta an instant."""
+    h = 1.0 / steps
+
+    def rate(s: Any) -> Any:
+        return np.array([0.5 * s[0] - 0.025 * s[0] * s[1], 0.025 * s[0] * s[1] - 0.3 * s[1]])
+
+    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+        s = np.array(x)
+        for _ in range(steps):
+            k1 = rate(s)
+            k2 = rate(s + h / 2 * k1)
+            k3 = rate(s + h / 2 * k2)
+            k4 = rate(s + h * k3)
+            s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return s[0] * np.exp(0.05 * w[0]), s[1] * np.exp(0.05 * w[1])
+
+    return StateSpaceModel(
+        f"prey and predators, {steps} steps",
+        initial=lambda w, p: (20 + w[0], 20 + w[1]),
+        transition=transition,
+        measurement=lambda x, t, v, p: (x[0] + v[0],),
+        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: x,
+        initial_noise=("normal", "normal"),
+        process_noise=("normal", "normal"),
+        measurement_noise=("normal",),
+    )
 
 
 def summary(tables: Tables) -> str:
@@ -240,13 +269,12 @@ def plot(tables: Tables) -> Figure:
     rows = tables["kernel"]
     figure = Figure(figsize=(2 * COLUMN_INCHES, 1.9 * COLUMN_INCHES), layout="constrained")
     panels = figure.subplots(3, 2)
-    for axes, series in zip(panels.flat, SIZES, strict=False):
+    for axes, series in zip(panels.flat, SIZES, strict=True):
         _plot_series(axes, rows[rows["series"] == series], series)
         axes.set_ylim(bottom=0)
     for axes in panels[:, 0]:
         axes.set_ylabel("ns a particle-step")
-    panels[2, 1].axis("off")
-    panels[2, 1].legend(*panels[0, 0].get_legend_handles_labels(), loc="center")
+    panels[0, 0].legend()
     return figure
 
 

@@ -24,12 +24,14 @@ from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
-from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.work import Estimation, Work
+from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.parameters import check_lengths
+from pfdist.models.twin import twin_of
 from pfdist.sequential.one_filter import formatted_instant
 from pfdist.times.measurement_times import Times, regular
 
@@ -132,13 +134,17 @@ def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, 
     except TraceError as error:
         slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
         return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
-    return evaluator, Check("compile", "ok", "every formula is traced and compiled")
+    text = "every formula is traced and compiled"
+    if has_fused_multiply_add():
+        return evaluator, Check("compile", "ok", text)
+    return evaluator, Check("compile", "note", f"{text}; {WITHOUT_FMA}")
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
     """Yield checks of formulas in NumPy and, if these are right, as an engine computes them."""
+    twin = twin_of(model, range(horizon + 1))
     try:
-        for look, state, text in look_at_formulas(model, few_draws(model, horizon)):
+        for look, state, text in look_at_formulas(twin, few_draws(twin, horizon)):
             yield Check(look, state, text)
             if state == "wrong":
                 return
@@ -161,7 +167,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     ):
         if is_declared:
             within = Within(_LONGEST)
-            state, text = looked(partial(patient, within=within), model, draws)
+            state, text = looked(partial(patient, within=within), twin, draws)
             yield Check(look, state, text + within.text)
     every_instant = partial(_every_instant, evaluator.computed_by.name)
     yield Check(EVERY_INSTANT, *looked(every_instant, model, draws))

@@ -1,5 +1,6 @@
 """Draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
 
+import inspect
 from dataclasses import dataclass, replace
 from typing import Any, SupportsIndex
 
@@ -119,7 +120,7 @@ def not_finite(
     `arguments` are those with which the formula gave the value. `got` names the value, for instance
     ``x[0] = nan``.
     """
-    function = getattr(model, formula)
+    function = inspect.unwrap(getattr(model, formula))  # of a twin, what the user wrote
     cause = place_of_function(function)
     try:
         with np.errstate(all="raise", under="ignore"):

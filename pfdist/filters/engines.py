@@ -71,4 +71,7 @@ def is_exact(name: str) -> bool:
     return name in ENGINES and ENGINES[name].exact
 
 
+WITHOUT_FMA = (
+    "this processor has no fused multiply-add (FMA), so filters take about 10 times as long"
+)
 NUMPY_TIMES_SLOWER = round(NUMPY.seconds_a_step / COMPILED.seconds_a_step)

@@ -455,7 +455,7 @@ def carried_evaluator(
         horizon,
         filter_model.named_as(model),
         clock=clock,
-        carried=(carried, carried_filter),
+        carried=(carried.at(model, horizon), carried_filter.at(filter_model, horizon)),
         **settings,
     )
 

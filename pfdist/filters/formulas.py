@@ -1,7 +1,7 @@
 """The formulas of simulations and filters, traced and compiled for the instants at hand."""
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,9 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
 from pfdist.models.parameters import check_lengths
 from pfdist.models.tracing import Formula, trace
+from pfdist.models.twin import formula_of, traced
 
 _LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
-_MOST_KEPT = 8  # simulations and filters of a model
 
 
 def filter_blocks(
@@ -28,8 +28,8 @@ def filter_blocks(
     """
     guided, error = settings.guides(model), truth.formulas["error"]
     key = "filter", instants, guided, error, tuple(truth.parameters.items()), truth.is_angle
-    result: tuple[Compiled, tuple[int, ...]] = _kept(
-        model, key, lambda: _filter_blocks(model, truth, guided, instants)
+    result: tuple[Compiled, tuple[int, ...]] = model.kept(
+        key, lambda: _filter_blocks(model, truth, guided, instants)
     )
     return result
 
@@ -41,15 +41,12 @@ def _filter_blocks(
     check_lengths(truth.parameters, instants.stop)
     states, (own, once) = model.components[0], (_Formulas(model, truth.is_angle), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
-    w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
     x, u = {"x": states}, {"u": len(model.proposal_variates)}
     z = "quantity_of_interest"
     sources = dict[Any, Source | None](
         {
-            rows.INITIAL: _source(model, "initial", model.initial, w0, range(1)),
-            rows.TRANSITION: _source(
-                model, "transition", model.transition, {**x, "t": 0, **w}, instants[:-1]
-            ),
+            rows.INITIAL: _own(model, "initial", instants),
+            rows.TRANSITION: _own(model, "transition", instants) if instants[1:] else None,
             rows.QUANTITY: _source(model, z, own.quantity, {**x, "t": 0}, instants),
             rows.DEVIATIONS: _source(
                 model, z, own.deviations, {**x, "y": quantities, "t": 0}, instants
@@ -57,22 +54,13 @@ def _filter_blocks(
             rows.ESTIMATE: _source(
                 model, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
             ),
-            rows.ERROR: _source(
-                truth,
-                "error",
-                truth.formulas["error"],
-                {"z": quantities, "estimate": quantities, "t": 0},
-                instants,
-            ),
+            rows.ERROR: _own(truth, "error", instants),
             rows.DISTANCE: _source(model, "distance", own.distance, {"x": 3 * quantities}, once),
             rows.LOGARITHM: _source(model, "logarithm", _logarithm, {"w": 1}, once),
         }
     )
-    for number, (_, sensor, measured, _) in enumerate(model.parts):
-        y = {"y": measured.stop - measured.start, **x, "t": 0}
-        sources[rows.SENSORS + number] = _source(
-            sensor, "log_likelihood", sensor.log_likelihood, y, instants
-        )
+    for number, part in enumerate(model.parts):
+        sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
     if guided:
         given = {**x, "y": model.components[1], "t": 0, **u}
         sources[rows.GUIDED] = _source(model, "proposal", own.guided, given, instants[:-1])
@@ -97,38 +85,27 @@ def simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 
     A `TraceError` says that a formula cannot be traced.
     """
-    compiled: Compiled = _kept(
-        model, ("simulation", instants), lambda: _simulation_blocks(model, instants)
+    compiled: Compiled = model.kept(
+        ("simulation", instants), lambda: _simulation_blocks(model, instants)
     )
     return compiled
 
 
 def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
     check_lengths(model.parameters, instants.stop)
-    w0, w = {"w": len(model.initial_noise)}, {"w": len(model.process_noise)}
-    x, z = {"x": model.components[0], "t": 0}, "quantity_of_interest"
     sources = [
-        _source(model, "initial", model.initial, w0, range(1)),
-        _source(model, "transition", model.transition, {**x, **w}, instants[:-1]),
-        _source(model, z, model.quantity_of_interest, x, instants),
+        _own(model, "initial", instants),
+        _own(model, "transition", instants) if instants[1:] else None,
+        _own(model, "quantity_of_interest", instants),
+        *(_own(part.model, "measurement", instants) for part in model.parts),
     ]
-    for _, sensor, _, variates in model.parts:
-        v = {**x, "v": variates.stop - variates.start}
-        sources.append(_source(sensor, "measurement", sensor.measurement, v, instants))
     return compile_blocks(sources, instants)
 
 
-def _kept(model: StateSpaceModel, key: Hashable, make: Callable[[], Any]) -> Any:
-    """The blocks that a model keeps under a key, made if they are missing; the last few remain.
-
-    A filter without a horizon asks for other instants at each of its steps.
-    """
-    made = model.derived.get(key)
-    if made is None:
-        made = model.derived[key] = make()
-        for oldest in [*model.derived][:-_MOST_KEPT]:
-            model.derived.pop(oldest, None)  # another thread may have done so
-    return made
+def _own(model: StateSpaceModel, name: str, instants: range) -> Source:
+    """A formula of the model itself, traced."""
+    formula = formula_of(model, name)
+    return Source(traced(model, name, instants), _layout(formula), model.parameters)
 
 
 def _source(
@@ -138,19 +115,21 @@ def _source(
     arguments: dict[str, int],
     instants: range,
 ) -> Source | None:
-    """A traced formula, whose last argument is p; None without instants.
-
-    Groups of components that are rows of slots follow one another.
-    """
+    """A formula that is made from those of a model, traced; None without instants."""
     if not instants:
         return None
+    formula = Formula(function, name, {**arguments, "p": 0}, model.parameters, model.name)
+    return Source(trace(formula, instants), _layout(formula), model.parameters)
+
+
+def _layout(formula: Formula) -> dict[str, tuple[str, int]]:
+    """Array and first row of each argument; those that are rows of slots follow one another."""
     layout, first = dict[str, tuple[str, int]](), 0
-    for group, count in arguments.items():
+    for group, count in formula.arguments.items():
         array = {"y": "given", "w": "noise", "v": "noise", "u": "noise"}.get(group, "slots")
         layout[group] = array, first if array == "slots" else 0
         first += count if array == "slots" else 0
-    formula = Formula(function, name, {**arguments, "p": 0}, model.parameters, model.name)
-    return Source(trace(formula, instants), layout, model.parameters)
+    return layout
 
 
 class _Formulas:

@@ -43,6 +43,7 @@ from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
+from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times, validated
 
 
@@ -217,9 +218,9 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
     if not estimator.for_any_filter:
         errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
         return weighed(errors, draws.instant_weights)
-    (estimate,) = estimates
+    (estimate,), error = estimates, twin_of(model, draws.instants).error
     of_instants = [
-        model.formulas["error"](tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
+        error(tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
         for k, t in enumerate(draws.instants)
     ]
     shape = len(draws.index), 1

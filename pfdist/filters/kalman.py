@@ -33,6 +33,7 @@ from pfdist.filters.interface import (
 from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.mistakes import formulas_of
+from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -85,11 +86,10 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
     """
     for part in model.parts:
         _check_declared(part.model)
-    p, states = model.p, model.components[0]
+    instants = range(start, horizon + 1)
+    p, states, twin = model.p, model.components[0], twin_of(model, instants)
 
-    def affine(
-        name: str, t: int, split: int, inputs: int, owner: StateSpaceModel = model
-    ) -> Affine:
+    def affine(name: str, t: int, split: int, inputs: int, owner: StateSpaceModel = twin) -> Affine:
         formula = getattr(owner, name)
 
         def at(u: Array) -> tuple[Any, ...]:
@@ -100,7 +100,6 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
 
         return _probed(at, inputs, f"model {owner.name}: {name} at t = {t}")
 
-    instants = range(start, horizon + 1)
     process_inputs = states + len(model.process_noise)
     with formulas_of(model.name, model.formulas):
         return LinearGaussian(
@@ -109,7 +108,7 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
             tuple(
                 affine("measurement", t, states, states + len(each.measurement_noise), each)
                 for t in instants
-                for each in (part.model for part in model.parts)
+                for each in (part.model for part in twin.parts)
             ),
             tuple(affine("quantity_of_interest", t, states, states) for t in instants),
         )

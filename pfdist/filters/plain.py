@@ -1,7 +1,8 @@
 """Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
-They call the formulas as they stand, on arrays (draws, particles), with the noise and the
-resampling of the compiled filter. They are the engine for models that cannot be traced.
+They compute on arrays (draws, particles), with the noise and the resampling of the compiled filter.
+They are the engine for models that cannot be traced: such formulas are called as they stand, and
+all others compute by their programs.
 """
 
 import math
@@ -36,6 +37,7 @@ from pfdist.kernels.variates import (
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
 from pfdist.models.mistakes import formulas_of
+from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -48,6 +50,7 @@ def simulate(
 ) -> Draws:
     """Plain twin of `pfdist.filters.simulation.simulate`."""
     draws = begun(model, horizon, index, stream, prior)
+    user, model = model, twin_of(model, draws.instants)
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
         return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
@@ -67,7 +70,7 @@ def simulate(
                 break
             w = noise(model.process_noise, t, TRUTH_PROCESS)
             state = model.transition(state, t, w, model.p)
-    check_finite(model, draws, stream)
+    check_finite(user, draws, stream)
     return draws
 
 
@@ -82,6 +85,7 @@ def filter_checked_draws(
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
     count = max(1, _AT_ONCE // settings.particles)
     formulas = model.formulas | {"error": draws.model.formulas["error"]}
+    model = twin_of(model, draws.instants)
     with formulas_of(model.name, formulas), np.errstate(all="ignore"):
         blocks = [
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
@@ -114,7 +118,7 @@ def _filter(
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((count, 2, *draws.z.shape[1:]), np.nan)
-    true_error = draws.model.formulas["error"]
+    true_error = twin_of(draws.model, draws.instants).error
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     degenerate = np.zeros(count, np.bool_)
     x, carried = _first(model, draws, stream, settings)

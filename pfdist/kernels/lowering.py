@@ -5,11 +5,12 @@ functions of our own: `split` separates these two halves of a program.
 """
 
 import math
+import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
@@ -193,6 +194,17 @@ def _machine() -> Any:
     return target.create_target_machine(
         cpu=name or llvm.get_host_cpu_name(), features=features, opt=2, jit=True
     )
+
+
+@cache
+def has_fused_multiply_add() -> bool:
+    """Whether the processor has this instruction. Otherwise the C library computes it."""
+    module, kind = ir.Module("trial"), ir.DoubleType()
+    function = ir.Function(module, ir.FunctionType(kind, [kind] * 3), "trial")
+    builder = ir.IRBuilder(function.append_basic_block())
+    builder.ret(builder.fma(*function.args))
+    assembly = _machine().emit_assembly(llvm.parse_assembly(str(module)))
+    return re.search(r"\bfma\b", assembly) is None
 
 
 ARGUMENTS = (

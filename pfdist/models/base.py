@@ -1,7 +1,7 @@
 """The state-space model: a handful of pure formulas (paper, equations 1 to 4)."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -28,6 +28,7 @@ from pfdist.models.parameters import (
 )
 from pfdist.models.seeing import in_python
 
+MOST_KEPT = 64  # results that are derived from a model, such as traced formulas
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
 
 
@@ -238,16 +239,29 @@ class StateSpaceModel:
         return named_parameters(self.parameters)
 
     @cached_property
-    def derived(self) -> dict[Any, Any]:
-        """Results that other rooms derive from this model, by keys of theirs."""
+    def derived(self) -> dict[Hashable, Any]:
+        """The last results that were derived from this model; see `kept`."""
         return {}
+
+    def kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """The result that this model keeps under a key, made if it is missing.
+
+        A filter without a horizon asks for other instants at each of its steps, so only the last
+        results remain.
+        """
+        made = self.derived.get(key)
+        if made is None:
+            made = self.derived[key] = make()
+            for oldest in [*self.derived][:-MOST_KEPT]:
+                self.derived.pop(oldest, None)  # another thread may have done so
+        return made
 
     @property
     def reads_clock(self) -> bool:
         """Whether a formula reads ``p.time`` or ``p.dt``, and the model is not on a clock yet."""
         try:
             for _, model, _, _ in self.parts:
-                count_components(model, named_parameters(self.parameters))
+                count_components(model, self.parameters)
         except ModelError:
             return True  # with a clock the formulas did not fail when the model was made
         return False

@@ -21,9 +21,15 @@ from typing import Any, ClassVar, Final
 import cloudpickle
 
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, TraceError
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.fingerprint import Fingerprint, inspected
+from pfdist.models.fingerprint import (
+    Fingerprint,
+    Inspection,
+    fingerprint_of_programs,
+    inspected,
+    users_modules,
+)
 from pfdist.models.mistakes import error_line
 from pfdist.models.parameters import Parameter
 from pfdist.models.seeing import with_named_modules
@@ -40,6 +46,7 @@ class CarriedModel:
     # The model's fields and the text of its source, pickled. They are sent to workers, and never
     # stored in a run.
     content: bytes = field(repr=False)
+    # Empty for a model whose programs must tell whether it changed, until there are instants.
     fingerprint: Fingerprint = field(repr=False)
 
     @property
@@ -61,7 +68,7 @@ class CarriedModel:
 
     @cached_property
     def key(self) -> str:
-        """Hash of the fingerprint."""
+        """Hash of the fingerprint, which must be known."""
         return f"{stream_key(self.fingerprint):016x}"
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> "CarriedModel":
@@ -71,7 +78,24 @@ class CarriedModel:
         # The data files are not read again: their part of the fingerprint is that of the reading.
         data = {key: value for key, value in self.fingerprint.items() if key.startswith(_DATA)}
         changed = carried(self.model.with_parameters(parameters), self.name)
-        return dataclasses.replace(changed, fingerprint=changed.fingerprint | data)
+        return changed._with(changed.fingerprint and changed.fingerprint | data)
+
+    def at(self, model: StateSpaceModel, horizon: int) -> "CarriedModel":
+        """The same with a fingerprint, if need be that of its programs at 0..T.
+
+        `model` is the model that was made of this one, on its clock. A `ModelError` says that it
+        has no fingerprint and cannot be traced, either.
+        """
+        if self.fingerprint:
+            return self
+        try:
+            return self._with(fingerprint_of_programs(model, range(horizon + 1)))
+        except TraceError:
+            inspected(model)  # raises the error that names what has no fingerprint
+            raise
+
+    def _with(self, fingerprint: Fingerprint) -> "CarriedModel":
+        return dataclasses.replace(self, fingerprint=fingerprint)
 
 
 _DATA = "data_files."
@@ -83,12 +107,17 @@ def carried(
     """A model by value, with its fingerprint.
 
     `name` is the model's name in a job, and `data` the content of its data files by their names. A
-    `ModelError` names what a formula uses that has no fingerprint or cannot travel.
+    `ModelError` names what a formula uses that cannot travel.
     """
-    inspection = inspected(model, data)
     fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
     fields |= {key: dict(value) for key, value in fields.items() if isinstance(value, Mapping)}
-    travelling = with_named_modules(model.formulas | {"error": model.error})
+    travelling: Mapping[str, Any] = model.formulas | {"error": model.error}
+    unknown: ModelError | None = None
+    try:
+        inspection = inspected(model, data)
+        travelling = with_named_modules(travelling)
+    except ModelError as error:
+        unknown, inspection = error, Inspection({}, users_modules(), {})
     fields |= {name: formula for name, formula in travelling.items() if name in fields}
     fields["sensors"] = {
         name: dataclasses.replace(
@@ -103,11 +132,14 @@ def carried(
             written = io.BytesIO()
             _Pickler(written).dump((fields, inspection.texts))
     except Exception as error:  # an object of the user may raise any exception
-        raise ModelError(
+        raise unknown or ModelError(
             f"model {model.name} cannot be sent to workers: {error_line(error)}"
         ) from error
     result = CarriedModel(name, written.getvalue(), inspection.fingerprint)
-    result.model  # noqa: B018  made here first, to find what cannot be made
+    try:
+        result.model  # noqa: B018  made here first, to find what cannot be made
+    except ModelError as error:
+        raise unknown or error from error
     return result
 
 

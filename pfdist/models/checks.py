@@ -1,7 +1,7 @@
 """Checks of a model as soon as it is made: of its fields, and of its formulas.
 
-Each formula is called once on arrays of two particles. This gives the numbers of components, and
-finds mistakes such as a missing comma or `return`.
+Each formula is recorded once, at t = 0. One that cannot be is called on arrays of two particles.
+This gives the numbers of components, and finds mistakes such as a missing comma or `return`.
 """
 
 import contextlib
@@ -9,6 +9,7 @@ import inspect
 import keyword
 import math
 import re
+from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -24,7 +25,9 @@ from pfdist.models.mistakes import (
     place_of_function,
     remedy,
 )
-from pfdist.models.parameters import Parameter, values_of_parameter
+from pfdist.models.parameters import Parameter, named_parameters, values_of_parameter
+from pfdist.models.program import evaluate
+from pfdist.models.tracing import MODES, Formula
 
 NOISE_KINDS = ("normal", "uniform", "centred")
 ARGUMENTS = {
@@ -45,7 +48,7 @@ _SENSOR_NAME = re.compile(r"[A-Za-z][\w-]{0,39}")
 OPTIONAL = ("proposal", "proposal_log_density")
 """Formulas that a model may lack."""
 _PARTICLES = 2
-_ONE_NUMBER = {
+ONE_NUMBER = {
     "log_likelihood": "one number a particle",
     "error": "one number for z and its estimate",
     "proposal_log_density": "one number a particle",
@@ -118,9 +121,10 @@ def _check_sensors(model: Any) -> None:
 def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
     function = getattr(model, name)
     expected = f"model {model.name}: {name} must be a function of ({', '.join(arguments)})"
-    if not inspect.isfunction(function):
-        raise ModelError(f"{expected}, got {function!r}")
-    signature = inspect.signature(function)
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{expected}, got {shown(function)}") from error
     try:
         signature.bind(*arguments)
     except TypeError as error:
@@ -212,12 +216,12 @@ def is_in_folder(name: Any) -> bool:
 # --- formulas -------------------------------------------------------------------------------------
 
 
-def count_components(model: Any, p: Any) -> tuple[int, int, int]:
-    """The numbers of components of x, y and z, found by calling every formula once.
+def count_components(model: Any, parameters: Mapping[str, Parameter]) -> tuple[int, int, int]:
+    """The numbers of components of x, y and z, found by calling every formula.
 
-    `p` holds the parameters as formulas read them. A `ModelError` says which formula fails, or
-    gives values of a wrong kind or number.
+    A `ModelError` says which formula fails, or gives values of a wrong kind or number.
     """
+    p = named_parameters(parameters)
     with np.errstate(all="ignore"):
         x = _call(model, "initial", _variates(model.initial_noise), p)
         following = _call(model, "transition", x, 0, _variates(model.process_noise), p)
@@ -248,6 +252,8 @@ def _variates(kinds: tuple[str, ...]) -> tuple[Any, ...]:
 def _call(model: Any, name: str, *arguments: Any) -> Any:
     """The checked value of a formula."""
     formula = getattr(model, name)
+    if (recorded := _by_program(model, name, arguments)) is not None:
+        return recorded
     try:
         value = formula(*arguments)
     except BaseException as error:  # a formula may raise any exception
@@ -262,6 +268,31 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
         place = place_of_function(formula)
         raise ModelError(f"model {model.name}: {name} must give {wrong}{place}")
     return value
+
+
+def _by_program(model: Any, name: str, arguments: tuple[Any, ...]) -> Any:
+    """The value of a formula by its program at t = 0; None if it cannot be recorded."""
+    groups = dict(zip(ARGUMENTS[name], arguments, strict=True))
+    parameters = groups["p"]._asdict()
+
+    def of_right_kind(*symbols: Any) -> Any:
+        value = getattr(model, name)(*symbols)
+        is_array = isinstance(value, np.ndarray) and value.ndim == 1
+        if (isinstance(value, tuple) or is_array) == (name in ONE_NUMBER):
+            raise TypeError  # the call on arrays says what is wrong
+        return value
+
+    sizes = {key: len(each) if type(each) is tuple else 0 for key, each in groups.items()}
+    formula = Formula(of_right_kind, name, sizes | {"p": 0}, parameters, model.name)
+    for mode in MODES:
+        try:
+            values = evaluate(formula.recorded(mode, 0), groups, 0, parameters)
+        except BaseException as error:  # a formula may raise any exception
+            if is_interrupt(error):
+                raise
+        else:
+            return values[0] if name in ONE_NUMBER else values
+    return None
 
 
 def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseException) -> str:
@@ -280,9 +311,9 @@ def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseExcept
 
 def _wrong_kind(name: str, value: Any) -> str:
     """The kind of value that a formula must give, and what it gave; empty if the kind is right."""
-    if name in _ONE_NUMBER:
+    if name in ONE_NUMBER:
         right = _is_number(value)
-        return "" if right else f"{_ONE_NUMBER[name]}, got {_described(value)}"
+        return "" if right else f"{ONE_NUMBER[name]}, got {_described(value)}"
     if isinstance(value, tuple) and value and all(map(_is_number, value)):
         return ""
     return f"a tuple of components, even of a single component: (a,), got {_described(value)}"

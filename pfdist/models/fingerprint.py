@@ -10,10 +10,11 @@ Two models with the same fingerprint give the same figures. The fingerprint hold
 - the parameters, the kinds of noise, the names of components, those that are circular, and the
   bytes of declared data files.
 
-Anything else could change without notice, so it is refused by its name: another kind of value, a
-class, an import inside a function, `eval` and `getattr`, a function whose source is not known. The
-identity of a run has the versions of pfdist and its kernel; NumPy and the standard library count by
-the names that are used.
+Anything else could change without notice: another kind of value, a class, an import inside a
+function, `eval` and `getattr`, a function whose source is not known. A model that uses it has the
+fingerprint of its programs at the instants of a job. If it cannot be traced, either, the error
+names what it uses. The identity of a run has the versions of pfdist and its kernel; NumPy and the
+standard library count by the names that are used.
 """
 
 import ast
@@ -34,9 +35,11 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from pfdist.errors import ModelError
+from pfdist.models.checks import own_formulas
 from pfdist.models.mistakes import place_of_function, ships
 from pfdist.models.seeing import home_of, names_in
 from pfdist.models.syntax import codes_in, node_of, source_of, syntax_of
+from pfdist.models.twin import traced
 
 Fingerprint = dict[str, Any]
 """Hashes, numbers and versions by labels: ``formulas``, ``helper.C``, ``parameters.sd``, ..."""
@@ -74,25 +77,42 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     """
     walk = _Walk(model.name, model.formulas)
     entries = walk.fingerprint()
+    files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
+    return Inspection(_with_fields(entries, model) | files, walk.modules, walk.texts)
+
+
+def fingerprint_of_programs(model: Any, instants: range) -> Fingerprint:
+    """The fingerprint of a model by its programs at some instants.
+
+    A `TraceError` says that a formula cannot be traced.
+    """
+    found = list[str | bytes]()
+    for part in [model, *(part.model for part in model.parts if model.sensors)]:
+        for name in own_formulas(part):
+            programs = traced(part, name, instants)
+            places = programs.which.tobytes(), programs.row.tobytes()
+            found += [name, *(each.hash for each in programs.programs), *places]
+    return _with_fields({FORMULAS: digest(found)}, model)
+
+
+def users_modules() -> set[str]:
+    """The names of all imported modules of the user."""
+    modules = [*sys.modules.items()]
+    return {name for name, each in modules if each.__name__ == name and is_users_module(each)}
+
+
+def _with_fields(entries: Fingerprint, model: Any) -> Fingerprint:
+    """A fingerprint of formulas, with the kinds of noise, names and parameters of the model."""
     settings = [getattr(model, k) for k in _SETTINGS]
     sensors = {name: sensor.measurement_noise for name, sensor in model.sensors.items()}
     settings += filter(None, [sensors, model.proposal_noise])
     entries[FORMULAS] = digest([entries[FORMULAS], *map(repr, settings)])
     names = {name: ", ".join(map(str, given)) for name in _NAMES if (given := getattr(model, name))}
-    files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
     parameters = {
         f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
         for name, value in model.parameters.items()
     }
-    return Inspection(entries | names | files | parameters, walk.modules, walk.texts)
-
-
-def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
-    """A hash of all on which compiled formulas depend; None if they have no fingerprint."""
-    try:
-        return digest([repr(sorted(_Walk(model, formulas).fingerprint().items()))])
-    except ModelError:
-        return None
+    return entries | names | parameters
 
 
 def digest(parts: Iterable[str | bytes]) -> str:
@@ -109,7 +129,8 @@ class _Walk:
 
     def __init__(self, model: str, formulas: Mapping[str, Any]) -> None:
         self._model, self._formulas = model, formulas
-        self._own = {home_of(formula) for formula in formulas.values()}
+        functions = (f for f in formulas.values() if isinstance(f, types.FunctionType))
+        self._own = {home_of(function) for function in functions}
         self._functions: list[types.FunctionType] = []  # in the order in which they were met
         self._syntax: list[bytes] = []
         self._values: Fingerprint = {}
@@ -121,6 +142,8 @@ class _Walk:
         """The hash of the syntax, and the values and versions by their labels."""
         for name, formula in self._formulas.items():
             self._syntax.append(name.encode())
+            if not isinstance(formula, types.FunctionType):
+                self._refuse(name, f"is {_described(formula)}")
             self._function(formula, name)
         return {FORMULAS: digest(self._syntax)} | self._values
 

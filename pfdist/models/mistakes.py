@@ -1,6 +1,8 @@
 """Errors in a model's code in plain English: what failed, where, and what to write instead."""
 
 import contextlib
+import functools
+import inspect
 import linecache
 import math
 import re
@@ -8,7 +10,7 @@ import sysconfig
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 import numba
@@ -22,7 +24,7 @@ _LONGEST = 500  # characters of an error's text
 _PACKAGE = Path(__file__).parents[1]
 _MACHINERY = {
     *("__init__", "base", "carried", "checks", "fingerprint", "loader", "mistakes"),
-    *("parameters", "program", "seeing", "symbols", "syntax", "tracing"),
+    *("parameters", "program", "seeing", "symbols", "syntax", "tracing", "twin"),
 }  # the modules of pfdist.models that are no models
 _STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
 # Other installed packages may be the user's own, with models in them.
@@ -66,9 +68,18 @@ def place_of(error: BaseException) -> str:
     return places[-1] if places else ""
 
 
+def code_of(function: Any) -> CodeType | None:
+    """The code of a function or method, or of what is called when an object is."""
+    function = inspect.unwrap(function)
+    while isinstance(function, functools.partial):
+        function = function.func
+    called = getattr(function, "__code__", None) or getattr(function.__call__, "__code__", None)
+    return called if isinstance(called, CodeType) else None
+
+
 def place_of_function(function: Any) -> str:
     """The place where a function is defined, as `` (file:line)``; empty without a source."""
-    code = getattr(function, "__code__", None)
+    code = code_of(function)
     return f" ({code.co_filename}:{code.co_firstlineno})" if code else ""
 
 
@@ -118,7 +129,7 @@ def _formula_at_fault(
     error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
     """Name of the formula that an error passed through, and the value of its t if it has one."""
-    names = {function.__code__: name for name, function in formulas.items()}
+    names = {code_of(function): name for name, function in formulas.items()}
     for frame, _ in frames_of(error):
         if frame.f_code in names:
             return names[frame.f_code], frame.f_locals.get("t")

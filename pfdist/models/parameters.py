@@ -45,10 +45,10 @@ def named_parameters(parameters: Mapping[str, Any]) -> Any:
     return kind(**{name: _as_read(value) for name, value in parameters.items()})
 
 
-def trial_parameters(parameters: Mapping[str, Any]) -> Any:
+def trial_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The parameters for a trial call, with a clock in case that the formulas read it."""
     clock = dict(zip(CLOCK, (tuple(range(_INSTANTS)), (1.0,) * _INSTANTS), strict=True))
-    return named_parameters(clock | dict(parameters))
+    return clock | dict(parameters)
 
 
 def _as_read(value: Any) -> Any:

@@ -85,12 +85,20 @@ def _same_cell(cell: types.CellType, seen: Callable[[Any], Any]) -> types.CellTy
         return cell
 
 
-def in_python(function: types.FunctionType) -> types.FunctionType:
+def in_python(function: Any) -> Any:
     """A formula that sees Python functions where its author has compiled functions.
 
-    It is the formula itself if it reaches no compiled function. A `ModelError` names a function
-    that was compiled in another way than by `numba.njit`.
+    It is the formula itself if it reaches no compiled function, and an object that can be called is
+    left as it is. A `ModelError` names a function that was compiled in another way than by
+    `numba.njit`.
     """
+    if is_jitted(function):
+        function = function.py_func
+    if isinstance(function, types.MethodType):
+        seen = in_python(function.__func__)
+        return function if seen is function.__func__ else types.MethodType(seen, function.__self__)
+    if not isinstance(function, types.FunctionType):
+        return function
     same, changed = _in_python(function, (), {})
     return same if changed else function
 

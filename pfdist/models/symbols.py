@@ -44,8 +44,10 @@ class Recording:
                 f"a formula must have at most {MOST_OPERATIONS:,} operations: a loop that never "
                 "ends, or too many steps"
             )
-        shared = self.is_shared
-        shared.append(all(shared[each] for each in arguments))
+        is_shared = True
+        for each in arguments:
+            is_shared = is_shared and self.is_shared[each]
+        self.is_shared.append(is_shared)
         self.operations.append(Operation(name, arguments, which))
         return len(self.operations) - 1
 
@@ -58,7 +60,7 @@ class Recording:
     def number(self, value: Any) -> int:
         """The number of a new constant."""
         self.constants.append(float(value))
-        return self.leaf("constant", len(self.constants) - 1, shared=True)
+        return self.add("constant", (), len(self.constants) - 1)
 
     def table(self, values: Any) -> int:
         """The number of a table."""
@@ -271,6 +273,11 @@ class Symbol:
         name = function.__name__
         if name in FUNCTIONS:
             return FUNCTIONS[name](*arguments, **keywords)
+        if name in _SUMS and isinstance(arguments[0], Symbol):
+            raise RefusedError(
+                f"np.{name} of a single value: a formula must treat each particle alone, and a "
+                "component is one number"
+            )
         if name in _OF_ARRAYS:
             return function(*map(_in_arrays, arguments), **keywords)
         raise RefusedError(f"np.{name} of a value of particles: write it with operators")
@@ -303,7 +310,7 @@ def _in_arrays(argument: Any) -> Any:
 
 def _plain(value: Any) -> Any:
     """A symbol or a number; an array of one entry counts as it."""
-    if isinstance(value, (Symbol, *_NUMBERS)):
+    if isinstance(value, _SINGLE):
         return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         return value[()]
@@ -312,17 +319,12 @@ def _plain(value: Any) -> Any:
 
 def _record(name: str, *values: Any) -> Symbol:
     """Record an operation on symbols and numbers."""
-    recording = next(each.recording for each in values if isinstance(each, Symbol))
-    numbers = []
-    for each in values:
-        if isinstance(each, Symbol):
-            if each.recording is not recording:
-                raise RefusedError(
-                    "a value is kept from another call: compute it again in this one"
-                )
-            numbers.append(each.number)
-        else:
-            numbers.append(recording.number(each))
+    symbols = [each for each in values if type(each) is Symbol]
+    recording = symbols[0].recording
+    for symbol in symbols:
+        if symbol.recording is not recording:
+            raise RefusedError("a value is kept from another call: compute it again in this one")
+    numbers = [each.number if type(each) is Symbol else recording.number(each) for each in values]
     kind = "mask" if name in MASKS else "float"
     return Symbol(recording, recording.add(name, tuple(numbers)), kind)
 
@@ -338,6 +340,7 @@ def _as_mask(value: Any) -> Any:
     return bool(value)
 
 
+_SINGLE = (Symbol, *_NUMBERS)
 _WHOLE = frozenset({"add", "subtract", "multiply", "floor_divide", "remainder"})
 
 
@@ -562,10 +565,11 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 """What is recorded for other functions of NumPy."""
 
-_OF_ARRAYS = frozenset(
+_SUMS = frozenset({"sum", "prod", "mean", "cumsum"})
+_OF_ARRAYS = _SUMS | frozenset(
     {
         *("stack", "concatenate", "hstack", "vstack", "column_stack", "atleast_1d", "atleast_2d"),
-        *("sum", "prod", "mean", "cumsum", "dot", "vdot", "inner", "outer", "cross", "trace"),
+        *("dot", "vdot", "inner", "outer", "cross", "trace"),
         *("transpose", "reshape", "ravel", "broadcast_to", "append", "diff", "copy"),
     }
 )

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
+from pfdist.common.telling import Waiting
 from pfdist.errors import ModelError, TraceError
-from pfdist.models.mistakes import error_line, place_of, remedy
+from pfdist.models.mistakes import error_line, is_interrupt, place_of, remedy
 from pfdist.models.parameters import Parameter, named_parameters
 from pfdist.models.program import Program, evaluate
 from pfdist.models.symbols import Recording, RefusedError, Symbol
@@ -186,7 +187,9 @@ def trace(formula: Formula, instants: range) -> Traced:
             return _TRACERS[mode](formula, mode, instants)
         except ModelError:
             raise
-        except Exception as error:  # a formula may raise whatever it likes
+        except BaseException as error:  # a formula may raise any exception
+            if is_interrupt(error):
+                raise
             if mode == MODES[-1]:
                 raise _explained(formula, error) from error
     raise AssertionError
@@ -201,6 +204,8 @@ def _symbolic(formula: Formula, mode: str, instants: range) -> Traced:
     program = formula.recorded(mode, instants[0])
     _check_same(formula, program, formula.recorded(mode, instants[0]), None)
     _check_numbers(formula, instants, lambda t: (program, 0))
+    if (t := _division_by_zero(formula, program, instants)) is not None:
+        _recorded_at(formula, MODES[-1], t)  # raises the error of Python, if it is one
     zeros = np.zeros(len(instants), np.int64)
     return Traced(instants, (program,), zeros, zeros, mode)
 
@@ -209,9 +214,11 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
     """Trace each instant by itself; equal programs become one."""
     structures, which, row = dict[Any, int](), list[int](), list[int]()
     firsts, constants, size = list[Program](), list[list[Any]](), 0
-    for t in instants:
+    waiting = Waiting(f"Tracing {formula.name} of {formula.model}", len(instants))
+    for done, t in enumerate(instants):
         check()
-        program = _at(formula, mode, t)
+        waiting.step(done)
+        program = _recorded_at(formula, mode, t)
         number = structures.setdefault(program.structure, len(structures))
         if number == len(firsts):
             firsts.append(program)
@@ -232,7 +239,7 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
         before = Program(
             first.operations, first.outputs, first.constants[at : at + 1], first.tables
         )
-        _check_same(formula, before, _at(formula, mode, t), t)
+        _check_same(formula, before, _recorded_at(formula, mode, t), t)
     if mode != MODES[-1]:
         index = instants.index
         _check_numbers(formula, instants, lambda t: (programs[which[index(t)]], row[index(t)]))
@@ -246,14 +253,30 @@ _TRACERS: dict[str, Callable[[Formula, str, range], Traced]] = {
 }
 
 
-def _at(formula: Formula, mode: str, t: int) -> Program:
+def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
     """The program of an instant; with numbers alone, an error names t."""
     try:
         return formula.recorded(mode, t)
-    except Exception as error:  # a formula may raise whatever it likes
-        if mode == MODES[-1]:
+    except BaseException as error:  # a formula may raise any exception
+        if mode == MODES[-1] and not is_interrupt(error):
             raise _explained(formula, error, t) from error
         raise
+
+
+def _division_by_zero(formula: Formula, program: Program, instants: range) -> int | None:
+    """The first instant at which a divisor that all particles share is 0."""
+    divisors = {
+        arguments[1]
+        for name, arguments, _ in program.operations
+        if name in ("divide", "floor_divide", "remainder") and program.is_shared[arguments[1]]
+    }
+    groups = {name: [1.0] * count for name, count in formula.arguments.items()}
+    shared = Program(program.operations, tuple(divisors), program.constants, program.tables)
+    values = evaluate(shared, groups, np.array(instants), formula.parameters)
+    zero = np.zeros(len(instants), np.bool_)
+    for value in values:
+        zero |= value == 0.0
+    return instants[int(zero.argmax())] if zero.any() else None
 
 
 def _few(instants: range) -> list[int]:
@@ -304,7 +327,7 @@ def _check_limits(formula: Formula, structures: int, size: int) -> None:
         )
 
 
-def _explained(formula: Formula, error: Exception, t: int | None = None) -> ModelError:
+def _explained(formula: Formula, error: BaseException, t: int | None = None) -> ModelError:
     """The error of a formula in one line, with t, the user's line and what to write instead.
 
     It is a `TraceError` unless the formula would fail in NumPy, too.
@@ -313,7 +336,11 @@ def _explained(formula: Formula, error: Exception, t: int | None = None) -> Mode
     at = "" if t is None else f" at t = {t}"
     if isinstance(error, IndexError) and "only integers" in str(error):
         what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"
-    elif isinstance(error, ArithmeticError | KeyError) or _OUTSIDE.match(str(error)):
+    elif (
+        isinstance(error, ArithmeticError | KeyError)
+        or not isinstance(error, Exception)
+        or _OUTSIDE.match(str(error))
+    ):
         return ModelError(
             f"model {formula.model}: {formula.name} failed: {what}{at}{place_of(error)}"
         )

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from pfdist.checks.contract import check_formulas, few_draws
 from pfdist.common.component_names import Component
 from pfdist.errors import EngineWarning, JobError, ModelError, TraceError, shown
-from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, carried_evaluator
 from pfdist.filters.work import Estimation
 from pfdist.job.job import ONLINE, Job
 from pfdist.job.sections import Execution, FilterModel, Model
+from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
+from pfdist.models.twin import twin_of
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
@@ -105,6 +107,7 @@ def build(job: Job) -> Built:
         return build(_with_enough_particles(job))
     model, filter_model = models_of(job)
     evaluator = evaluator_of(job, model, filter_model)
+    model, filter_model = evaluator.carried
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
@@ -253,9 +256,11 @@ def _check_formulas(evaluator: Evaluator) -> None:
     model, filter_model = evaluator.carried
     if not _ships(model):
         for part in reversed(evaluator.model.parts):
-            check_formulas(part.model, few_draws(part.model, evaluator.horizon))
+            twin = twin_of(part.model, range(evaluator.horizon + 1))
+            check_formulas(twin, few_draws(twin, evaluator.horizon))
     if filter_model.key != model.key and not _ships(filter_model):
-        sensors = [part.model for part in evaluator.believed.parts]
+        instants = range(evaluator.horizon + 1)
+        sensors = [twin_of(part.model, instants) for part in evaluator.believed.parts]
         try:
             believed_draws = [few_draws(each, evaluator.horizon) for each in sensors]
         except ModelError:  # its simulation may diverge: measurements guide the particles
@@ -290,6 +295,8 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
             stacklevel=4,
         )
         return NUMPY.name
+    if not has_fused_multiply_add():
+        warnings.warn(WITHOUT_FMA, EngineWarning, stacklevel=4)
     return COMPILED.name if evaluator.engine == AUTO else evaluator.engine
 
 

@@ -18,6 +18,7 @@ from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.models.mistakes import formulas_of
+from pfdist.models.twin import twin_of
 from pfdist.sequential.one_filter import OneFilter, log_likelihood
 
 Array = NDArray[np.float64]
@@ -98,7 +99,8 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         if guides:
             draws, seen = range(at.draw, at.draw + 1), tuple(np.full(len(own), v) for v in y)
-            x, guide = step(model, tuple(cloud.x), seen, t - 1, len(own), at.stream, draws)
+            twin = twin_of(model, range(t - 1, t + 1))
+            x, guide = step(twin, tuple(cloud.x), seen, t - 1, len(own), at.stream, draws)
             cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
         log_weight = guide + log_likelihood(model, cloud, y)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
@@ -109,8 +111,9 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
 
 def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
     """Quantity of interest z of each particle, (q, P); angles at most half a turn from the mean."""
+    twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        z = model.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
+        z = twin.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
     parts = [np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z]
     around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
     return around.T
@@ -147,8 +150,9 @@ def surprise_of_particles(
         (chosen,) = cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)
         states = states[:, chosen]
     x = tuple(np.tile(states, copies))
+    twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in model.parts)
+        by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in twin.parts)
         simulated = tuple(chain.from_iterable(by_sensor))
     measured = np.flatnonzero(~np.isnan(y))
     smallest = 1.0

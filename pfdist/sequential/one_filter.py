@@ -20,6 +20,7 @@ from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.mistakes import formulas_of
 from pfdist.models.parameters import CLOCK, check_lengths
+from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times
 
 
@@ -123,9 +124,10 @@ class OneFilter:
                 at, _, _ = at.at(at.t + 1)
             model, first, last = self.model, at.t + 1, cast(Cloud, at.settings.prior).x
             draws = range(self.draw, self.draw + 1)
+            twin = twin_of(model, range(at.t, at.t + 2))
             with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-                x, _ = step(model, tuple(last), None, at.t, last.shape[1], self.stream, draws)
-                z = model.quantity_of_interest(x, first, model.p)
+                x, _ = step(twin, tuple(last), None, at.t, last.shape[1], self.stream, draws)
+                z = twin.quantity_of_interest(x, first, model.p)
             is_finite = all(np.isfinite(each).all() for each in x)
             name, values = ("quantity_of_interest", z) if is_finite else ("transition", x)
             got = "NaN" if any(np.isnan(each).any() for each in values) else "too large a value"
@@ -137,8 +139,9 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
     """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,)."""
     x, measured = tuple(cloud.x), tuple(np.full(cloud.particles, value) for value in y)
     total = np.zeros(cloud.particles)
+    twin = twin_of(model, range(cloud.t, cloud.t + 1))
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        for _, sensor, of_sensor, _ in model.parts:
+        for _, sensor, of_sensor, _ in twin.parts:
             if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
                 total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)
     return total

@@ -8,7 +8,6 @@ import pfdist
 from oracles.computed import formula, libraries_of
 from pfdist import densities
 from pfdist.densities import DENSITIES, poisson_logpmf
-from pfdist.models.fingerprint import formulas_key
 
 RNG = np.random.default_rng(1)
 COUNT = 400
@@ -226,4 +225,3 @@ def test_special_functions_at_their_ends():
 def test_a_formula_may_import_a_density_in_any_way(function):
     exact = stats.poisson.logpmf(3, 2.5)
     assert formula(function)(3.0, 2.5) == pytest.approx(exact, rel=1e-14)
-    assert formulas_key("", {"log_likelihood": function}) is not None

@@ -13,6 +13,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels import filter as kernel
 from pfdist.kernels.schemes import ALWAYS, SCHEMES
+from pfdist.models.base import MOST_KEPT
 
 CLOCK = tuple(0.5 * t for t in range(31))
 
@@ -161,6 +162,6 @@ def test_a_model_keeps_a_few_of_its_filters():
     model = load_model("ungm")
     for horizon in range(1, 30):
         simulate(model, horizon, range(1), 1)
-    assert len(model.derived) == 8
+    assert len(model.derived) == MOST_KEPT
     first = simulation_blocks(model, range(30))
     assert simulation_blocks(model, range(30)) is first

@@ -4,6 +4,10 @@ Each operation of a formula is rounded as it is written, and the kernel's source
 its additions. LLVM chooses the length of vectors by the processor, and nothing else.
 """
 
+import os
+import platform
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from itertools import cycle
 
@@ -11,6 +15,7 @@ import pytest
 
 from oracles.bytes_under import Case, hashes_under, names
 from pfdist import load_model
+from pfdist.checks import model as checks_of_models
 from pfdist.filters.settings import RESAMPLING
 from pfdist.models import installed_models
 from pfdist.pools.cores import usable_cores
@@ -40,7 +45,7 @@ def every_scheme_and_model() -> list[Case]:
     ("cases", "most"),
     [
         pytest.param(FEW, 2, id="the two most different", marks=pytest.mark.slow),
-        pytest.param(every_scheme_and_model(), 4, id="all", marks=pytest.mark.crash),
+        pytest.param(every_scheme_and_model(), 6, id="all", marks=pytest.mark.crash),
     ],
 )
 def test_bytes_are_the_same_under_the_names_of_all_processors(cases, most, tmp_path):
@@ -54,3 +59,19 @@ def test_bytes_are_the_same_under_the_names_of_all_processors(cases, most, tmp_p
         assert under[other] == under[first], f"{other} differs from {first}"
     # A simulation for each model; one estimator at least, and estimates, for each case.
     assert len(under[first]) >= len({model for model, *_ in cases}) + 2 * len(set(cases))
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="processors of another kind have it")
+@pytest.mark.parametrize(("name", "has"), [("generic", False), ("haswell", True)])
+def test_a_processor_without_fused_multiply_add_is_noticed(name, has):
+    code = "from pfdist.kernels import lowering; print(lowering.has_fused_multiply_add())"
+    environment = {**os.environ, "NUMBA_CPU_NAME": name}
+    printed = subprocess.check_output([sys.executable, "-c", code], env=environment, text=True)
+    assert printed.strip() == str(has)
+
+
+def test_check_model_says_that_a_processor_lacks_it(monkeypatch):
+    monkeypatch.setattr(checks_of_models, "has_fused_multiply_add", lambda: False)
+    checks = checks_of_models.check_model("random_walk", horizon=3, particles=10)
+    (text,) = (each.text for each in checks if each.name == "compile")
+    assert "about 10 times as long" in text

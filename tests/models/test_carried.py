@@ -17,7 +17,7 @@ import pytest
 from oracles.model_text import MEASURED
 from pfdist.errors import ModelError
 from pfdist.models import CarriedModel, carried, carried_model, load_model, squared_error
-from pfdist.models.fingerprint import formulas_key
+from pfdist.models.fingerprint import inspected
 
 MODEL = (
     """
@@ -229,7 +229,7 @@ def test_what_travels_is_known_by_the_same_fingerprint(write: Write) -> None:
         again = carried(known.model, known.name)
         assert again.fingerprint == known.fingerprint
         assert known.with_parameters({}).fingerprint["helper.K"] == constant
-        keys.append(formulas_key("mine", known.model.formulas))
+        keys.append(known.key)
     assert keys[0] != keys[1]
 
 
@@ -251,7 +251,7 @@ def test_threads_load_each_their_own_helper(write: Write, tmp_path: Path) -> Non
 
 
 def test_formulas_that_travelled_keep_their_source(write: Write) -> None:
-    """Without it no formula has a key for the cache of compiled code, or a line in an error."""
+    """Without it no formula has a fingerprint, or a line in an error."""
     arrived = pickle.loads(pickle.dumps(write("", "2 * x[0]"))).model
     assert Path(arrived.transition.__code__.co_filename).name == "mine.py"
-    assert formulas_key("mine", arrived.formulas) is not None
+    assert inspected(arrived).fingerprint

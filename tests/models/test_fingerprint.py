@@ -3,6 +3,7 @@
 import importlib
 import itertools
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,8 +14,8 @@ import pytest
 
 from oracles.model_text import MEASURED
 from pfdist.errors import ModelError
-from pfdist.models import carried_model, fingerprint
-from pfdist.models.fingerprint import Fingerprint
+from pfdist.models import carried_model, fingerprint, load_model
+from pfdist.models.fingerprint import Fingerprint, inspected
 
 MODEL = (
     """
@@ -40,10 +41,10 @@ _folders = itertools.count()
 
 
 @pytest.fixture
-def take(tmp_path: Path) -> Take:
-    """Fingerprint of a model with some lines before it, a formula, and files beside it."""
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """The folder of a model with some lines before it, a formula, and files beside it."""
 
-    def taken(before: str, formula: str, **files: str) -> Fingerprint:
+    def written(before: str, formula: str, **files: str) -> Path:
         folder = tmp_path / f"{next(_folders)}"
         for name, text in files.items():
             file = folder / f"{name}.py"
@@ -51,7 +52,17 @@ def take(tmp_path: Path) -> Take:
             file.write_text(text)
         folder.mkdir(exist_ok=True)
         (folder / "mine.py").write_text(MODEL.format(before=before, formula=formula))
-        return carried_model("mine.py:model", folder).fingerprint
+        return folder
+
+    return written
+
+
+@pytest.fixture
+def take(write: Callable[..., Path]) -> Take:
+    """Fingerprint of a model that is written so."""
+
+    def taken(before: str, formula: str, **files: str) -> Fingerprint:
+        return carried_model("mine.py:model", write(before, formula, **files)).fingerprint
 
     return taken
 
@@ -165,27 +176,73 @@ def test_words_and_what_is_not_reached_make_no_difference(take: Take) -> None:
          r"z is .* dict .*mine\.py:\d+\)$"),
     ],
 )  # fmt: skip
-def test_what_could_change_without_notice_is_refused_by_its_name(
-    take: Take, before: str, formula: str, what: str
+def test_values_that_could_change_without_notice_have_no_fingerprint(
+    write: Callable[..., Path], before: str, formula: str, what: str
 ) -> None:
+    folder = write(before, formula, helper=HELPER.format(2.0))
     with pytest.raises(ModelError, match=what) as error:
-        take(before, formula, helper=HELPER.format(2.0))
+        inspected(load_model("mine.py:model", folder))
     assert "\n" not in str(error.value)
 
 
-def test_a_file_that_changed_since_it_was_imported_is_refused(
+@pytest.mark.parametrize(
+    ("before", "formula"),
+    [
+        ("class P:\n    A = VALUE", "P.A * x[0]"),
+        ("class P: pass\nC = P(); C.a = VALUE", "C.a * x[0]"),
+        ("g = functools.partial(np.multiply, VALUE)", "g(x[0])"),
+        ("C = {VALUE}", "max(C) * x[0]"),
+        ("def g(a): return g.k * a\ng.k = VALUE", "g(x[0])"),
+        ("class P:\n    def rate(self, t): return VALUE * t\nC = P()", "C.rate(t) * x[0]"),
+        ("class P:\n    def rate(self, t): return [VALUE] * 9\nC = P()", "C.rate(t)[t] * x[0]"),
+    ],
+)
+def test_a_model_without_such_a_fingerprint_has_that_of_its_programs(
+    write: Callable[..., Path], before: str, formula: str
+) -> None:
+    def taken(value: str) -> Fingerprint:
+        folder = write(*(text.replace("VALUE", value) for text in (before, formula)))
+        known = carried_model("mine.py:model", folder)
+        assert known.fingerprint == {}
+        arrived = pickle.loads(pickle.dumps(known))
+        return arrived.at(arrived.model, 5).fingerprint
+
+    assert taken("2.0") == taken("2.0")
+    assert differing(taken("2.0"), taken("3.0")) == ["formulas"]
+
+
+@pytest.mark.parametrize(
+    ("before", "formula", "what"),
+    [
+        ("@functools.lru_cache\ndef g(t): return 2.0", "g(t) * x[0]", "g is .*lru_cache"),
+        ("def g(x):\n    import helper\n    return helper.C * x", "g(x[0])", "g imports helper"),
+        ("class P: pass", "np.piecewise(x[0], [x[0] > 0], [1.0, hash(P) % 1])", "P is the class"),
+    ],
+)
+def test_a_model_that_cannot_travel_or_be_traced_either_is_refused_by_name(
+    write: Callable[..., Path], before: str, formula: str, what: str
+) -> None:
+    folder = write(before, formula, helper=HELPER.format(2.0))
+
+    def identified() -> None:
+        known = carried_model("mine.py:model", folder)
+        known.at(known.model, 5)
+
+    with pytest.raises(ModelError, match=what):
+        identified()
+
+
+def test_a_file_that_changed_since_it_was_imported_has_no_fingerprint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     file = tmp_path / "changing_model.py"
     file.write_text(MODEL.format(before="", formula="x[0]"))
     module = importlib.import_module("changing_model")
-    from pfdist.models import carried
-
-    carried(module.model, "python:mine")
+    inspected(module.model)
     file.write_text(MODEL.format(before="", formula="2 * x[0]"))
     with pytest.raises(ModelError, match=r"transition is not known: its file has changed since"):
-        carried(module.model, "python:mine")
+        inspected(module.model)
 
 
 def test_models_that_ship_reach_into_each_other() -> None:

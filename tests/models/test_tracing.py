@@ -12,9 +12,11 @@ from numba import njit
 
 from oracles.clocked import with_clock
 from pfdist import load_model
+from pfdist.common import telling
 from pfdist.densities import gamma_logpdf, poisson_draw
 from pfdist.elementwise import clip, where
 from pfdist.errors import ModelError, TraceError
+from pfdist.models import tracing
 from pfdist.models.checks import ARGUMENTS
 from pfdist.models.program import Operation, Program, evaluate, merged
 from pfdist.models.symbols import take
@@ -337,7 +339,12 @@ def gives_text(x, t, w, p):
     return ("x", x[1])
 
 
+def sums_one_component(x, t, w, p):
+    return (np.sum(x[0]) + w[0], x[1])
+
+
 REFUSED = {
+    sums_one_component: "np.sum of a single value",
     counts_calls: "must compute the same whenever it is called",
     is_random: "takes randomness from the noise it is given",
     branches: "pfdist.where(condition, a, b)",
@@ -373,6 +380,21 @@ def test_a_formula_that_fails_with_numbers_fails_in_numpy_too():
         traced(divides_by_zero)
 
 
+def divides_by_symbol(x, t, w, p):
+    return (x[0] + 1 / (t - 3), w[0])
+
+
+def divides_particles(x, t, w, p):
+    return (x[0] / (p.rate[t] - p.rate[3]), w[0] / (t - 3))
+
+
+def test_a_division_by_zero_at_one_instant_fails_only_if_it_fails_in_python():
+    with pytest.raises(ModelError, match=r"failed: ZeroDivisionError.* at t = 3 \(.*py:\d+\)$"):
+        traced(divides_by_symbol)
+    assert traced(divides_by_symbol, range(3))[0].mode == SYMBOLS
+    assert traced(divides_particles)[0].mode == SYMBOLS  # arrays of NumPy become infinite
+
+
 def test_an_index_that_arrays_of_particles_have_is_left_to_numpy():
     with pytest.raises(TraceError, match=r"too many indices.*the engine 'numpy'"):
         traced(lambda x, t, w, p: (np.stack(x)[0, :], x[1]))
@@ -396,3 +418,36 @@ def test_too_many_structures_are_refused():
     assert len(traced(differs, range(32))[0].programs) == 32
     with pytest.raises(TraceError, match="at most 32 different things"):
         traced(differs, range(33))
+
+
+def test_too_many_constants_are_refused(monkeypatch):
+    monkeypatch.setattr(tracing, "MOST_CONSTANTS", 100)
+    doses = dict.fromkeys(range(200), 1.5)
+
+    def takes(x, t, w, p):
+        return (x[0] + doses[t], w[0])
+
+    assert traced(takes, range(50))[0].mode == T_NUMBER
+    with pytest.raises(TraceError, match="at most 100 constants over all instants"):
+        traced(takes, range(150))
+
+
+def test_tracing_that_takes_long_is_told_in_a_terminal(monkeypatch, capsys):
+    """A line every two seconds; here at each of 8 instants."""
+
+    def takes(x, t, w, p):
+        return (x[0] + dict.fromkeys(range(8), 2.0)[t], w[0])
+
+    monkeypatch.setattr(telling, "SECONDS", 0.0)
+    traced(takes)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    traced(takes)
+    assert "Tracing transition of mine: 7 of 8 instants\n" in capsys.readouterr().err
+
+
+def test_tracing_keeps_up_with_long_horizons():
+    """32,000 instants of a formula that needs t as a number have one structure."""
+    doses = {t: float(t % 7) for t in range(32_000)}
+    result, _ = traced(lambda x, t, w, p: (x[0] + doses[t], w[0]), range(32_000))
+    assert [each.constants.shape for each in result.programs] == [(32_000, 1)]

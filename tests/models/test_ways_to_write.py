@@ -1,11 +1,18 @@
-"""Ways to write a formula: the compiled engine computes what NumPy computes from a model's file."""
+"""Ways to write a formula: the compiled engine computes what NumPy computes from the formula."""
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+import pfdist
 from oracles.model_text import MEASURED
+from oracles.satellite import Satellite, model_of
+from pfdist.errors import ModelError, RunMismatchError
 from pfdist.filters import particle_filter, plain, simulation
-from pfdist.models import carried_model
+from pfdist.models import StateSpaceModel, carried, carried_model
+from pfdist.models.twin import twin_of
 
 MODEL = (
     """
@@ -60,15 +67,138 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_formula_may_be_written_in_many_ways(way, tmp_path):
-    before, body = WAYS[way]
-    (tmp_path / "mine.py").write_text(MODEL.format(before=before, body=body))
-    model = carried_model("mine.py:model", tmp_path).model
-    draws = simulation.simulate(model, 12, range(20), 1)
-    slow = plain.simulate(model, 12, range(20), 1)
+@pytest.fixture
+def as_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have plain NumPy call the formulas as they stand, and not their programs."""
+    monkeypatch.setattr(plain, "twin_of", lambda model, instants: model)
+
+
+def assert_same_filters(model: StateSpaceModel, horizon: int = 12) -> None:
+    """Compiled simulation and filter give what plain NumPy gives."""
+    draws = simulation.simulate(model, horizon, range(20), 1)
+    slow = plain.simulate(model, horizon, range(20), 1)
     np.testing.assert_allclose(draws.x, slow.x, rtol=1e-9, atol=1e-12)
     fast, slow = (
         engine.filter_draws(model, draws, (0, 4, 8), 100, 2) for engine in (particle_filter, plain)
     )
     np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-7)
+
+
+@pytest.mark.usefixtures("as_written")
+@pytest.mark.parametrize("way", WAYS)
+def test_a_formula_may_be_written_in_many_ways(way, tmp_path):
+    before, body = WAYS[way]
+    (tmp_path / "mine.py").write_text(MODEL.format(before=before, body=body))
+    assert_same_filters(carried_model("mine.py:model", tmp_path).model)
+
+
+# --- objects --------------------------------------------------------------------------------------
+
+
+def norm_by_hand(x, t, p):
+    return (np.sqrt(x[0] * x[0] + x[1] * x[1]),)
+
+
+def norm(x, t, p):
+    return (np.linalg.norm(np.array(x[:2])),)
+
+
+def test_methods_compute_what_their_formulas_written_out_compute():
+    """A satellite by a class with Runge-Kutta steps, whose methods give arrays and sum over x."""
+    satellite = Satellite(steps=3)
+    by_methods = model_of(satellite)
+    by_hand = replace(by_methods, transition=satellite.transition_by_hand)
+    np.testing.assert_allclose(
+        simulation.simulate(by_methods, 12, range(20), 1).x,
+        plain.simulate(by_hand, 12, range(20), 1).x,
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    assert_same_filters(by_methods)
+
+
+def test_a_sum_over_the_components_of_a_state_does_not_mix_particles():
+    model = replace(model_of(Satellite()), quantity_of_interest=norm)
+    by_hand = replace(model, quantity_of_interest=norm_by_hand)
+    draws = plain.simulate(model, 5, range(4), 1)
+    np.testing.assert_allclose(draws.z, plain.simulate(by_hand, 5, range(4), 1).z, rtol=1e-12)
+    assert_same_filters(model)
+
+
+class Position:
+    """A callable object as a formula."""
+
+    def __init__(self, components: int) -> None:
+        self.components = components
+
+    def __call__(self, x, t, p):
+        return x[: self.components]
+
+
+class Missing:
+    """A callable object that lacks arguments."""
+
+    def __call__(self, x):
+        return x
+
+
+def quantity(x, t, p, components):
+    return x[:components]
+
+
+def test_callable_objects_and_partial_functions_are_formulas():
+    for formula in (Position(2), partial(quantity, components=2)):
+        model = replace(model_of(Satellite()), quantity_of_interest=formula)
+        assert model.components == (4, 1, 2)
+        assert_same_filters(model)
+
+
+@pytest.mark.parametrize("wrong", [5, "f", Missing()])
+def test_what_cannot_be_called_as_a_formula_is_refused(wrong):
+    with pytest.raises(ModelError, match=r"quantity_of_interest must be a function of \(x, t, p\)"):
+        replace(model_of(Satellite()), quantity_of_interest=wrong)
+
+
+def test_a_model_of_objects_travels_and_is_known_by_its_programs(tmp_path):
+    problem = pfdist.Problem(model_of(Satellite()), horizon=8, measurement_budget=3, particles=50)
+    draws = {"comparison": {"draws": 100}, "search": [{"method": "random", "evaluations": 3}]}
+    run = partial(pfdist.run, results=tmp_path / "run")
+    job = problem.job(**draws)
+    first, same = run(job, pool="threads"), run(job, pool="threads")  # it is resumed
+    assert first.best == same.best
+    other = pfdist.Problem(model_of(Satellite(pull=1.1)), horizon=8, measurement_budget=3)
+    with pytest.raises(RunMismatchError, match=r"model.formulas"):
+        run(other.with_changes(particles=50).job(**draws), pool="threads")
+
+
+def test_a_model_with_neither_a_fingerprint_nor_a_program_is_refused():
+    def transition(x, t, w, p):
+        return tuple(np.piecewise(each, [each > 0], [Position(1).components, -1.0]) for each in x)
+
+    model = replace(model_of(Satellite()), transition=transition)
+    with pytest.raises(ModelError, match="Position is the class"):
+        carried(model, "mine").at(model, 3)
+
+
+# --- the twin -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["ungm", "bearings_only", "xray_tumour", "lotka_volterra"])
+def test_programs_give_on_arrays_what_formulas_give(name, monkeypatch):
+    model = pfdist.load_model(name)
+    by_programs = plain.simulate(model, 10, range(5), 1)
+    monkeypatch.setattr(plain, "twin_of", lambda model, instants: model)
+    by_formulas = plain.simulate(model, 10, range(5), 1)
+    for key in "xyz":
+        pair = (getattr(draws, key) for draws in (by_programs, by_formulas))
+        np.testing.assert_allclose(*pair, rtol=1e-10)
+
+
+def test_a_formula_that_cannot_be_traced_is_called_itself():
+    def transition(x, t, w, p):
+        return (np.piecewise(x[0], [x[0] > 0], [1.0, -1.0]), *x[1:])
+
+    model = replace(model_of(Satellite()), transition=transition)
+    x, w = (np.array([0.5, -0.5]),) * 4, (np.zeros(2),) * 2
+    first, *_ = twin_of(model, range(3)).transition(x, 0, w, model.p)
+    assert first.tolist() == [1.0, -1.0]

@@ -16,6 +16,7 @@ _NEEDED = {
     "haswell": {"avx2", "fma", "bmi2"},
     "skylake-avx512": {"avx512f", "avx512dq", "avx512bw", "avx512vl", "avx512cd"},
     "znver3": {"avx2", "fma", "bmi2"},
+    "x86-64-v2": {"sse4.2", "ssse3", "popcnt"},
 }
 """What of a processor's instructions LLVM uses for loops over numbers, by its name."""
 
@@ -24,12 +25,13 @@ _SETS = [(0, 3, 6), (1, 2, 8)]
 
 
 def names() -> list[str]:
-    """Names of processors whose code this processor runs, those that differ most first.
+    """Names of processors whose code this processor runs.
 
-    "generic" is the name that each processor runs.
+    The first two differ most: this processor itself, and "generic", which each processor runs.
     """
     features = {name for name, has in binding.get_host_cpu_features().items() if has}
-    return [*(name for name, needed in _NEEDED.items() if needed <= features), "generic"]
+    others = (name for name, needed in _NEEDED.items() if needed <= features)
+    return [binding.get_host_cpu_name(), "generic", *others]
 
 
 def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str]:
