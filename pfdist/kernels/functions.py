@@ -2,7 +2,6 @@
 
 Each function writes the instructions that compute it for all lanes. Results are within 2 units in
 the last place of the exact values, and special values are NumPy's.
-The arguments of trigonometric functions are at most `LARGEST_ANGLE`; beyond, the result is NaN.
 
 Each polynomial interpolates at the Chebyshev nodes of its interval, with an error of less than half
 a unit.
@@ -12,15 +11,19 @@ References
 Muller, "Elementary Functions: Algorithms and Implementation", 2016 (reductions). Goldberg, "What
 every computer scientist should know about floating-point arithmetic", 1991 (theorem 4: log1p).
 Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik
-18, 1971 (sums of two numbers).
+18, 1971 (sums of two numbers). Payne, Hanek, "Radian reduction for trigonometric functions", ACM
+SIGNUM Newsletter 18, 1983 (huge angles). Ogita, Rump, Oishi, "Accurate sum and dot product", SIAM
+Journal on Scientific Computing 26, 2005 (sums of many numbers).
 """
 
 import math
 from collections.abc import Callable
+from functools import lru_cache, partial
 
-from pfdist.kernels.vectors import Vector, polynomial
+from pfdist.kernels.vectors import Vector, each_lane, entries, outlined, polynomial, where_some
 
 LARGEST_ANGLE = 3.5e15
+"""Larger angles are huge: they are reduced in another way, which takes longer."""
 
 _LN2, _LN2_REST = 0.6931471805599453, 2.3190468138462996e-17
 _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the nearest integer
@@ -67,6 +70,81 @@ def _difference(a: Vector, b: Vector) -> Pair:
 # --- sine, cosine, tangent ----------------------------------------------------------------------
 
 
+_FIRST_EXPONENT = 51  # that of LARGEST_ANGLE
+
+
+@lru_cache(maxsize=1)
+def _quarters() -> tuple[float, ...]:
+    """2^(16 j) 2/pi modulo 8, for j = 0, 1, ..., each as the sum of four numbers.
+
+    Pi has 1,280 bits, by Machin's formula.
+    """
+    unit = 1 << 1280
+
+    def arctangent(n: int) -> int:
+        total, power, k = 0, unit // n, 1
+        while power:
+            total, power, k = total + power // k, -power // (n * n), k + 2
+        return total
+
+    pi, parts = 4 * (4 * arctangent(5) - arctangent(239)), list[float]()
+    for exponent in range(0, 1024 - _FIRST_EXPONENT, 16):
+        rest = ((unit * unit << 1 + exponent) // pi) % (8 * unit)
+        for _ in range(4):
+            parts.append(rest / unit)
+            whole, below = parts[-1].as_integer_ratio()
+            rest -= whole * unit // below
+    return (*parts,)
+
+
+def _huge_quarter_turns(x: Vector) -> tuple[Vector, ...]:
+    """The nearest multiple of pi/2 modulo 4, and the remainder and what it loses by rounding.
+
+    A huge angle is m 2^(16 j), where m is a multiple of 1/2. So multiples of 8 in 2^(16 j) 2/pi do
+    not matter. The product with the rest of it has an error of 2^-140; no huge angle is nearer to a
+    multiple of pi/2 than 2^-62.
+    """
+    bits = x.bits("i8")
+    row = (((bits >> 52) & 0x7FF) - (1023 + _FIRST_EXPONENT)) >> 4
+    m = (bits - (row << 56)).bits("f8")
+    terms = list[Vector]()
+    for k in range(4):
+        factor = entries("quarter_turns", _quarters(), (row << 2) + k)
+        product = m * factor
+        terms += [product, m.fma(factor, -product)]
+    terms = [(each * 0.25).call("rint").fma(-4.0, each) for each in terms[:3]] + terms[3:-1]
+    _distil(terms)
+    turns = terms[0].call("rint")
+    terms[0] = terms[0] - turns
+    _distil(terms)
+    low = terms[-1]
+    for each in terms[-2:0:-1]:
+        low = low + each
+    high, low = _difference(terms[0], -low)
+    first = high * 1.5707963267948966
+    second = high.fma(1.5707963267948966, -first) + high * 6.123233995736766e-17
+    return turns.to("i8"), *_difference(first, -low.fma(1.5707963267948966, second))
+
+
+def _distil(terms: list[Vector]) -> None:
+    """Replace numbers by their rounded sum, and what each addition lost."""
+    for k in range(len(terms) - 1, 0, -1):
+        terms[k - 1], terms[k] = _difference(terms[k - 1], -terms[k])
+
+
+def _with_huge(value: Vector, function: Callable[..., Vector], x: Vector, *more: Vector) -> Vector:
+    """The value; that of a function of single numbers where x is huge; NaN where x is infinite."""
+    size = absolute(x)
+
+    def beyond() -> Vector:
+        huge = (size >= LARGEST_ANGLE) & (size < math.inf)
+        given = [huge.select(x, x.number(LARGEST_ANGLE)), *more]
+        name, each = f"vector{function.__name__}", partial(each_lane, function)
+        return where_some(huge, lambda: outlined(name, each, given), x.number(math.nan))
+
+    return where_some(~(size < LARGEST_ANGLE), beyond, value)
+
+
 def _quarter_turns(x: Vector) -> Pair:
     """The nearest multiple of pi/2, as an integer, and the remainder in -pi/4..pi/4."""
     shifted = x.fma(0.6366197723675814, _SHIFT)
@@ -93,25 +171,45 @@ def _cosine_rest(r: Vector) -> Vector:
     )  # fmt: skip
 
 
-def _with_quarter(x: Vector, more: int) -> Vector:
-    """The sine of x and of so many more quarter turns."""
-    turns, r = _quarter_turns(x)
-    turns, q = turns + more, r * r
+def _sine(turns: Vector, r: Vector) -> Vector:
+    """The sine of r and of so many quarter turns."""
+    q = r * r
     sine = (r * q).fma(_sine_rest(r), r)
     cosine = (q * q).fma(_cosine_rest(r), q.fma(-0.5, 1.0))
     value = (turns & 1).differs(0).select(cosine, sine)
-    value = (value.bits("i8") ^ ((turns & 2) << 62)).bits("f8")
-    return _nan_where(~(absolute(x) < LARGEST_ANGLE), value)
+    return (value.bits("i8") ^ ((turns & 2) << 62)).bits("f8")
+
+
+def _huge_sine(x: Vector, more: Vector) -> Vector:
+    """The sine of a huge angle and of so many more quarter turns."""
+    turns, r, _ = _huge_quarter_turns(x)
+    return _sine(turns + more.to("i8"), r)
 
 
 def sin(x: Vector) -> Vector:
     """The sine."""
-    return x.equals(0.0).select(x, _with_quarter(x, 0))  # keeps the sign of -0
+    value = x.equals(0.0).select(x, _sine(*_quarter_turns(x)))  # keeps the sign of -0
+    return _with_huge(value, _huge_sine, x, x.number(0.0))
 
 
 def cos(x: Vector) -> Vector:
     """The cosine."""
-    return _with_quarter(x, 1)
+    turns, r = _quarter_turns(x)
+    return _with_huge(_sine(turns + 1, r), _huge_sine, x, x.number(1.0))
+
+
+def _tangent(turns: Vector, r: Vector, low: Vector) -> Vector:
+    """The tangent of r + low and of so many quarter turns."""
+    q = r * r
+    sine = r + (r * q).fma(_sine_rest(r), low)
+    high = q.fma(-0.5, 1.0)
+    cosine = high + (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
+    is_odd = (turns & 1).differs(0)
+    return is_odd.select(-cosine, sine) / is_odd.select(sine, cosine)
+
+
+def _huge_tangent(x: Vector) -> Vector:
+    return _tangent(*_huge_quarter_turns(x))
 
 
 def tan(x: Vector) -> Vector:
@@ -121,14 +219,8 @@ def tan(x: Vector) -> Vector:
     first, second = (-k).fma(1.5707963267948966, x), k * 6.123233995736766e-17
     r, lost = _difference(first, second)  # the remainder, and what it loses by rounding
     low = lost - k.fma(6.123233995736766e-17, -second) - k * -1.4973849048591698e-33
-    q = r * r
-    sine = r + (r * q).fma(_sine_rest(r), low)
-    high = q.fma(-0.5, 1.0)
-    cosine = high + (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
-    is_odd = (turns & 1).differs(0)
-    value = is_odd.select(-cosine, sine) / is_odd.select(sine, cosine)
-    value = x.equals(0.0).select(x, value)
-    return _nan_where(~(absolute(x) < LARGEST_ANGLE), value)
+    value = x.equals(0.0).select(x, _tangent(turns, r, low))
+    return _with_huge(value, _huge_tangent, x)
 
 
 # --- exponentials and logarithms ----------------------------------------------------------------
