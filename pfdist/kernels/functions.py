@@ -67,6 +67,19 @@ def _difference(a: Vector, b: Vector) -> Pair:
     return rest, (a - (rest - part)) - (b + part)
 
 
+def _plus(x: Vector, rest: Vector, number: float) -> Pair:
+    """A number more than x + rest."""
+    total, lost = _difference(x, x.number(-number))
+    return total, lost + rest
+
+
+def _quotient(above: Pair, below: Pair) -> Pair:
+    """A quotient of sums of two numbers."""
+    ratio = above[0] / below[0]
+    lost = (-ratio).fma(below[0], above[0]) + (above[1] - ratio * below[1])
+    return ratio, lost / below[0]
+
+
 # --- sine, cosine, tangent ----------------------------------------------------------------------
 
 
@@ -201,11 +214,16 @@ def cos(x: Vector) -> Vector:
 def _tangent(turns: Vector, r: Vector, low: Vector) -> Vector:
     """The tangent of r + low and of so many quarter turns."""
     q = r * r
-    sine = r + (r * q).fma(_sine_rest(r), low)
+    part = (r * q).fma(_sine_rest(r), low)
     high = q.fma(-0.5, 1.0)
-    cosine = high + (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
+    more = (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
+    sine, cosine = r + part, high + more
+    sine_rest, cosine_rest = r - sine + part, high - cosine + more
     is_odd = (turns & 1).differs(0)
-    return is_odd.select(-cosine, sine) / is_odd.select(sine, cosine)
+    above, above_rest = is_odd.select(-cosine, sine), is_odd.select(-cosine_rest, sine_rest)
+    below, below_rest = is_odd.select(sine, cosine), is_odd.select(sine_rest, cosine_rest)
+    ratio, rest = _quotient((above, above_rest), (below, below_rest))
+    return ratio + rest
 
 
 def _huge_tangent(x: Vector) -> Vector:
@@ -250,15 +268,15 @@ def _exp_part(r: Vector) -> Vector:
     )  # fmt: skip
 
 
-def _exp_of_sum(x: Vector, more: Vector | float = 0.0) -> Vector:
-    """E to the x + more, where `more` is far below x."""
-    limited = _limited(x, -746.0, 710.0)  # beyond, the result is infinite or 0 all the same
+def _exp_of_sum(x: Vector, more: Vector | float = 0.0, halvings: int = 0) -> Vector:
+    """E to the x + more, where `more` is far below x, divided by 2 so many times."""
+    limited = _limited(x, -746.0, 711.0)  # beyond, the result is infinite or 0 all the same
     shifted = limited.fma(1.4426950408889634, _SHIFT)
     k = shifted - _SHIFT
     r = (-k).fma(_LN2, limited)
     r = (-k).fma(_LN2_REST, r) + more
     value = _exp_part(r).fma(r * r, r) + 1.0
-    return _scaled(value, shifted.bits("i8") - 0x4338000000000000)
+    return _scaled(value, shifted.bits("i8") - (0x4338000000000000 + halvings))
 
 
 def exp(x: Vector) -> Vector:
@@ -350,6 +368,20 @@ def log1p(x: Vector) -> Vector:
     )
 
 
+def _expm1_pair(x: Vector) -> Pair:
+    """E to the x, minus 1, for x in 0..40."""
+    shifted = x.fma(1.4426950408889634, _SHIFT)
+    k = shifted - _SHIFT
+    high = (-k).fma(_LN2, x)
+    r = (-k).fma(_LN2_REST, high)
+    low = (high - r) - k * _LN2_REST
+    scale = _power_of_two(shifted.bits("i8") - 0x4338000000000000)
+    total, lost = _difference(scale - 1.0, -(r * scale))
+    part = _exp_part(r).fma(r * r, low)
+    value, rest = _difference(total, -part * scale)
+    return value, rest + lost
+
+
 def expm1(x: Vector) -> Vector:
     """E to the x, minus 1."""
     limited = _limited(x, -40.0, 710.0)
@@ -439,18 +471,19 @@ def cbrt(x: Vector) -> Vector:
 
 
 def _half_exponentials(a: Vector) -> Pair:
-    """E^a / 2 and e^-a / 2; the first is infinite only where e^a / 2 is."""
-    e = exp(_limited(a, 0.0, 709.0))
-    half = exp(a * 0.5)
-    return (a > 709.0).select(half * 0.5 * half, e * 0.5), 0.5 / e
+    """E^a / 2 and e^-a / 2, for a of 0 or more."""
+    up = _exp_of_sum(a, halvings=1)
+    return up, 0.25 / up
 
 
 def sinh(x: Vector) -> Vector:
     """The hyperbolic sine."""
     a = absolute(x)
     up, down = _half_exponentials(a)
-    e = expm1(_limited(a, 0.0, 1.0))
-    small = e - e * e / (e * 2.0 + 2.0)
+    e, e_rest = _expm1_pair(_limited(a, 0.0, 1.0))  # (e + e / (e + 1)) / 2
+    ratio, ratio_rest = _quotient((e, e_rest), _plus(e, e_rest, 1.0))
+    total, lost = _difference(e, -ratio)
+    small = (total + (lost + (e_rest + ratio_rest))) * 0.5
     return copysign((a > 1.0).select(up - down, _is_nan(a).select(a, small)), x)
 
 
@@ -463,15 +496,26 @@ def cosh(x: Vector) -> Vector:
 def tanh(x: Vector) -> Vector:
     """The hyperbolic tangent."""
     a = absolute(x)
-    e = expm1(_limited(a, 0.0, 20.0) * 2.0)
-    return copysign(_is_nan(a).select(a, e / (e + 2.0)), x)
+    e, e_rest = _expm1_pair(_limited(a, 0.0, 20.0) * 2.0)
+    ratio, rest = _quotient((e, e_rest), _plus(e, e_rest, 2.0))
+    return copysign(_is_nan(a).select(a, ratio + rest), x)
+
+
+def _log_of_sum(x: Vector, rest: Vector) -> Vector:
+    """log(1 + x + rest), where `rest` is far below x, a number of 0 or more."""
+    u, lost = _plus(x, rest, 1.0)
+    e, f = _mantissa(u)
+    high, low = _log_pair(f)
+    whole = e * _LN2
+    low = low + (e.fma(_LN2, -whole) + e * _LN2_REST) + lost / u
+    return _sum_of(whole, high, low)
 
 
 def arcsinh(x: Vector) -> Vector:
     """The inverse hyperbolic sine."""
     a = absolute(x)
     root = (a.fma(a, 1.0)).call("sqrt")
-    small = log1p(a + a * a / (root + 1.0))
+    small = _log_of_sum(*_difference(a, -(a * a / (root + 1.0))))
     value = (a > 1e9).select(log(a) + _LN2, small)
     return copysign(value, x)
 
@@ -479,7 +523,13 @@ def arcsinh(x: Vector) -> Vector:
 def arccosh(x: Vector) -> Vector:
     """The inverse hyperbolic cosine."""
     less = x - 1.0
-    small = log1p(less + (less * (less + 2.0)).call("sqrt"))
+    square = less * less
+    total, lost = _difference(less + less, -square)
+    root = total.call("sqrt")
+    rest = (-root).fma(root, total) + (lost + less.fma(less, -square))
+    rest = rest * 0.5 / root.equals(0.0).select(1.0, root)
+    high, low = _difference(root, -less)
+    small = _log_of_sum(high, low + rest)
     return (x > 1e9).select(log(x) + _LN2, _nan_where(~(x >= 1.0), small))
 
 
@@ -494,18 +544,13 @@ def arctanh(x: Vector) -> Vector:
 # --- inverse trigonometric functions ------------------------------------------------------------
 
 
-def _arctan_part(x: Vector) -> Vector:
-    """The arctangent of x in 0..1."""
-    large = x > 0.41421356237309503  # tan(pi/8): beyond, pi/4 + arctan((x - 1) / (x + 1))
-    r = large.select((x - 1.0) / (x + 1.0), x)
-    q = r * r
-    p = polynomial(
-        q, -0.019029290809743138, 0.03911053674347613, -0.05081236164642543, 0.058573396761385246,
-        -0.06664417824186955, 0.07692176510795928, -0.09090904289128517, 0.11111111008107874,
-        -0.14285714284577217, 0.1999999999999509, -0.3333333333333333,
+def _arctan_rest(r: Vector) -> Vector:
+    """(arctan r - r) / r^3 for r in -0.4143..0.4143."""
+    return polynomial(
+        r * r, -0.019029290809743138, 0.03911053674347613, -0.05081236164642543,
+        0.058573396761385246, -0.06664417824186955, 0.07692176510795928, -0.09090904289128517,
+        0.11111111008107874, -0.14285714284577217, 0.1999999999999509, -0.3333333333333333,
     )  # fmt: skip
-    value = (r * q).fma(p, r)
-    return large.select(value + 3.061616997868383e-17 + 0.7853981633974483, value)
 
 
 def arctan2(y: Vector, x: Vector) -> Vector:
@@ -513,13 +558,33 @@ def arctan2(y: Vector, x: Vector) -> Vector:
     a, b = absolute(x), absolute(y)
     swap = a < b
     low, high = swap.select(a, b), swap.select(b, a)
-    ratio = low / high.equals(0.0).select(1.0, high)
-    ratio = low.equals(math.inf).select(1.0, ratio)
-    value = _arctan_part(ratio)
-    value = swap.select(1.5707963267948966 - (value - 6.123233995736766e-17), value)
-    turned = 3.141592653589793 - (value - 1.2246467991473532e-16)
-    value = copysign(signbit(x).select(turned, value), y)
-    return _nan_where(_is_nan(x) | _is_nan(y), value)
+    high = high.equals(0.0).select(1.0, high)
+    both = low.equals(math.inf)
+    low, high = both.select(1.0, low), both.select(1.0, high)
+    scale = (high > _ROOT).select(0.25, (high < 1.0 / _ROOT).select(_ROOT, x.number(1.0)))
+    low, high = low * scale, high * scale
+    # Beyond tan(pi/8), pi/4 + arctan((low - high) / (low + high))
+    large = low > high * 0.41421356237309503
+    rise, rise_rest = _difference(low, high)
+    run, run_rest = _difference(high, -low)
+    rise, rise_rest = large.select(rise, low), large.select(rise_rest, x.number(0.0))
+    run, run_rest = large.select(run, high), large.select(run_rest, x.number(0.0))
+    r, rest = _quotient((rise, rise_rest), (run, run_rest))
+    rest = (high < math.inf).select(rest, x.number(0.0))
+    q = r * r
+    rest = (r * q).fma(_arctan_rest(r), rest - rest * q)
+    # Now the angle is r + rest from a multiple of pi/4, upwards or downwards.
+    left = signbit(x)
+    down = (swap ^ left).select(-1.0, x.number(1.0))
+    quarter = left.select(2.356194490192345, x.number(0.7853981633974483))
+    quarter_rest = left.select(9.184850993605148e-17, x.number(3.061616997868383e-17))
+    whole = swap.select(1.5707963267948966, left.select(3.141592653589793, x.number(0.0)))
+    start = large.select(quarter, whole)
+    start_rest = large.select(quarter_rest, whole * 3.8981718325193755e-17)
+    r, rest = r * down, rest * down
+    value = start + r
+    value = value + (start - value + r + (rest + start_rest))
+    return _nan_where(_is_nan(x) | _is_nan(y), copysign(value, y))
 
 
 def arctan(x: Vector) -> Vector:
@@ -529,12 +594,12 @@ def arctan(x: Vector) -> Vector:
 
 def arcsin(x: Vector) -> Vector:
     """The arcsine."""
-    return arctan2(x, ((1.0 - x) * (x + 1.0)).call("sqrt"))
+    return arctan2(x, (-x).fma(x, 1.0).call("sqrt"))
 
 
 def arccos(x: Vector) -> Vector:
     """The arccosine."""
-    return arctan2(((1.0 - x) * (x + 1.0)).call("sqrt"), x)
+    return arctan2((-x).fma(x, 1.0).call("sqrt"), x)
 
 
 def hypot(x: Vector, y: Vector) -> Vector:
@@ -563,7 +628,7 @@ def _exponent(x: Vector) -> Vector:
 def _reduced(a: Vector, b: Vector) -> Vector:
     """The remainder of a / b, for a of 0 or more and b above 0: exact in a few steps.
 
-    A step takes off multiples of b, or of b times a power of two, of which a holds up to 2^50.
+    A step takes off multiples of b, or of b times a power of two, of which a holds less than 2^52.
     """
     builder, before = a.builder, a.builder.block
     step, behind = builder.append_basic_block("step"), builder.append_basic_block("behind")
@@ -571,7 +636,7 @@ def _reduced(a: Vector, b: Vector) -> Vector:
     builder.position_at_end(step)
     rest = Vector(builder, builder.phi(a.value.type), "f8")
     rest.value.add_incoming(a.value, before)
-    gap = _exponent(rest) - _exponent(b) - 50
+    gap = _exponent(rest) - _exponent(b) - 51
     multiple = _scaled(b, (gap > 0).select(gap, gap.number(0)))
     following = (-(rest / multiple).call("trunc")).fma(multiple, rest)
     following = (following < 0.0).select(following + multiple, following)
