@@ -18,6 +18,7 @@ Journal on Scientific Computing 26, 2005 (sums of many numbers).
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from functools import lru_cache, partial
 
 from pfdist.kernels.vectors import Vector, each_lane, entries, outlined, polynomial, where_some
@@ -151,9 +152,8 @@ def _with_huge(value: Vector, function: Callable[..., Vector], x: Vector, *more:
 
     def beyond() -> Vector:
         huge = (size >= LARGEST_ANGLE) & (size < math.inf)
-        given = [huge.select(x, x.number(LARGEST_ANGLE)), *more]
-        name, each = f"vector{function.__name__}", partial(each_lane, function)
-        return where_some(huge, lambda: outlined(name, each, given), x.number(math.nan))
+        angles = huge.select(x, x.number(math.nan))
+        return outlined(f"vector{function.__name__}", partial(each_lane, function), [angles, *more])
 
     return where_some(~(size < LARGEST_ANGLE), beyond, value)
 
@@ -501,21 +501,22 @@ def tanh(x: Vector) -> Vector:
     return copysign(_is_nan(a).select(a, ratio + rest), x)
 
 
-def _log_of_sum(x: Vector, rest: Vector) -> Vector:
+def _log_of_sum(x: Vector, rest: Vector) -> Pair:
     """log(1 + x + rest), where `rest` is far below x, a number of 0 or more."""
     u, lost = _plus(x, rest, 1.0)
     e, f = _mantissa(u)
     high, low = _log_pair(f)
     whole = e * _LN2
     low = low + (e.fma(_LN2, -whole) + e * _LN2_REST) + lost / u
-    return _sum_of(whole, high, low)
+    total, lost = _difference(whole, -high)
+    return _difference(total, -(lost + low))
 
 
 def arcsinh(x: Vector) -> Vector:
     """The inverse hyperbolic sine."""
     a = absolute(x)
     root = (a.fma(a, 1.0)).call("sqrt")
-    small = _log_of_sum(*_difference(a, -(a * a / (root + 1.0))))
+    small, _ = _log_of_sum(*_difference(a, -(a * a / (root + 1.0))))
     value = (a > 1e9).select(log(a) + _LN2, small)
     return copysign(value, x)
 
@@ -529,7 +530,7 @@ def arccosh(x: Vector) -> Vector:
     rest = (-root).fma(root, total) + (lost + less.fma(less, -square))
     rest = rest * 0.5 / root.equals(0.0).select(1.0, root)
     high, low = _difference(root, -less)
-    small = _log_of_sum(high, low + rest)
+    small, _ = _log_of_sum(high, low + rest)
     return (x > 1e9).select(log(x) + _LN2, _nan_where(~(x >= 1.0), small))
 
 
@@ -539,6 +540,79 @@ def arctanh(x: Vector) -> Vector:
     double = a + a
     ratio = (a < 0.5).select((double * a / (1.0 - a)) + double, double / (1.0 - a))
     return copysign(log1p(ratio) * 0.5, x)
+
+
+# --- the logarithm of a sum of exponentials -------------------------------------------------------
+
+
+def _exp_pair(x: Vector, rest: Vector) -> Pair:
+    """E to the x + rest, to about 57 bits, for an x of 0 or less."""
+    limited = _limited(x, -746.0, 0.0)
+    shifted = limited.fma(1.4426950408889634, _SHIFT)
+    k = shifted - _SHIFT
+    r, low = _difference((-k).fma(_LN2, limited), k * _LN2_REST - rest)
+    part = _exp_part(r).fma(r * r, low)
+    value, lost = _difference(x.number(1.0), -r)
+    value, lost = _difference(value, -(lost + part))
+    whole = shifted.bits("i8") - 0x4338000000000000
+    return _scaled(value, whole), _scaled(lost, whole)
+
+
+def _sum_of_pairs(a: Pair, b: Pair) -> Pair:
+    total, lost = _difference(a[0], -b[0])
+    return _difference(total, -(lost + (a[1] + b[1])))
+
+
+def _product_of_pairs(a: Pair, b: Pair) -> Pair:
+    product = a[0] * b[0]
+    lost = a[0].fma(b[0], -product) + (a[0] * b[1] + a[1] * b[0])
+    return _difference(product, -lost)
+
+
+def _long_expm1(x: Vector, rest: Vector) -> tuple[Pair, Vector]:
+    """E to the r, minus 1, to about 104 bits, and the integer k, where x + rest = r + k log 2."""
+    shifted = x.fma(1.4426950408889634, _SHIFT)
+    k = shifted - _SHIFT
+    product = k * _LN2_REST
+    product_rest = k.fma(_LN2_REST, -product) + k * 5.707708438416212e-34
+    r = _sum_of_pairs(((-k).fma(_LN2, x), rest), (-product, -product_rest))
+    series = [Fraction(1, math.factorial(n)) for n in range(25, 0, -1)]
+    value = polynomial(r[0], *map(float, series[:13])), x.number(0.0)
+    for term in series[13:]:
+        number = float(term)
+        pair = x.number(number), x.number(float(term - Fraction(number)))
+        value = _sum_of_pairs(_product_of_pairs(value, r), pair)
+    return _product_of_pairs(value, r), shifted.bits("i8") - 0x4338000000000000
+
+
+def _cancelled(high: Vector, apart: Vector, lost: Vector, logarithm: Vector) -> Vector:
+    """High + log(1 + e^(apart + lost)), where the logarithm is nearly -high: a step of Newton's."""
+    part, k = _long_expm1(apart, lost)
+    value, rest = _sum_of_pairs((high.number(1.0), high.number(0.0)), part)
+    part, more = _long_expm1(logarithm, high.number(0.0))
+    scale = _power_of_two(more)
+    found = _sum_of_pairs((scale - 1.0, high.number(0.0)), (part[0] * scale, part[1] * scale))
+    apart, _ = _sum_of_pairs((_scaled(value, k), _scaled(rest, k)), (-found[0], -found[1]))
+    total, lost = _difference(high, -logarithm)
+    return total + (lost + apart / (found[0] + 1.0))
+
+
+def logaddexp(x: Vector, y: Vector) -> Vector:
+    """log(e^x + e^y); the 50 first bits of the larger number may cancel."""
+    is_larger = x > y
+    high, low = is_larger.select(x, y), is_larger.select(y, x)
+    apart, lost = _difference(low, high)
+    lost = (apart > -746.0).select(lost, x.number(0.0))
+    logarithm, rest = _log_of_sum(*_exp_pair(apart, lost))
+    total, more = _difference(high, -logarithm)
+    value = total + (more + rest)
+    limit = (logarithm > 1e-15).select(logarithm * 0.2, logarithm)
+    near = absolute(value) < limit
+    given = [near.select(high, x.number(math.nan)), apart, lost, logarithm]
+    long = partial(each_lane, _cancelled)
+    value = where_some(near, lambda: outlined("vector_cancelled", long, given), value)
+    value = (absolute(high) < math.inf).select(value, high)
+    return _nan_where(_is_nan(x) | _is_nan(y), value)
 
 
 # --- inverse trigonometric functions ------------------------------------------------------------
@@ -709,7 +783,7 @@ FUNCTIONS: dict[str, Callable[..., Vector]] = {
     "fmod": fmod, "remainder": remainder, "floor_divide": floor_divide,
     **{function.__name__: function for function in (
         power, cbrt, exp, exp2, expm1, log, log2, log10, log1p, sin, cos, tan, arcsin, arccos,
-        arctan, arctan2, hypot, sinh, cosh, tanh, arcsinh, arccosh, arctanh, signbit,
+        arctan, arctan2, hypot, logaddexp, sinh, cosh, tanh, arcsinh, arccosh, arctanh, signbit,
     )},
     "less": lambda x, y: x < y, "less_equal": lambda x, y: x <= y, "greater": lambda x, y: x > y,
     "greater_equal": lambda x, y: x >= y, "equal": lambda x, y: x.equals(y),

@@ -346,6 +346,7 @@ _LONG = frozenset(
     {
         *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", "cbrt"),
         *("sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "hypot"),
+        "logaddexp",
         *("sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
         *("fmod", "remainder", "floor_divide"),
     }

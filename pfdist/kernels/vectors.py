@@ -278,7 +278,8 @@ def outlined(name: str, function: Callable[..., Vector], given: Sequence[Vector]
 def where_some(mask: Vector, compute: Callable[[], Vector], usual: Vector) -> Vector:
     """Computed values where a mask holds; nothing is computed if it holds nowhere."""
     builder, before = mask.builder, mask.builder.block
-    with builder.if_then(mask.count().differs(0).value, likely=False):
+    some = mask.count().differs(0) if mask.lanes else mask
+    with builder.if_then(some.value, likely=False):
         computed = mask.select(compute(), usual)
         inside = builder.block
     value = usual._of(builder.phi(usual.value.type))
@@ -288,7 +289,10 @@ def where_some(mask: Vector, compute: Callable[[], Vector], usual: Vector) -> Ve
 
 
 def each_lane(function: Callable[..., Vector], *given: Vector) -> Vector:
-    """The values of a function of single numbers, by a loop, so that its code is short."""
+    """The values of a function of single numbers, where the first number is not NaN.
+
+    They are computed by a loop, so that the code is short.
+    """
     x = given[0]
     builder, before = x.builder, x.builder.block
     body, behind = builder.append_basic_block("lane"), builder.append_basic_block("behind")
@@ -297,7 +301,9 @@ def each_lane(function: Callable[..., Vector], *given: Vector) -> Vector:
     lane, values = builder.phi(KINDS["i4"]), builder.phi(x.value.type)
     lane.add_incoming(ir.Constant(KINDS["i4"], 0), before)
     values.add_incoming(ir.Constant(x.value.type, ir.Undefined), before)
-    number = function(*(x._of(builder.extract_element(each.value, lane)) for each in given))
+    numbers = [x._of(builder.extract_element(each.value, lane)) for each in given]
+    is_given = numbers[0].equals(numbers[0])
+    number = where_some(is_given, lambda: function(*numbers), numbers[0])
     following = builder.insert_element(values, number.value, lane)
     next_lane = builder.add(lane, ir.Constant(KINDS["i4"], 1))
     lane.add_incoming(next_lane, builder.block)

@@ -42,7 +42,7 @@ TWO = (
     *("fmod", "remainder", "floor_divide", "logaddexp", "maximum", "minimum", "fmax", "fmin"),
     *("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"),
 )
-ROUND = tuple(each for each in VALUES if each != "logaddexp")
+ROUND = tuple(VALUES)
 SAME = {  # universal functions that record what another does
     "true_divide": "divide", "float_power": "power", "radians": "deg2rad", "degrees": "rad2deg",
     "fabs": "absolute", "divmod": "floor_divide", "invert": "logical_not",
