@@ -23,7 +23,7 @@ from functools import lru_cache, partial
 
 from pfdist.kernels.vectors import Vector, each_lane, entries, outlined, polynomial, where_some
 
-LARGEST_ANGLE = 3.5e15
+LARGEST_ANGLE = 2.0**51
 """Larger angles are huge: they are reduced in another way, which takes longer."""
 
 _LN2, _LN2_REST = 0.6931471805599453, 2.3190468138462996e-17
