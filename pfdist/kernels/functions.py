@@ -2,7 +2,6 @@
 
 Each function writes the instructions that compute it for all lanes. Results are within 2 units in
 the last place of the exact values, and special values are NumPy's.
-The arguments of trigonometric functions are at most `LARGEST_ANGLE`; beyond, the result is NaN.
 
 Each polynomial interpolates at the Chebyshev nodes of its interval, with an error of less than half
 a unit.
@@ -12,15 +11,20 @@ References
 Muller, "Elementary Functions: Algorithms and Implementation", 2016 (reductions). Goldberg, "What
 every computer scientist should know about floating-point arithmetic", 1991 (theorem 4: log1p).
 Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik
-18, 1971 (sums of two numbers).
+18, 1971 (sums of two numbers). Payne, Hanek, "Radian reduction for trigonometric functions", ACM
+SIGNUM Newsletter 18, 1983 (huge angles). Ogita, Rump, Oishi, "Accurate sum and dot product", SIAM
+Journal on Scientific Computing 26, 2005 (sums of many numbers).
 """
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
+from functools import lru_cache, partial
 
-from pfdist.kernels.vectors import Vector, polynomial
+from pfdist.kernels.vectors import Vector, each_lane, entries, outlined, polynomial, where_some
 
-LARGEST_ANGLE = 3.5e15
+LARGEST_ANGLE = 2.0**51
+"""Larger angles are huge: they are reduced in another way, which takes longer."""
 
 _LN2, _LN2_REST = 0.6931471805599453, 2.3190468138462996e-17
 _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the nearest integer
@@ -64,7 +68,94 @@ def _difference(a: Vector, b: Vector) -> Pair:
     return rest, (a - (rest - part)) - (b + part)
 
 
+def _plus(x: Vector, rest: Vector, number: float) -> Pair:
+    """A number more than x + rest."""
+    total, lost = _difference(x, x.number(-number))
+    return total, lost + rest
+
+
+def _quotient(above: Pair, below: Pair) -> Pair:
+    """A quotient of sums of two numbers."""
+    ratio = above[0] / below[0]
+    lost = (-ratio).fma(below[0], above[0]) + (above[1] - ratio * below[1])
+    return ratio, lost / below[0]
+
+
 # --- sine, cosine, tangent ----------------------------------------------------------------------
+
+
+_FIRST_EXPONENT = 51  # that of LARGEST_ANGLE
+
+
+@lru_cache(maxsize=1)
+def _quarters() -> tuple[float, ...]:
+    """2^(16 j) 2/pi modulo 8, for j = 0, 1, ..., each as the sum of four numbers.
+
+    Pi has 1,280 bits, by Machin's formula.
+    """
+    unit = 1 << 1280
+
+    def arctangent(n: int) -> int:
+        total, power, k = 0, unit // n, 1
+        while power:
+            total, power, k = total + power // k, -power // (n * n), k + 2
+        return total
+
+    pi, parts = 4 * (4 * arctangent(5) - arctangent(239)), list[float]()
+    for exponent in range(0, 1024 - _FIRST_EXPONENT, 16):
+        rest = ((unit * unit << 1 + exponent) // pi) % (8 * unit)
+        for _ in range(4):
+            parts.append(rest / unit)
+            whole, below = parts[-1].as_integer_ratio()
+            rest -= whole * unit // below
+    return (*parts,)
+
+
+def _huge_quarter_turns(x: Vector) -> tuple[Vector, ...]:
+    """The nearest multiple of pi/2 modulo 4, and the remainder and what it loses by rounding.
+
+    A huge angle is m 2^(16 j), where m is a multiple of 1/2. So multiples of 8 in 2^(16 j) 2/pi do
+    not matter. The product with the rest of it has an error of 2^-140; no huge angle is nearer to a
+    multiple of pi/2 than 2^-62.
+    """
+    bits = x.bits("i8")
+    row = (((bits >> 52) & 0x7FF) - (1023 + _FIRST_EXPONENT)) >> 4
+    m = (bits - (row << 56)).bits("f8")
+    terms = list[Vector]()
+    for k in range(4):
+        factor = entries("quarter_turns", _quarters(), (row << 2) + k)
+        product = m * factor
+        terms += [product, m.fma(factor, -product)]
+    terms = [(each * 0.25).call("rint").fma(-4.0, each) for each in terms[:3]] + terms[3:-1]
+    _distil(terms)
+    turns = terms[0].call("rint")
+    terms[0] = terms[0] - turns
+    _distil(terms)
+    low = terms[-1]
+    for each in terms[-2:0:-1]:
+        low = low + each
+    high, low = _difference(terms[0], -low)
+    first = high * 1.5707963267948966
+    second = high.fma(1.5707963267948966, -first) + high * 6.123233995736766e-17
+    return turns.to("i8"), *_difference(first, -low.fma(1.5707963267948966, second))
+
+
+def _distil(terms: list[Vector]) -> None:
+    """Replace numbers by their rounded sum, and what each addition lost."""
+    for k in range(len(terms) - 1, 0, -1):
+        terms[k - 1], terms[k] = _difference(terms[k - 1], -terms[k])
+
+
+def _with_huge(value: Vector, function: Callable[..., Vector], x: Vector, *more: Vector) -> Vector:
+    """The value; that of a function of single numbers where x is huge; NaN where x is infinite."""
+    size = absolute(x)
+
+    def beyond() -> Vector:
+        huge = (size >= LARGEST_ANGLE) & (size < math.inf)
+        angles = huge.select(x, x.number(math.nan))
+        return outlined(f"vector{function.__name__}", partial(each_lane, function), [angles, *more])
+
+    return where_some(~(size < LARGEST_ANGLE), beyond, value)
 
 
 def _quarter_turns(x: Vector) -> Pair:
@@ -93,25 +184,50 @@ def _cosine_rest(r: Vector) -> Vector:
     )  # fmt: skip
 
 
-def _with_quarter(x: Vector, more: int) -> Vector:
-    """The sine of x and of so many more quarter turns."""
-    turns, r = _quarter_turns(x)
-    turns, q = turns + more, r * r
+def _sine(turns: Vector, r: Vector) -> Vector:
+    """The sine of r and of so many quarter turns."""
+    q = r * r
     sine = (r * q).fma(_sine_rest(r), r)
     cosine = (q * q).fma(_cosine_rest(r), q.fma(-0.5, 1.0))
     value = (turns & 1).differs(0).select(cosine, sine)
-    value = (value.bits("i8") ^ ((turns & 2) << 62)).bits("f8")
-    return _nan_where(~(absolute(x) < LARGEST_ANGLE), value)
+    return (value.bits("i8") ^ ((turns & 2) << 62)).bits("f8")
+
+
+def _huge_sine(x: Vector, more: Vector) -> Vector:
+    """The sine of a huge angle and of so many more quarter turns."""
+    turns, r, _ = _huge_quarter_turns(x)
+    return _sine(turns + more.to("i8"), r)
 
 
 def sin(x: Vector) -> Vector:
     """The sine."""
-    return x.equals(0.0).select(x, _with_quarter(x, 0))  # keeps the sign of -0
+    value = x.equals(0.0).select(x, _sine(*_quarter_turns(x)))  # keeps the sign of -0
+    return _with_huge(value, _huge_sine, x, x.number(0.0))
 
 
 def cos(x: Vector) -> Vector:
     """The cosine."""
-    return _with_quarter(x, 1)
+    turns, r = _quarter_turns(x)
+    return _with_huge(_sine(turns + 1, r), _huge_sine, x, x.number(1.0))
+
+
+def _tangent(turns: Vector, r: Vector, low: Vector) -> Vector:
+    """The tangent of r + low and of so many quarter turns."""
+    q = r * r
+    part = (r * q).fma(_sine_rest(r), low)
+    high = q.fma(-0.5, 1.0)
+    more = (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
+    sine, cosine = r + part, high + more
+    sine_rest, cosine_rest = r - sine + part, high - cosine + more
+    is_odd = (turns & 1).differs(0)
+    above, above_rest = is_odd.select(-cosine, sine), is_odd.select(-cosine_rest, sine_rest)
+    below, below_rest = is_odd.select(sine, cosine), is_odd.select(sine_rest, cosine_rest)
+    ratio, rest = _quotient((above, above_rest), (below, below_rest))
+    return ratio + rest
+
+
+def _huge_tangent(x: Vector) -> Vector:
+    return _tangent(*_huge_quarter_turns(x))
 
 
 def tan(x: Vector) -> Vector:
@@ -121,14 +237,8 @@ def tan(x: Vector) -> Vector:
     first, second = (-k).fma(1.5707963267948966, x), k * 6.123233995736766e-17
     r, lost = _difference(first, second)  # the remainder, and what it loses by rounding
     low = lost - k.fma(6.123233995736766e-17, -second) - k * -1.4973849048591698e-33
-    q = r * r
-    sine = r + (r * q).fma(_sine_rest(r), low)
-    high = q.fma(-0.5, 1.0)
-    cosine = high + (q * q).fma(_cosine_rest(r), (-r).fma(low, q.fma(-0.5, 1.0 - high)))
-    is_odd = (turns & 1).differs(0)
-    value = is_odd.select(-cosine, sine) / is_odd.select(sine, cosine)
-    value = x.equals(0.0).select(x, value)
-    return _nan_where(~(absolute(x) < LARGEST_ANGLE), value)
+    value = x.equals(0.0).select(x, _tangent(turns, r, low))
+    return _with_huge(value, _huge_tangent, x)
 
 
 # --- exponentials and logarithms ----------------------------------------------------------------
@@ -158,15 +268,15 @@ def _exp_part(r: Vector) -> Vector:
     )  # fmt: skip
 
 
-def _exp_of_sum(x: Vector, more: Vector | float = 0.0) -> Vector:
-    """E to the x + more, where `more` is far below x."""
-    limited = _limited(x, -746.0, 710.0)  # beyond, the result is infinite or 0 all the same
+def _exp_of_sum(x: Vector, more: Vector | float = 0.0, halvings: int = 0) -> Vector:
+    """E to the x + more, where `more` is far below x, divided by 2 so many times."""
+    limited = _limited(x, -746.0, 711.0)  # beyond, the result is infinite or 0 all the same
     shifted = limited.fma(1.4426950408889634, _SHIFT)
     k = shifted - _SHIFT
     r = (-k).fma(_LN2, limited)
     r = (-k).fma(_LN2_REST, r) + more
     value = _exp_part(r).fma(r * r, r) + 1.0
-    return _scaled(value, shifted.bits("i8") - 0x4338000000000000)
+    return _scaled(value, shifted.bits("i8") - (0x4338000000000000 + halvings))
 
 
 def exp(x: Vector) -> Vector:
@@ -258,6 +368,20 @@ def log1p(x: Vector) -> Vector:
     )
 
 
+def _expm1_pair(x: Vector) -> Pair:
+    """E to the x, minus 1, for x in 0..40."""
+    shifted = x.fma(1.4426950408889634, _SHIFT)
+    k = shifted - _SHIFT
+    high = (-k).fma(_LN2, x)
+    r = (-k).fma(_LN2_REST, high)
+    low = (high - r) - k * _LN2_REST
+    scale = _power_of_two(shifted.bits("i8") - 0x4338000000000000)
+    total, lost = _difference(scale - 1.0, -(r * scale))
+    part = _exp_part(r).fma(r * r, low)
+    value, rest = _difference(total, -part * scale)
+    return value, rest + lost
+
+
 def expm1(x: Vector) -> Vector:
     """E to the x, minus 1."""
     limited = _limited(x, -40.0, 710.0)
@@ -347,18 +471,19 @@ def cbrt(x: Vector) -> Vector:
 
 
 def _half_exponentials(a: Vector) -> Pair:
-    """E^a / 2 and e^-a / 2; the first is infinite only where e^a / 2 is."""
-    e = exp(_limited(a, 0.0, 709.0))
-    half = exp(a * 0.5)
-    return (a > 709.0).select(half * 0.5 * half, e * 0.5), 0.5 / e
+    """E^a / 2 and e^-a / 2, for a of 0 or more."""
+    up = _exp_of_sum(a, halvings=1)
+    return up, 0.25 / up
 
 
 def sinh(x: Vector) -> Vector:
     """The hyperbolic sine."""
     a = absolute(x)
     up, down = _half_exponentials(a)
-    e = expm1(_limited(a, 0.0, 1.0))
-    small = e - e * e / (e * 2.0 + 2.0)
+    e, e_rest = _expm1_pair(_limited(a, 0.0, 1.0))  # (e + e / (e + 1)) / 2
+    ratio, ratio_rest = _quotient((e, e_rest), _plus(e, e_rest, 1.0))
+    total, lost = _difference(e, -ratio)
+    small = (total + (lost + (e_rest + ratio_rest))) * 0.5
     return copysign((a > 1.0).select(up - down, _is_nan(a).select(a, small)), x)
 
 
@@ -371,15 +496,27 @@ def cosh(x: Vector) -> Vector:
 def tanh(x: Vector) -> Vector:
     """The hyperbolic tangent."""
     a = absolute(x)
-    e = expm1(_limited(a, 0.0, 20.0) * 2.0)
-    return copysign(_is_nan(a).select(a, e / (e + 2.0)), x)
+    e, e_rest = _expm1_pair(_limited(a, 0.0, 20.0) * 2.0)
+    ratio, rest = _quotient((e, e_rest), _plus(e, e_rest, 2.0))
+    return copysign(_is_nan(a).select(a, ratio + rest), x)
+
+
+def _log_of_sum(x: Vector, rest: Vector) -> Pair:
+    """log(1 + x + rest), where `rest` is far below x, a number of 0 or more."""
+    u, lost = _plus(x, rest, 1.0)
+    e, f = _mantissa(u)
+    high, low = _log_pair(f)
+    whole = e * _LN2
+    low = low + (e.fma(_LN2, -whole) + e * _LN2_REST) + lost / u
+    total, lost = _difference(whole, -high)
+    return _difference(total, -(lost + low))
 
 
 def arcsinh(x: Vector) -> Vector:
     """The inverse hyperbolic sine."""
     a = absolute(x)
     root = (a.fma(a, 1.0)).call("sqrt")
-    small = log1p(a + a * a / (root + 1.0))
+    small, _ = _log_of_sum(*_difference(a, -(a * a / (root + 1.0))))
     value = (a > 1e9).select(log(a) + _LN2, small)
     return copysign(value, x)
 
@@ -387,7 +524,13 @@ def arcsinh(x: Vector) -> Vector:
 def arccosh(x: Vector) -> Vector:
     """The inverse hyperbolic cosine."""
     less = x - 1.0
-    small = log1p(less + (less * (less + 2.0)).call("sqrt"))
+    square = less * less
+    total, lost = _difference(less + less, -square)
+    root = total.call("sqrt")
+    rest = (-root).fma(root, total) + (lost + less.fma(less, -square))
+    rest = rest * 0.5 / root.equals(0.0).select(1.0, root)
+    high, low = _difference(root, -less)
+    small, _ = _log_of_sum(high, low + rest)
     return (x > 1e9).select(log(x) + _LN2, _nan_where(~(x >= 1.0), small))
 
 
@@ -399,21 +542,89 @@ def arctanh(x: Vector) -> Vector:
     return copysign(log1p(ratio) * 0.5, x)
 
 
+# --- the logarithm of a sum of exponentials -------------------------------------------------------
+
+
+def _exp_pair(x: Vector, rest: Vector) -> Pair:
+    """E to the x + rest, to about 57 bits, for an x of 0 or less."""
+    limited = _limited(x, -746.0, 0.0)
+    shifted = limited.fma(1.4426950408889634, _SHIFT)
+    k = shifted - _SHIFT
+    r, low = _difference((-k).fma(_LN2, limited), k * _LN2_REST - rest)
+    part = _exp_part(r).fma(r * r, low)
+    value, lost = _difference(x.number(1.0), -r)
+    value, lost = _difference(value, -(lost + part))
+    whole = shifted.bits("i8") - 0x4338000000000000
+    return _scaled(value, whole), _scaled(lost, whole)
+
+
+def _sum_of_pairs(a: Pair, b: Pair) -> Pair:
+    total, lost = _difference(a[0], -b[0])
+    return _difference(total, -(lost + (a[1] + b[1])))
+
+
+def _product_of_pairs(a: Pair, b: Pair) -> Pair:
+    product = a[0] * b[0]
+    lost = a[0].fma(b[0], -product) + (a[0] * b[1] + a[1] * b[0])
+    return _difference(product, -lost)
+
+
+def _long_expm1(x: Vector, rest: Vector) -> tuple[Pair, Vector]:
+    """E to the r, minus 1, to about 104 bits, and the integer k, where x + rest = r + k log 2."""
+    shifted = x.fma(1.4426950408889634, _SHIFT)
+    k = shifted - _SHIFT
+    product = k * _LN2_REST
+    product_rest = k.fma(_LN2_REST, -product) + k * 5.707708438416212e-34
+    r = _sum_of_pairs(((-k).fma(_LN2, x), rest), (-product, -product_rest))
+    series = [Fraction(1, math.factorial(n)) for n in range(25, 0, -1)]
+    value = polynomial(r[0], *map(float, series[:13])), x.number(0.0)
+    for term in series[13:]:
+        number = float(term)
+        pair = x.number(number), x.number(float(term - Fraction(number)))
+        value = _sum_of_pairs(_product_of_pairs(value, r), pair)
+    return _product_of_pairs(value, r), shifted.bits("i8") - 0x4338000000000000
+
+
+def _cancelled(high: Vector, apart: Vector, lost: Vector, logarithm: Vector) -> Vector:
+    """High + log(1 + e^(apart + lost)), where the logarithm is nearly -high: a step of Newton's."""
+    part, k = _long_expm1(apart, lost)
+    value, rest = _sum_of_pairs((high.number(1.0), high.number(0.0)), part)
+    part, more = _long_expm1(logarithm, high.number(0.0))
+    scale = _power_of_two(more)
+    found = _sum_of_pairs((scale - 1.0, high.number(0.0)), (part[0] * scale, part[1] * scale))
+    apart, _ = _sum_of_pairs((_scaled(value, k), _scaled(rest, k)), (-found[0], -found[1]))
+    total, lost = _difference(high, -logarithm)
+    return total + (lost + apart / (found[0] + 1.0))
+
+
+def logaddexp(x: Vector, y: Vector) -> Vector:
+    """log(e^x + e^y); the 50 first bits of the larger number may cancel."""
+    is_larger = x > y
+    high, low = is_larger.select(x, y), is_larger.select(y, x)
+    apart, lost = _difference(low, high)
+    lost = (apart > -746.0).select(lost, x.number(0.0))
+    logarithm, rest = _log_of_sum(*_exp_pair(apart, lost))
+    total, more = _difference(high, -logarithm)
+    value = total + (more + rest)
+    limit = (logarithm > 1e-15).select(logarithm * 0.2, logarithm)
+    near = absolute(value) < limit
+    given = [near.select(high, x.number(math.nan)), apart, lost, logarithm]
+    long = partial(each_lane, _cancelled)
+    value = where_some(near, lambda: outlined("vector_cancelled", long, given), value)
+    value = (absolute(high) < math.inf).select(value, high)
+    return _nan_where(_is_nan(x) | _is_nan(y), value)
+
+
 # --- inverse trigonometric functions ------------------------------------------------------------
 
 
-def _arctan_part(x: Vector) -> Vector:
-    """The arctangent of x in 0..1."""
-    large = x > 0.41421356237309503  # tan(pi/8): beyond, pi/4 + arctan((x - 1) / (x + 1))
-    r = large.select((x - 1.0) / (x + 1.0), x)
-    q = r * r
-    p = polynomial(
-        q, -0.019029290809743138, 0.03911053674347613, -0.05081236164642543, 0.058573396761385246,
-        -0.06664417824186955, 0.07692176510795928, -0.09090904289128517, 0.11111111008107874,
-        -0.14285714284577217, 0.1999999999999509, -0.3333333333333333,
+def _arctan_rest(r: Vector) -> Vector:
+    """(arctan r - r) / r^3 for r in -0.4143..0.4143."""
+    return polynomial(
+        r * r, -0.019029290809743138, 0.03911053674347613, -0.05081236164642543,
+        0.058573396761385246, -0.06664417824186955, 0.07692176510795928, -0.09090904289128517,
+        0.11111111008107874, -0.14285714284577217, 0.1999999999999509, -0.3333333333333333,
     )  # fmt: skip
-    value = (r * q).fma(p, r)
-    return large.select(value + 3.061616997868383e-17 + 0.7853981633974483, value)
 
 
 def arctan2(y: Vector, x: Vector) -> Vector:
@@ -421,13 +632,33 @@ def arctan2(y: Vector, x: Vector) -> Vector:
     a, b = absolute(x), absolute(y)
     swap = a < b
     low, high = swap.select(a, b), swap.select(b, a)
-    ratio = low / high.equals(0.0).select(1.0, high)
-    ratio = low.equals(math.inf).select(1.0, ratio)
-    value = _arctan_part(ratio)
-    value = swap.select(1.5707963267948966 - (value - 6.123233995736766e-17), value)
-    turned = 3.141592653589793 - (value - 1.2246467991473532e-16)
-    value = copysign(signbit(x).select(turned, value), y)
-    return _nan_where(_is_nan(x) | _is_nan(y), value)
+    high = high.equals(0.0).select(1.0, high)
+    both = low.equals(math.inf)
+    low, high = both.select(1.0, low), both.select(1.0, high)
+    scale = (high > _ROOT).select(0.25, (high < 1.0 / _ROOT).select(_ROOT, x.number(1.0)))
+    low, high = low * scale, high * scale
+    # Beyond tan(pi/8), pi/4 + arctan((low - high) / (low + high))
+    large = low > high * 0.41421356237309503
+    rise, rise_rest = _difference(low, high)
+    run, run_rest = _difference(high, -low)
+    rise, rise_rest = large.select(rise, low), large.select(rise_rest, x.number(0.0))
+    run, run_rest = large.select(run, high), large.select(run_rest, x.number(0.0))
+    r, rest = _quotient((rise, rise_rest), (run, run_rest))
+    rest = (high < math.inf).select(rest, x.number(0.0))
+    q = r * r
+    rest = (r * q).fma(_arctan_rest(r), rest - rest * q)
+    # Now the angle is r + rest from a multiple of pi/4, upwards or downwards.
+    left = signbit(x)
+    down = (swap ^ left).select(-1.0, x.number(1.0))
+    quarter = left.select(2.356194490192345, x.number(0.7853981633974483))
+    quarter_rest = left.select(9.184850993605148e-17, x.number(3.061616997868383e-17))
+    whole = swap.select(1.5707963267948966, left.select(3.141592653589793, x.number(0.0)))
+    start = large.select(quarter, whole)
+    start_rest = large.select(quarter_rest, whole * 3.8981718325193755e-17)
+    r, rest = r * down, rest * down
+    value = start + r
+    value = value + (start - value + r + (rest + start_rest))
+    return _nan_where(_is_nan(x) | _is_nan(y), copysign(value, y))
 
 
 def arctan(x: Vector) -> Vector:
@@ -437,12 +668,12 @@ def arctan(x: Vector) -> Vector:
 
 def arcsin(x: Vector) -> Vector:
     """The arcsine."""
-    return arctan2(x, ((1.0 - x) * (x + 1.0)).call("sqrt"))
+    return arctan2(x, (-x).fma(x, 1.0).call("sqrt"))
 
 
 def arccos(x: Vector) -> Vector:
     """The arccosine."""
-    return arctan2(((1.0 - x) * (x + 1.0)).call("sqrt"), x)
+    return arctan2((-x).fma(x, 1.0).call("sqrt"), x)
 
 
 def hypot(x: Vector, y: Vector) -> Vector:
@@ -471,7 +702,7 @@ def _exponent(x: Vector) -> Vector:
 def _reduced(a: Vector, b: Vector) -> Vector:
     """The remainder of a / b, for a of 0 or more and b above 0: exact in a few steps.
 
-    A step takes off multiples of b, or of b times a power of two, of which a holds up to 2^50.
+    A step takes off multiples of b, or of b times a power of two, of which a holds less than 2^52.
     """
     builder, before = a.builder, a.builder.block
     step, behind = builder.append_basic_block("step"), builder.append_basic_block("behind")
@@ -479,7 +710,7 @@ def _reduced(a: Vector, b: Vector) -> Vector:
     builder.position_at_end(step)
     rest = Vector(builder, builder.phi(a.value.type), "f8")
     rest.value.add_incoming(a.value, before)
-    gap = _exponent(rest) - _exponent(b) - 50
+    gap = _exponent(rest) - _exponent(b) - 51
     multiple = _scaled(b, (gap > 0).select(gap, gap.number(0)))
     following = (-(rest / multiple).call("trunc")).fma(multiple, rest)
     following = (following < 0.0).select(following + multiple, following)
@@ -552,7 +783,7 @@ FUNCTIONS: dict[str, Callable[..., Vector]] = {
     "fmod": fmod, "remainder": remainder, "floor_divide": floor_divide,
     **{function.__name__: function for function in (
         power, cbrt, exp, exp2, expm1, log, log2, log10, log1p, sin, cos, tan, arcsin, arccos,
-        arctan, arctan2, hypot, sinh, cosh, tanh, arcsinh, arccosh, arctanh, signbit,
+        arctan, arctan2, hypot, logaddexp, sinh, cosh, tanh, arcsinh, arccosh, arctanh, signbit,
     )},
     "less": lambda x, y: x < y, "less_equal": lambda x, y: x <= y, "greater": lambda x, y: x > y,
     "greater_equal": lambda x, y: x >= y, "equal": lambda x, y: x.equals(y),

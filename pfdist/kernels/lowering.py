@@ -19,7 +19,7 @@ import numpy as np
 from llvmlite import ir
 
 from pfdist.kernels.functions import FUNCTIONS
-from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, splat
+from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, entries, outlined, splat
 from pfdist.models.program import GROUPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
@@ -358,6 +358,7 @@ _LONG = frozenset(
     {
         *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", "cbrt"),
         *("sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "hypot"),
+        "logaddexp",
         *("sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
         *("fmod", "remainder", "floor_divide"),
     }
@@ -367,16 +368,7 @@ _LONG = frozenset(
 
 def _called(name: str, given: Sequence[Vector]) -> Vector:
     """The value of a long operation, by a function that is written once in a module."""
-    builder, kind = given[0].builder, given[0].value.type
-    function = builder.module.globals.get(f"vector_{name}")
-    if function is None:
-        signature = ir.FunctionType(kind, [kind] * len(given))
-        function = ir.Function(builder.module, signature, f"vector_{name}")
-        function.linkage = "internal"
-        function.attributes.add("noinline")
-        inner = ir.IRBuilder(function.append_basic_block("entry"))
-        inner.ret(FUNCTIONS[name](*(Vector(inner, each, "f8") for each in function.args)).value)
-    return Vector(builder, builder.call(function, [each.value for each in given]), "f8")
+    return outlined(f"vector_{name}", FUNCTIONS[name], given)
 
 
 def _store(memory: Any, place: int, value: Vector) -> None:
@@ -395,22 +387,11 @@ def _load(builder: ir.IRBuilder, memory: Any, place: int, operations: Any, numbe
 def _take(half: Half, index: Vector, which: int) -> Vector:
     """Entries of a table by a whole number; NaN where it lies outside."""
     size, content = half.tables[which]
-    builder, name = index.builder, f"table{hash((size, content)) & (2**63 - 1)}"
-    table = builder.module.globals.get(name)
-    if table is None:
-        kind = ir.ArrayType(KINDS["f8"], size)
-        table = ir.GlobalVariable(builder.module, kind, name)
-        table.linkage, table.global_constant = "internal", True
-        table.initializer = ir.Constant(kind, np.frombuffer(content).tolist())
+    name = f"table{hash((size, content)) & (2**63 - 1)}"
     inside = (index >= 0.0) & (index < float(size))
     safe = inside.select(index, index.number(0.0)).to("i8")
-    vector = index.number(0.0)
-    for lane in range(LANES):
-        address = builder.gep(table, [_index(0), safe.lane(lane).value])
-        entry = builder.load(address, align=8)
-        number = ir.Constant(KINDS["i4"], lane)
-        vector = Vector(builder, builder.insert_element(vector.value, entry, number), "f8")
-    return inside.select(vector, index.number(math.nan))
+    found = entries(name, np.frombuffer(content).tolist(), safe)
+    return inside.select(found, index.number(math.nan))
 
 
 def _index(number: int) -> Any:

@@ -261,6 +261,82 @@ def splat(number: Vector, lanes: int) -> Vector:
     return Vector(builder, builder.shuffle_vector(vector, nothing, zeros), number.kind)
 
 
+def outlined(name: str, function: Callable[..., Vector], given: Sequence[Vector]) -> Vector:
+    """The value of a function, whose code a module holds once; values have one type."""
+    builder, kind = given[0].builder, given[0].value.type
+    written = builder.module.globals.get(name)
+    if written is None:
+        signature = ir.FunctionType(kind, [kind] * len(given))
+        written = ir.Function(builder.module, signature, name)
+        written.linkage = "internal"
+        written.attributes.add("noinline")
+        inner = ir.IRBuilder(written.append_basic_block("entry"))
+        inner.ret(function(*(Vector(inner, each, given[0].kind) for each in written.args)).value)
+    return given[0]._of(builder.call(written, [each.value for each in given]))
+
+
+def where_some(mask: Vector, compute: Callable[[], Vector], usual: Vector) -> Vector:
+    """Computed values where a mask holds; nothing is computed if it holds nowhere."""
+    builder, before = mask.builder, mask.builder.block
+    some = mask.count().differs(0) if mask.lanes else mask
+    with builder.if_then(some.value, likely=False):
+        computed = mask.select(compute(), usual)
+        inside = builder.block
+    value = usual._of(builder.phi(usual.value.type))
+    value.value.add_incoming(computed.value, inside)
+    value.value.add_incoming(usual.value, before)
+    return value
+
+
+def each_lane(function: Callable[..., Vector], *given: Vector) -> Vector:
+    """The values of a function of single numbers, where the first number is not NaN.
+
+    They are computed by a loop, so that the code is short.
+    """
+    x = given[0]
+    builder, before = x.builder, x.builder.block
+    body, behind = builder.append_basic_block("lane"), builder.append_basic_block("behind")
+    builder.branch(body)
+    builder.position_at_end(body)
+    lane, values = builder.phi(KINDS["i4"]), builder.phi(x.value.type)
+    lane.add_incoming(ir.Constant(KINDS["i4"], 0), before)
+    values.add_incoming(ir.Constant(x.value.type, ir.Undefined), before)
+    numbers = [x._of(builder.extract_element(each.value, lane)) for each in given]
+    is_given = numbers[0].equals(numbers[0])
+    number = where_some(is_given, lambda: function(*numbers), numbers[0])
+    following = builder.insert_element(values, number.value, lane)
+    next_lane = builder.add(lane, ir.Constant(KINDS["i4"], 1))
+    lane.add_incoming(next_lane, builder.block)
+    values.add_incoming(following, builder.block)
+    more = builder.icmp_signed("<", next_lane, ir.Constant(KINDS["i4"], x.lanes))
+    builder.cbranch(more, body, behind)
+    builder.position_at_end(behind)
+    return x._of(following)
+
+
+def entries(name: str, numbers: Sequence[float], index: Vector) -> Vector:
+    """Entries of a table that a module holds once, by integers that lie inside."""
+    builder = index.builder
+    table = builder.module.globals.get(name)
+    if table is None:
+        kind = ir.ArrayType(KINDS["f8"], len(numbers))
+        table = ir.GlobalVariable(builder.module, kind, name)
+        table.linkage, table.global_constant = "internal", True
+        table.initializer = ir.Constant(kind, list(numbers))
+
+    def entry(number: Vector) -> Any:
+        address = builder.gep(table, [ir.Constant(KINDS["i8"], 0), number.value])
+        return builder.load(address, align=8)
+
+    if not index.lanes:
+        return Vector(builder, entry(index), "f8")
+    vector = ir.Constant(ir.VectorType(KINDS["f8"], index.lanes), ir.Undefined)
+    for lane in range(index.lanes):
+        place = ir.Constant(KINDS["i4"], lane)
+        vector = builder.insert_element(vector, entry(index.lane(lane)), place)
+    return Vector(builder, vector, "f8")
+
+
 def polynomial(x: Vector, *coefficients: float) -> Vector:
     """A polynomial, the highest power first."""
     value = x.number(coefficients[0])

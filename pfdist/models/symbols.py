@@ -508,11 +508,6 @@ def _round(value: Any, decimals: int = 0, **_: Any) -> Any:
     return np.rint(value * 10.0**decimals) / 10.0**decimals
 
 
-def _logaddexp(a: Any, b: Any) -> Any:
-    apart = np.maximum(a, b) + np.log1p(np.exp(-abs(a - b)))
-    return choose(a == b, a + math.log(2.0), apart)
-
-
 def _heaviside(x: Any, at_zero: Any) -> Any:
     return choose(x < 0.0, 0.0, choose(x == 0.0, at_zero, choose(x > 0.0, 1.0, math.nan)))
 
@@ -529,7 +524,7 @@ def _recorded(name: str) -> Callable[..., Any]:
 _SAME = (
     *("negative", "absolute", "sqrt", "cbrt", "fmod", "sign", "copysign", "exp", "exp2", "expm1"),
     *("log", "log2", "log10", "log1p", "sin", "cos", "tan", "arcsin", "arccos", "arctan"),
-    *("arctan2", "hypot", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
+    *("arctan2", "hypot", "logaddexp", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
     *("floor", "ceil", "trunc", "rint", "maximum", "minimum", "fmax", "fmin"),
     *("isnan", "isinf", "isfinite", "signbit"),
 )
@@ -554,7 +549,7 @@ UFUNCS: dict[str, Callable[..., Any]] = {
     **dict.fromkeys(("logical_not", "invert"), partial(_logical, "logical_not")),
     "deg2rad": lambda x: x * (math.pi / 180.0), "radians": lambda x: x * (math.pi / 180.0),
     "rad2deg": lambda x: x * (180.0 / math.pi), "degrees": lambda x: x * (180.0 / math.pi),
-    "logaddexp": _logaddexp, "heaviside": _heaviside,
+    "heaviside": _heaviside,
 }  # fmt: skip
 """What is recorded for each universal function of NumPy."""
 
