@@ -28,7 +28,7 @@ from pfdist.kernels.variates import codes_of
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
-KERNEL_VERSION = 6
+KERNEL_VERSION = 7
 """Number of changes after which the same keys give other figures; part of a run's identity."""
 
 

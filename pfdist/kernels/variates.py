@@ -152,13 +152,16 @@ def _fill_words_of_draws(
 
 
 def _exponential(word: Vector) -> Vector:
-    """-ln u for u = (word + 1/2) / 2^32, above 0; error at most 4e-6."""
+    """-ln u for u = (word + 1/2) / 2^32, above 0; error at most 4e-7 before it is rounded."""
     # A little less than 2^-32. Otherwise the highest words would round to u = 1, and -ln u to 0.
     u = word.to("f4").fma(2.0**-32 * (1.0 - 2.0**-24), 2.0**-33)
     bits = u.bits("i4")
     exponent = (bits - 0x3F3504F3) >> 23
     f = (bits - (exponent << 23)).bits("f4") - 1.0  # of a number in 0.707..1.414
-    p = polynomial(f, 0.145902964, -0.220214174, 0.253406118, -0.332673187, 0.499931014, -1.0)
+    p = polynomial(
+        f, -0.11986408, 0.187617192, -0.204925684, 0.248977657, -0.333155447, 0.500014859,
+        -1.0,
+    )  # fmt: skip
     return p.fma(f, exponent.to("f4") * -0.69314718)
 
 

@@ -52,7 +52,11 @@ def exponential(word):
     bits = u.view(np.int32)
     exponent = (bits - np.int32(0x3F3504F3)) >> np.int32(23)
     f = (bits - (exponent << np.int32(23))).view(single) - single(1.0)
-    p = _polynomial(f, 0.145902964, -0.220214174, 0.253406118, -0.332673187, 0.499931014, -1.0)
+    p = _polynomial(
+        f,
+        *(-0.11986408, 0.187617192, -0.204925684, 0.248977657),
+        *(-0.333155447, 0.500014859, -1.0),
+    )
     return _fma(p, f, exponent.astype(single) * single(-0.69314718))
 
 
