@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numba import njit
-from numpy.typing import NDArray
 
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist.densities import DENSITIES
 from pfdist.kernels.blocks import Source, compile_blocks, run
-from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, fill, words_of
-from pfdist.kernels.vectors import LANES, with_pointers
+from pfdist.kernels.cached import entry
+from pfdist.kernels.memory import call, read
+from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, Row, fill, number_of_words
+from pfdist.kernels.vectors import LANES
 from pfdist.models.tracing import Formula, trace
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 
@@ -115,23 +115,24 @@ def _looping(name: str, *, draws: bool) -> Callable[[], None]:
     return call
 
 
-class _Rows(NamedTuple):
-    words: NDArray[np.uint32]
-    out: NDArray[np.float32]
+class _Often(NamedTuple):
+    row: Row
+    fill: int  # address of `fill`
 
 
 def _filling(kind: str) -> Callable[[], None]:
     width = -(-PARTICLES // LANES) * LANES
-    rows = _Rows(words_of(1, width), np.empty(width + SPARE, np.float32))
-    return lambda: _fill_often(rows, KINDS.index(kind), width)
+    words = np.zeros(number_of_words(1, width), np.uint32)
+    out, key = np.empty(width + SPARE, np.float32), Key(np.uint64(1), 0, int(FILTER_PROCESS), 0)
+    often = _Often(Row(words, out, width, KINDS.index(kind), key, 0, 1), fill.address)
+    return lambda: _fill_often(often)
 
 
-@njit(nogil=True)
-def _fill_often(rows, kind, width):  # type: ignore[no-untyped-def]
-    given, zero = with_pointers(rows), np.int64(0)
-    key = Key(np.uint64(1), zero, FILTER_PROCESS, zero)
+@entry(_Often)
+def _fill_often(often):  # type: ignore[no-untyped-def]
+    (words, out, width, kind, key, _, draws), address = read(often)
     for draw in range(CALLS):
-        fill(given.words, given.out, width, kind, key, draw, np.int64(1))
+        call(address, Row(words, out, width, kind, key, draw, draws))
 
 
 def summary(tables: Tables) -> str:

@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pfdist.kernels.cached import entry
+from pfdist.kernels.memory import ahead, call, read
 from pfdist.kernels.variates import (
     EXPONENTIAL,
     FILTER_INITIAL,
@@ -20,10 +22,11 @@ from pfdist.kernels.variates import (
     SPARE,
     TILE,
     Key,
+    Row,
     fill,
-    words_of,
+    number_of_words,
 )
-from pfdist.kernels.vectors import LANES, with_pointers
+from pfdist.kernels.vectors import LANES
 
 
 def filter_draws(
@@ -36,46 +39,80 @@ def filter_draws(
 ) -> NDArray[np.float64]:
     """Sums of squares without a meaning; see `benchmarks.peer_filters`."""
     size = -(-(particles + 1) // TILE) * TILE
-    cloud, noise = np.zeros((2, size)), np.zeros(size + SPARE, np.float32)
     ancestor = np.sort(np.random.default_rng(0).integers(particles, size=size)).astype(np.uint32)
-    points = size if resampling == "multinomial" else TILE
     mse = np.empty(len(y))
-    pointers = _Pointers(words_of(1, size), noise)
-    _loop(np.uint64(seed), z, measured, particles, points, cloud, noise, pointers, ancestor, mse)
+    work = _Work(
+        np.uint64(seed),
+        len(y),
+        len(measured),
+        particles,
+        size,
+        size if resampling == "multinomial" else TILE,
+        np.ascontiguousarray(z, np.float64),
+        np.ascontiguousarray(measured, np.uint8),
+        np.zeros(2 * size),
+        np.zeros(size + SPARE, np.float32),
+        np.zeros(number_of_words(1, size), np.uint32),
+        ancestor,
+        mse,
+        fill.address,
+    )
+    _filter_draws(work)
     return mse
 
 
-class _Pointers(NamedTuple):
-    words: NDArray[np.uint32]
+class _Work(NamedTuple):
+    stream: np.uint64
+    draws: int
+    instants: int
+    particles: int
+    size: int
+    points: int  # variates that place the points of the resampling scheme
+    z: NDArray[np.float64]
+    measured: NDArray[np.uint8]
+    cloud: NDArray[np.float64]  # (2, size)
     noise: NDArray[np.float32]
+    words: NDArray[np.uint32]
+    ancestor: NDArray[np.uint32]
+    mse: NDArray[np.float64]
+    fill: int  # address of `fill`
 
 
-@njit(nogil=True, fastmath=True)  # sums in vectors
-def _loop(stream, z, measured, particles, points, cloud, noise, pointers, ancestor, mse):  # type: ignore[no-untyped-def]
-    given = with_pointers(pointers)
-    zero, single = np.int64(0), np.int64(1)
-    width = np.int64(-(-particles // LANES) * LANES)
-    for d in range(mse.size):
-        key = Key(stream, zero, FILTER_INITIAL, zero)
-        fill(given.words, given.noise, width, NORMAL, key, d, single)
+@entry(_Work)
+def _filter_draws(work):  # type: ignore[no-untyped-def]
+    _loop(read(work))
+
+
+@njit(fastmath=True)  # sums in vectors
+def _loop(work):  # type: ignore[no-untyped-def]
+    particles, cloud, noise, ancestor = work.particles, work.cloud, work.noise, work.ancestor
+    zero = np.int64(0)
+    width = (particles + LANES - 1) // LANES * LANES
+    for d in range(work.draws):
+        _fill(work, width, NORMAL, zero, FILTER_INITIAL, d)
+        source, target = cloud, ahead(cloud, work.size)
         for i in range(particles):
-            cloud[0, i] = 5.0 * noise[i]
-        here, error = 0, 0.0
-        for t in range(measured.size):
+            source[i] = 5.0 * noise[i]
+        error = 0.0
+        for t in range(work.instants):
             if t > 0:
-                key = Key(stream, t, FILTER_PROCESS, zero)
-                fill(given.words, given.noise, width, NORMAL, key, d, single)
+                _fill(work, width, NORMAL, t, FILTER_PROCESS, d)
                 for i in range(particles):
-                    cloud[1 - here, i] = cloud[here, i] + noise[i]
-                here = 1 - here
+                    target[i] = source[i] + noise[i]
+                source, target = target, source
             total = 0.0
             for i in range(particles):
-                total += cloud[here, i]
-            error += (total / particles - z[d, t]) ** 2
-            if measured[t]:
-                key = Key(stream, t, RESAMPLING, zero)
-                fill(given.words, given.noise, points, EXPONENTIAL, key, d, single)
+                total += source[i]
+            error += (total / particles - work.z[d * work.instants + t]) ** 2
+            if work.measured[t]:
+                _fill(work, work.points, EXPONENTIAL, t, RESAMPLING, d)
                 for i in range(particles):
-                    cloud[1 - here, i] = cloud[here, ancestor[i]]
-                here = 1 - here
-        mse[d] = error / measured.size
+                    target[i] = source[ancestor[i]]
+                source, target = target, source
+        work.mse[d] = error / work.instants
+
+
+@njit
+def _fill(work, width, kind, t, role, draw):  # type: ignore[no-untyped-def]
+    key = Key(work.stream, t, role, np.int64(0))
+    call(work.fill, Row(work.words, work.noise, width, kind, key, draw, 1))

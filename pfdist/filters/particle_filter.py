@@ -173,8 +173,6 @@ def _filter(
         z=_array(draws.z),
         first_components=np.array([part.y.start for part in model.parts]),
         particles=settings.particles,
-        scheme=list(ALL_SCHEMES).index(scheme.name),
-        sorts=scheme.sorts,
         holds_truth=scheme.holds_truth,
         guided=settings.guides(model),
         threshold=float(settings.threshold),
@@ -185,7 +183,7 @@ def _filter(
     )
     estimate, variance = wanted.moments
     results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
-    filter_all(blocks.blocks, request, planned, results)
+    filter_all(blocks.blocks, request, planned, results, scheme.name)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate

@@ -6,7 +6,7 @@ from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.filters.formulas import simulation_blocks
 from pfdist.kernels import simulation
-from pfdist.kernels.variates import codes_of
+from pfdist.kernels.variates import codes_of, fill_of_draws
 from pfdist.kernels.vectors import LANES
 from pfdist.models import StateSpaceModel
 
@@ -71,6 +71,7 @@ def simulate(
         np.zeros(max(model.components) * simulation.TOGETHER),
         np.zeros((kinds.shape[1] + 1) * simulation.TOGETHER, np.float32),
         np.zeros(4 * LANES, np.uint32),
+        fill_of_draws.address,
     )
     simulation.simulate_draws(work)
     check_finite(model, draws, stream)

@@ -33,17 +33,24 @@ from numpy.typing import NDArray
 
 from pfdist.kernels import schemes
 from pfdist.kernels.cached import compiled, entry
-from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.variates import EXPONENTIAL, RESAMPLING, SPARE, UNIFORM, Key, fill, words_of
+from pfdist.kernels.memory import ahead, call, read
+from pfdist.kernels.variates import (
+    EXPONENTIAL,
+    RESAMPLING,
+    SPARE,
+    UNIFORM,
+    Key,
+    Row,
+    fill,
+    number_of_words,
+)
 from pfdist.kernels.vectors import (
     LANES,
     Array,
     Vector,
-    ahead,
     iota,
     splat,
     vectorised,
-    with_pointers,
 )
 
 _BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
@@ -54,14 +61,6 @@ _POINTS = 2.0**31 - 2.0**10  # points lie below the last share
 _NOTHING_PASSES = np.int32(2**31 - 1)
 _MARKS = 8  # particles that are marked together
 _COMPONENT = np.int64(0)  # of the noise that places the points
-
-MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED, CONDITIONAL = (
-    np.int64([*ALL_SCHEMES].index(each.name))
-    for each in (
-        schemes.MULTINOMIAL, schemes.STRATIFIED, schemes.SYSTEMATIC, schemes.RESIDUAL,
-        schemes.SORTED_SYSTEMATIC, schemes.CONDITIONAL,
-    )
-)  # fmt: skip
 
 
 class Resampling(NamedTuple):
@@ -76,9 +75,10 @@ class Resampling(NamedTuple):
     shares: NDArray[np.int32]  # (2 * span,)
     sums: NDArray[np.float64]  # (span,)
     noise: NDArray[np.float32]  # (span,)
-    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
+    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.number_of_words`
     chosen: NDArray[np.int64]  # (draws,): the draws that are resampled
     counts: NDArray[np.int64]  # (2 * digits,): of the sort
+    fill: int  # address of `pfdist.kernels.variates.fill`
 
 
 class Drawn(NamedTuple):
@@ -102,9 +102,10 @@ def resampling_scratch(draws: int, width: int) -> Resampling:
         shares=np.zeros(2 * span, np.int32),
         sums=np.zeros(span),
         noise=np.zeros(span, np.float32),
-        words=words_of(1, span),
+        words=np.zeros(number_of_words(1, span), np.uint32),
         chosen=np.zeros(draws, np.int64),
         counts=np.zeros(2 * _DIGITS, np.int64),
+        fill=fill.address,
     )
 
 
@@ -375,7 +376,8 @@ def _store_scaled(
 def _fill_noise(scratch, width, kind, drawn, draw):
     """Fill the noise that places the points of a draw."""
     key = Key(drawn.stream, drawn.key, RESAMPLING, _COMPONENT)
-    fill(scratch.words, scratch.noise, width, kind, key, draw, np.int64(1))
+    row = Row(scratch.words, scratch.noise, width, kind, key, draw, 1)
+    call(scratch.fill, row)
 
 
 @compiled
@@ -477,37 +479,97 @@ def _merge_two(scratch, count, to, other):
 # --- the schemes ----------------------------------------------------------------------------------
 
 
-@compiled
-def find_ancestors(scheme, cumulative, resamples, drawn, scratch):
-    """Find the ancestors of the particles of consecutive draws.
+class Search(NamedTuple):
+    """The weights of consecutive draws, for which a scheme finds the ancestors."""
 
-    A draw without the flag `resamples` keeps its particles. The ancestors of draw d begin at
-    ``d * scratch.span``, and count from its first particle. `scheme` is a position in
-    `ALL_SCHEMES`.
-    """
-    some, span, width = 0, scratch.span, drawn.width
-    for d in range(drawn.draws):
-        if resamples[d]:
+    cumulative: NDArray[np.float64]
+    resamples: NDArray[np.uint8]  # (draws,): a draw without this flag keeps its particles
+    # number of first particles that are their own ancestors: 1 for the conditional scheme, else 0
+    kept: int
+    drawn: Drawn
+    scratch: Resampling
+
+
+@compiled
+def _chosen(search):
+    """The number of draws that are resampled; the others keep their particles."""
+    some, scratch = np.int64(0), search.scratch
+    for d in range(search.drawn.draws):
+        if search.resamples[d]:
             scratch.chosen[some] = d
             some += 1
         else:
-            for i in range(width):
-                scratch.ancestor[d * span + i] = i
-    if scheme in (SYSTEMATIC, SORTED, RESIDUAL):
-        for number in range(some):
-            d = scratch.chosen[number]
-            weights, total = ahead(cumulative, d * width), cumulative[(d + 1) * width - 1]
-            if scheme == RESIDUAL:
-                _residual(weights, total, drawn, drawn.first + d, scratch, d * span)
-            else:
-                _systematic(weights, total, drawn, drawn.first + d, scratch, d * span)
-    else:
-        _by_points(scheme, cumulative, drawn, scratch, some)
+            for i in range(search.drawn.width):
+                scratch.ancestor[d * scratch.span + i] = i
+    return some
+
+
+@entry(Search)
+def systematic(search):
+    """Find systematic ancestors; see `ENTRIES`."""
+    cumulative, _, _, drawn, scratch = read(search)
+    for number in range(_chosen(read(search))):
+        d = scratch.chosen[number]
+        weights = ahead(cumulative, d * drawn.width)
+        _systematic(weights, drawn, drawn.first + d, scratch, d * scratch.span)
+
+
+@entry(Search)
+def residual(search):
+    """Find ancestors by the residual scheme; see `ENTRIES`."""
+    cumulative, _, _, drawn, scratch = read(search)
+    for number in range(_chosen(read(search))):
+        d = scratch.chosen[number]
+        weights = ahead(cumulative, d * drawn.width)
+        _residual(weights, drawn, drawn.first + d, scratch, d * scratch.span)
+
+
+@entry(Search)
+def multinomial(search):
+    """Find multinomial ancestors, or conditional ones; see `ENTRIES`."""
+    _, _, kept, drawn, scratch = read(search)
+    some, count = _chosen(read(search)), drawn.particles - kept
+    for number in range(np.int64(0), some, np.int64(2)):
+        pair = np.int64(2) if number + 1 < some else np.int64(1)
+        for k in range(pair):
+            draw = drawn.first + scratch.chosen[number + k]
+            # P - 1 points for the others of a conditional cloud. One of P sorted points cannot
+            # simply be left out: the point at a given position is not uniform.
+            _ascending_points(scratch, k * scratch.span, drawn, draw, count)
+        _place(read(search), number, pair)
+
+
+@entry(Search)
+def stratified(search):
+    """Find stratified ancestors; see `ENTRIES`."""
+    _, _, kept, drawn, scratch = read(search)
+    some, count = _chosen(read(search)), drawn.particles - kept
+    for number in range(np.int64(0), some, np.int64(2)):
+        pair = np.int64(2) if number + 1 < some else np.int64(1)
+        for k in range(pair):
+            draw = drawn.first + scratch.chosen[number + k]
+            _stratified_points(scratch, k * scratch.span, drawn, draw, count)
+        _place(read(search), number, pair)
+
+
+ENTRIES = {
+    schemes.MULTINOMIAL.name: multinomial,
+    schemes.STRATIFIED.name: stratified,
+    schemes.SYSTEMATIC.name: systematic,
+    schemes.RESIDUAL.name: residual,
+    schemes.SORTED_SYSTEMATIC.name: systematic,
+    schemes.CONDITIONAL.name: multinomial,
+}
+"""The function of each scheme.
+
+It finds the ancestors of the particles of consecutive draws. Those of draw d begin at
+``d * scratch.span``, and count from the draw's first particle.
+"""
 
 
 @compiled
-def _systematic(cumulative, total, drawn, draw, scratch, to):
-    particles = drawn.particles
+def _systematic(cumulative, drawn, draw, scratch, to):
+    particles, total = drawn.particles, cumulative[drawn.width - 1]
     _fill_noise(scratch, np.int64(LANES), UNIFORM, drawn, draw)
     shift, starts = np.float64(scratch.noise[0]), scratch.points
     scale = particles / max(total, _LEAST_TOTAL)
@@ -526,8 +588,8 @@ def _end_starts(starts, particles, count):
 
 
 @compiled
-def _residual(cumulative, total, drawn, draw, scratch, to):
-    particles = drawn.particles
+def _residual(cumulative, drawn, draw, scratch, to):
+    particles, total = drawn.particles, cumulative[drawn.width - 1]
     starts, before, certain, rest = scratch.points, 0.0, 0, 0.0
     starts[0] = 0
     whole = max(total, _LEAST_TOTAL)
@@ -553,31 +615,22 @@ def _residual(cumulative, total, drawn, draw, scratch, to):
 
 
 @compiled
-def _by_points(scheme, cumulative, drawn, scratch, some):
-    """Multinomial, stratified and conditional ancestors, of two draws at a time."""
-    skipped = np.int64(1) if scheme == CONDITIONAL else np.int64(0)
-    count, span, chosen = drawn.particles - skipped, scratch.span, scratch.chosen
-    for number in range(np.int64(0), some, np.int64(2)):
-        pair = min(np.int64(2), some - number)
+def _place(search, number, pair):
+    """Find the ancestors of one draw or two draws from their points."""
+    cumulative, _, kept, drawn, scratch = search
+    count, span, chosen = drawn.particles - kept, scratch.span, scratch.chosen
+    for k in range(pair):
+        weights = ahead(cumulative, chosen[number + k] * drawn.width)
+        total = weights[drawn.width - 1]
+        _prepare_merge(scratch, k, weights, total, drawn.particles, count)
+    to = chosen[number] * span + kept
+    if pair == 2:
+        _merge_two(scratch, count, to, chosen[number + 1] * span + kept)
+    else:
+        _merge(scratch, np.int64(0), count, to)
+    if kept:
         for k in range(pair):
-            d, base = chosen[number + k], k * span
-            if scheme == STRATIFIED:
-                _stratified_points(scratch, base, drawn, drawn.first + d, count)
-            else:
-                # P - 1 points for the others of a conditional cloud. One of P sorted points cannot
-                # simply be left out: the point at a given position is not uniform.
-                _ascending_points(scratch, base, drawn, drawn.first + d, count)
-            weights = ahead(cumulative, d * drawn.width)
-            total = weights[drawn.width - 1]
-            _prepare_merge(scratch, k, weights, total, drawn.particles, count)
-        to = chosen[number] * span + skipped
-        if pair == 2:
-            _merge_two(scratch, count, to, chosen[number + 1] * span + skipped)
-        else:
-            _merge(scratch, np.int64(0), count, to)
-        if skipped:
-            for k in range(pair):
-                scratch.ancestor[chosen[number + k] * span] = 0
+            scratch.ancestor[chosen[number + k] * span] = 0
 
 
 @vectorised()
@@ -689,9 +742,9 @@ def _rows(log_weight: NDArray[np.float64], weight: NDArray[np.float64]) -> _Rows
     return _Rows(draws, padded.shape[1], particles, padded, singles, cumulative, resamples)
 
 
-@entry
+@entry(_Rows)
 def _weigh_rows(rows):
-    rows = with_pointers(rows)
+    rows = read(rows)
     for d in range(rows.draws):
         weigh(
             rows.log_weight, d * rows.width, rows.width, rows.particles, rows.weight,
@@ -699,12 +752,11 @@ def _weigh_rows(rows):
         )  # fmt: skip
 
 
-@entry
-def _find_rows(rows, scheme, drawn, scratch):
-    rows, scratch = with_pointers(rows), with_pointers(scratch)
+@entry(_Rows)
+def _cumulate_rows(rows):
+    rows = read(rows)
     for d in range(rows.draws):
         cumulate(rows.weight, d * rows.width, rows.width, rows.cumulative)
-    find_ancestors(scheme, rows.cumulative, rows.resamples, drawn, scratch)
 
 
 def _padded(values: Any, dtype: Any) -> NDArray[Any]:
@@ -727,8 +779,9 @@ def ancestors_of(
     """Ancestors of the particles of consecutive draws, (D, P), from their weights (D, P)."""
     rows = _rows(weight, weight)
     scratch = resampling_scratch(rows.draws, rows.width)
-    number = [*ALL_SCHEMES].index(scheme)
     drawn = Drawn(np.uint64(stream), key, draws.start, rows.draws, rows.width, rows.particles)
-    _find_rows(rows, number, drawn, scratch)
+    _cumulate_rows(rows)
+    kept = int(schemes.ALL_SCHEMES[scheme].holds_truth)
+    ENTRIES[scheme](Search(rows.cumulative, rows.resamples, kept, drawn, scratch))
     ancestors = scratch.ancestor[: rows.draws * scratch.span].reshape(rows.draws, -1)
     return ancestors[:, : rows.particles].astype(np.intp)

@@ -136,7 +136,7 @@ def run(address: int, out: Array, slots: Array, shared: Array | None = None) -> 
 
 
 @intrinsic
-def call(context, address, out, slots, noise, given, shared, size):
+def call_block(context, address, out, slots, noise, given, shared, size):
     """Call a block by its address; see `pfdist.kernels.lowering.ARGUMENTS`.
 
     `out`, `slots` and `noise` are a pointer and a stride, `given` a pointer and two strides,

@@ -5,10 +5,12 @@ the sources from which the code is made, and of the versions. Numba itself compa
 which a function is defined, and not those of the functions that it calls.
 """
 
+import ctypes
 import hashlib
 import os
 import platform
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -18,8 +20,11 @@ from typing import Any, Final
 import llvmlite
 import numba
 import numpy as np
+from numba import types
 
+from pfdist.common.telling import tell
 from pfdist.errors import EngineWarning
+from pfdist.kernels.memory import in_memory, tuple_type
 
 FOLDER_VARIABLE: Final = "PFDIST_CACHE_DIR"
 """Environment variable that names another place for the folder."""
@@ -39,18 +44,53 @@ def compiled(function: Callable[..., Any]) -> Any:
     return numba.njit(function, **_IN_COMPILED_CODE)
 
 
-def entry(function: Callable[..., Any]) -> Any:
-    """The function that Python calls; its machine code is kept. It runs without Python's lock.
+class Entry:
+    """A function that Python calls with a named tuple, and that compiled code calls by its address.
+
+    It is compiled when it is first needed, and its machine code is kept. It runs without Python's
+    lock. LLVM optimises it alone. It would optimise a function that is called by its name once more
+    in each function that calls it, so the first compilation would take three times as long.
+    """
+
+    def __init__(self, function: Callable[..., Any], kind: type) -> None:
+        self._function, self._kind = function, kind
+        self._code: Any = None  # must live as long as the address is used
+
+    @property
+    def address(self) -> int:
+        """The address of the machine code."""
+        if self._code is None:
+            with _ONE_AT_A_TIME:
+                if self._code is None:
+                    self._code = _with_code_kept(self._function, tuple_type(self._kind))
+        return int(self._code.address)
+
+    def __call__(self, values: Any) -> None:
+        """Call the function with a named tuple."""
+        memory = in_memory(values)
+        _CALL(self.address)(memory.ctypes.data)
+
+
+_ONE_AT_A_TIME = threading.Lock()
+_CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+
+def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
+    """Decorator of a function that gets the address of a named tuple of this kind."""
+    return lambda function: Entry(function, kind)
+
+
+def _with_code_kept(function: Callable[..., Any], kind: Any) -> Any:
+    """The compiled function, from the folder if it is there.
 
     Numba's setting of the folder holds for a whole process. It is read when a function is declared,
-    so it is changed for this moment only, and cached functions of the user do not move.
+    so it is changed for this time only, and cached functions of the user do not move.
     """
     folder, before = _folder(), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before
     try:
-        return numba.njit(
-            function, cache=bool(folder), nogil=True, error_model="numpy", no_cfunc_wrapper=True
-        )
+        signature = types.void(types.CPointer(kind))
+        return numba.cfunc(signature, cache=bool(folder), error_model="numpy")(function)
     finally:
         numba.config.CACHE_DIR = before
 
@@ -78,6 +118,8 @@ def _folder() -> str:
             stacklevel=2,
         )
         return ""
+    if not any(folder.iterdir()):
+        tell("Compiling the filter, once on this machine (about 10 s)...")
     return str(folder)
 
 

@@ -9,16 +9,16 @@ where width is the number of particles, rounded up to whole vectors. An array wi
 ``stride`` entries a row.
 """
 
-import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.kernels.ancestors import (
+    ENTRIES,
     Drawn,
     Resampling,
-    find_ancestors,
+    Search,
     resampling_scratch,
     sort_by_state,
     sum_of_first,
@@ -28,12 +28,14 @@ from pfdist.kernels.ancestors import (
     weigh,
     weighted_sum,
 )
-from pfdist.kernels.blocks import Blocks, call
-from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.blocks import Blocks, call_block
+from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.estimators import ErrorWeights
+from pfdist.kernels.memory import ahead, call, read, readers, zeros
 from pfdist.kernels.prefixes import Plan
-from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, Key, fill, words_of
-from pfdist.kernels.vectors import LANES, ahead, with_pointers
+from pfdist.kernels.schemes import ALL_SCHEMES
+from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, Key, Row, number_of_words
+from pfdist.kernels.vectors import LANES
 
 INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
     np.arange(10)  # NumPy's: Numba compiles a function anew for each integer of Python
@@ -91,8 +93,6 @@ class Request(NamedTuple):
     z: NDArray[np.float64]  # (D, T+1, q): true quantities of interest
     first_components: NDArray[np.int64]  # (sensors,): of y, for each sensor
     particles: int
-    scheme: int  # position in `pfdist.kernels.schemes.ALL_SCHEMES`
-    sorts: bool  # whether the scheme sorts the particles
     holds_truth: bool  # whether particle 0 is the truth
     guided: bool
     threshold: float  # see `pfdist.kernels.schemes.threshold_of`
@@ -127,12 +127,10 @@ class Results(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """Which of the results are wanted besides the mse."""
+    """Which of the results are wanted besides the mse, the ranks and the cloud."""
 
     moments: bool
     errors: bool
-    ranks: bool
-    cloud: bool
 
 
 class Batch(NamedTuple):
@@ -143,6 +141,7 @@ class Batch(NamedTuple):
     stride: int  # of rows of particles
     spacious: int  # of rows of noise
     row: int  # of rows of draws
+    half: NDArray[np.int64]  # (1,): which half of the cloud counts
     # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
     # step reads one half and writes the other
     cloud: NDArray[np.float64]
@@ -175,13 +174,28 @@ class Saved(NamedTuple):
     flags: NDArray[np.uint8]  # (slots, 2, row): `weighted` and `degenerate`
 
 
-class At(NamedTuple):
-    """A batch, and the filter of its draws."""
+class Steps(NamedTuple):
+    """The addresses of the steps of a filter; 0 for one that it does not need.
 
-    stream: int  # key of the filter's noise
-    number: int  # of the filter
-    first: int  # row of the batch's first draw in the arrays
-    draws: int  # number of draws
+    So a step is compiled alone, and only if a filter needs it, see `pfdist.kernels.cached.Entry`.
+    """
+
+    begin: int
+    resume: int
+    save: int
+    move: int
+    put_truth: int
+    forget: int
+    weigh: int
+    move_again: int
+    sort: int
+    resample: int
+    scheme: int  # one of `pfdist.kernels.ancestors.ENTRIES`
+    estimate: int
+    estimate_variance: int
+    rank: int
+    finish: int
+    keep: int
 
 
 class Work(NamedTuple):
@@ -195,83 +209,136 @@ class Work(NamedTuple):
     batch: Batch
     scratch: Resampling
     saved: Saved
+    steps: Steps
 
 
-@entry
+(
+    _blocks, _request, _plan, _results, _wanted, _batch, _scratch, _saved, _steps,
+) = readers(Work)  # fmt: skip
+
+
+class At(NamedTuple):
+    """A batch, and the filter of its draws."""
+
+    work: Annotated[int, Work]  # address
+    stream: np.uint64  # key of the filter's noise
+    number: int  # of the filter
+    first: int  # row of the batch's first draw in the arrays
+    draws: int  # number of draws
+
+
+class Instant(NamedTuple):
+    """An instant, as a step of a filter gets it."""
+
+    at: At
+    s: int  # the set
+    t: int
+    sensors: int  # a bit for each sensor that measures
+    sensor: int  # whose turn it is
+
+
+class Slot(NamedTuple):
+    """A batch, and where it is saved."""
+
+    at: At
+    slot: int
+
+
+@entry(Work)
 def filter_draws(work):
     """Filter all draws with all sets of a plan.
 
     Sets are innermost and in the plan's order: a set resumes from a batch that an earlier set saved
     for the same draws and filter. The filter of a set pauses at each instant before which a later
-    set resumes. `here` is 0 or 1: the half that counts.
+    set resumes.
     """
-    work = with_pointers(work)
-    request, plan, batch = work.request, work.plan, work.batch
+    request, batch = _request(work), _batch(work)
     for first in range(np.int64(0), request.draws, batch.draws):
-        draws = min(batch.draws, request.draws - first)
+        left = request.draws - first
+        draws = batch.draws if batch.draws < left else left
         for number in range(request.filters):
-            at = At(request.streams[number], number, first, draws)
+            at = At(work, request.streams[number], number, first, draws)
             for s in range(request.sets):
-                here, stop = np.int64(0), plan.begins[s]
-                if stop > 0:
-                    _resume(work, plan.sources[s])
-                else:
-                    _begin(work, at)
-                last = plan.first_stops[s + 1] - 1
-                # Whether the last cloud counts, so that it is resampled after a measurement.
-                goes_on = plan.slots[last] >= 0 or work.wanted.cloud
-                for k in range(plan.first_stops[s], last + 1):
-                    begin, stop = stop, plan.stops[k]
-                    for t in range(begin, stop):
-                        resamples = goes_on or t + 1 < plan.ends[s]
-                        sensors = plan.measured[s * request.instants + t]
-                        here = _filter_instant(work, at, here, t, s, sensors, resamples)
-                    if plan.slots[k] >= 0:
-                        _save(work, here, plan.slots[k])
-                _finish(work, at, here, s)
+                _filter_set(at, s)
 
 
 @compiled
-def _filter_instant(work, at, here, t, s, sensors, resamples):
-    """Propagate, weight, estimate and resample; the half that then counts.
+def _filter_set(at, s):
+    """Filter a batch with a set."""
+    plan, steps, instants = _plan(at.work), _steps(at.work), _request(at.work).instants
+    stop = plan.begins[s]
+    if stop > 0:
+        call(steps.resume, Slot(at, plan.sources[s]))
+    else:
+        call(steps.begin, Instant(at, s, 0, 0, 0))
+    last = plan.first_stops[s + 1] - 1
+    # Whether the last cloud counts, so that it is resampled after a measurement.
+    goes_on = plan.slots[last] >= 0 or steps.keep != 0
+    for k in range(plan.first_stops[s], last + 1):
+        begin, stop = stop, plan.stops[k]
+        for t in range(begin, stop):
+            resamples = goes_on or t + 1 < plan.ends[s]
+            _filter_instant(at, s, t, plan.measured[s * instants + t], resamples)
+        if plan.slots[k] >= 0:
+            call(steps.save, Slot(at, plan.slots[k]))
+    call(steps.finish, Instant(at, s, 0, 0, 0))
 
-    The estimate comes before resampling, which adds noise. `sensors` has a bit for each sensor that
-    measures.
+
+@compiled
+def _filter_instant(at, s, t, sensors, resamples):
+    """Propagate, weight, estimate and resample; sensors weigh in their turn.
+
+    The cloud is also resampled between two sensors, but not propagated. The estimate comes before
+    the last resampling, which adds noise. `sensors` has a bit for each sensor that measures.
     """
-    request, wanted, batch = work.request, work.wanted, work.batch
+    request, steps = _request(at.work), _steps(at.work)
+    instant = Instant(at, s, t, sensors, 0)
     if t > 0:
-        _step(work, at, here, t, sensors > 0)
-        here = 1 - here
-    if request.holds_truth:
-        _put_truth(work, at, here, t)
+        call(steps.move, instant)
+    if steps.put_truth != 0:
+        call(steps.put_truth, instant)
     if sensors > 0:
-        here = _measure(work, at, here, t, sensors)
-    _estimate(work, at, here, t, s)
-    if sensors > 0 and wanted.ranks:
-        _rank_truth(work, at, here, t)
+        call(steps.forget, instant)
+        for sensor in range(request.sensors):
+            if (sensors >> sensor) & 1:
+                measurement = Instant(at, s, t, sensors, sensor)
+                call(steps.resample, measurement)
+                call(steps.weigh, measurement)
+                if steps.move_again != 0 and t > 0:
+                    call(steps.move_again, measurement)
+                if steps.sort != 0:
+                    call(steps.sort, measurement)
+    call(steps.estimate, instant)
+    if sensors > 0 and steps.rank != 0:
+        call(steps.rank, instant)
     if sensors > 0 and resamples:
-        for d in range(at.draws):
-            batch.resamples[d] = batch.weighs[d] and _is_uneven(work, d)
-        key = (request.start + t + 1) * request.sensors - 1
-        here = _resample(work, at, here, key)
-    return here
+        call(steps.resample, Instant(at, s, t, sensors, request.sensors))
 
 
 @compiled
-def _half(work, here):
-    """A half of the cloud."""
-    request, batch = work.request, work.batch
-    return ahead(batch.cloud, here * (request.states + 1) * batch.stride)
+def _present(at):
+    """The half of the cloud that counts."""
+    request, batch = _request(at.work), _batch(at.work)
+    return ahead(batch.cloud, batch.half[0] * (request.states + 1) * batch.stride)
+
+
+@compiled
+def _other(at):
+    """The half of the cloud that a step writes."""
+    request, batch = _request(at.work), _batch(at.work)
+    return ahead(batch.cloud, (1 - batch.half[0]) * (request.states + 1) * batch.stride)
 
 
 # --- the first cloud, and steps -------------------------------------------------------------------
 
 
-@compiled
-def _resume(work, slot):
+@entry(Slot)
+def _resume(place):
     """Fill the first half from a saved batch."""
-    request, saved, batch = work.request, work.saved, work.batch
+    at, slot = read(place)
+    request, saved, batch = _request(at.work), _saved(at.work), _batch(at.work)
     count, row = request.states * batch.stride, batch.row
+    batch.half[0] = 0
     _copy(ahead(saved.cloud, slot * count), batch.cloud, count)
     _copy(ahead(saved.weight, slot * batch.stride), batch.weight, batch.stride)
     _copy(ahead(saved.numbers, 2 * slot * row), batch.total, row)
@@ -280,12 +347,13 @@ def _resume(work, slot):
     _copy(ahead(saved.flags, (2 * slot + 1) * row), batch.degenerate, row)
 
 
-@compiled
-def _save(work, here, slot):
+@entry(Slot)
+def _save(place):
     """Save the batch, because a later set resumes from it."""
-    request, saved, batch = work.request, work.saved, work.batch
+    at, slot = read(place)
+    request, saved, batch = _request(at.work), _saved(at.work), _batch(at.work)
     count, row = request.states * batch.stride, batch.row
-    _copy(_half(work, here), ahead(saved.cloud, slot * count), count)
+    _copy(_present(at), ahead(saved.cloud, slot * count), count)
     _copy(batch.weight, ahead(saved.weight, slot * batch.stride), batch.stride)
     _copy(batch.total, ahead(saved.numbers, 2 * slot * row), row)
     _copy(batch.error, ahead(saved.numbers, (2 * slot + 1) * row), row)
@@ -300,23 +368,32 @@ def _copy(source, target, count):
 
 
 @compiled
-def _begin(work, at):
-    """Fill the first half with the prior, or with x(0)."""
-    request, batch = work.request, work.batch
+def _begin(at):
+    """Begin a set with an empty sum of errors."""
+    request, batch = _request(at.work), _batch(at.work)
+    batch.half[0] = 0
     for d in range(at.draws):
         batch.total[d], batch.error[d] = float(request.particles), 0.0
         batch.weighted[d] = batch.weighs[d] = batch.degenerate[d] = 0
-    if request.has_prior:
-        _take_prior(work, at)
-        return
-    _fill_noise(work, at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL)
-    _of_particles(work, at, INITIAL, np.int64(0), batch.cloud, batch.cloud)
 
 
-@compiled
-def _take_prior(work, at):
-    request, batch = work.request, work.batch
+@entry(Instant)
+def _draw_prior(instant):
+    """Begin a set with x(0) in the first half."""
+    at = read(instant).at
+    batch = _batch(at.work)
+    _begin(at)
+    _fill_noise(at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL)
+    _of_particles(at, INITIAL, np.int64(0), batch.cloud, batch.cloud)
+
+
+@entry(Instant)
+def _take_prior(instant):
+    """Begin a set with particles of the prior, and their weights, in the first half."""
+    at = read(instant).at
+    request, batch = _request(at.work), _batch(at.work)
     particles, width, stride = request.particles, batch.width, batch.stride
+    _begin(at)
     for d in range(at.draws):
         origin = d * width
         chosen = ahead(request.chosen, (at.number * request.draws + at.first + d) * particles)
@@ -334,24 +411,25 @@ def _take_prior(work, at):
 
 
 @compiled
-def _fill_noise(work, at, process, t, role):
+def _fill_noise(at, process, t, role):
     """A row of noise for each component of a process."""
-    request, batch = work.request, work.batch
+    request, batch = _request(at.work), _batch(at.work)
     for c in range(request.components):
         kind = request.kinds[process * request.components + c]
         if kind >= 0:
-            fill(
+            row = Row(
                 batch.words, ahead(batch.noise, c * batch.spacious), batch.width, kind,
                 Key(at.stream, t, role, c), request.first_draw + at.first, at.draws,
             )  # fmt: skip
+            call(_scratch(at.work).fill, row)
 
 
 @compiled
-def _of_particles(work, at, block, t, source, target):
+def _of_particles(at, block, t, source, target):
     """Call a block for all particles of the batch: from states and noise to rows of particles."""
-    blocks, request, batch = work.blocks, work.request, work.batch
+    blocks, request, batch = _blocks(at.work), _request(at.work), _batch(at.work)
     which, stride = block * request.instants + t, batch.stride
-    call(
+    call_block(
         blocks.addresses[which],
         (target, stride),
         (source, stride),
@@ -363,11 +441,11 @@ def _of_particles(work, at, block, t, source, target):
 
 
 @compiled
-def _with_given(work, at, block, t, source, target, given, of_draw, of_component):
+def _with_given(at, block, t, source, target, given, of_draw, of_component):
     """Call a block that also gets numbers of each draw, from a pointer on with two strides."""
-    blocks, request, batch = work.blocks, work.request, work.batch
+    blocks, request, batch = _blocks(at.work), _request(at.work), _batch(at.work)
     which, stride = block * request.instants + t, batch.stride
-    call(
+    call_block(
         blocks.addresses[which],
         (target, stride),
         (source, stride),
@@ -379,11 +457,11 @@ def _with_given(work, at, block, t, source, target, given, of_draw, of_component
 
 
 @compiled
-def _of_draws(work, block, t, source, target):
+def _of_draws(at, block, t, source, target):
     """Call a block for all draws of the batch: from rows of draws to other rows."""
-    blocks, request, batch = work.blocks, work.request, work.batch
+    blocks, request, batch = _blocks(at.work), _request(at.work), _batch(at.work)
     which, row = block * request.instants + t, batch.row
-    call(
+    call_block(
         blocks.addresses[which],
         (target, row),
         (source, row),
@@ -395,33 +473,35 @@ def _of_draws(work, block, t, source, target):
 
 
 @compiled
-def _measured_at(work, at, t, component):
+def _measured_at(at, t, component):
     """The pointer to a component of y(t) of the batch's first draw."""
-    request = work.request
+    request = _request(at.work)
     instant = at.first * request.instants + t
     return ahead(request.y, instant * request.measurements + component)
 
 
-@compiled
-def _step(work, at, here, t, is_measured):
+@entry(Instant)
+def _move(instant):
     """Fill the other half with x(t); to a measurement by the proposal if there is one."""
-    request = work.request
-    source, target = _half(work, here), _half(work, 1 - here)
-    before = request.start + t - 1
-    if is_measured and request.guided:
-        _fill_noise(work, at, PROPOSAL_NOISE, before, FILTER_PROCESS)
-        y = _measured_at(work, at, t, np.int64(0))
+    at, _, t, sensors, _ = read(instant)
+    request, batch = _request(at.work), _batch(at.work)
+    source, target, before = _present(at), _other(at), request.start + t - 1
+    if sensors > 0 and request.guided:
+        _fill_noise(at, PROPOSAL_NOISE, before, FILTER_PROCESS)
+        y = _measured_at(at, t, np.int64(0))
         of_draw = request.instants * request.measurements
-        _with_given(work, at, GUIDED, t - 1, source, target, y, of_draw, 1)
+        _with_given(at, GUIDED, t - 1, source, target, y, of_draw, 1)
     else:
-        _fill_noise(work, at, PROCESS_NOISE, before, FILTER_PROCESS)
-        _of_particles(work, at, TRANSITION, t - 1, source, target)
+        _fill_noise(at, PROCESS_NOISE, before, FILTER_PROCESS)
+        _of_particles(at, TRANSITION, t - 1, source, target)
+    batch.half[0] = 1 - batch.half[0]
 
 
-@compiled
-def _put_truth(work, at, here, t):
-    request, batch = work.request, work.batch
-    cloud = _half(work, here)
+@entry(Instant)
+def _put_truth(instant):
+    """Let particle 0 of each draw be the truth."""
+    at, _, t, _, _ = read(instant)
+    request, batch, cloud = _request(at.work), _batch(at.work), _present(at)
     for d in range(at.draws):
         x = ahead(request.x, ((at.first + d) * request.instants + t) * request.states)
         for c in range(request.states):
@@ -431,33 +511,24 @@ def _put_truth(work, at, here, t):
 # --- measurements ---------------------------------------------------------------------------------
 
 
-@compiled
-def _measure(work, at, here, t, sensors):
-    """Weigh the particles by the sensors that measure at t; the half that then counts.
-
-    The sensors weigh in their turn. In between the cloud is resampled, but not propagated. If no
-    particle explains a measurement, the draw is degenerate, and the measurement is left out.
-    """
-    request, batch = work.request, work.batch
+@entry(Instant)
+def _forget(instant):
+    """Forget which draws were weighed before this instant."""
+    at = read(instant).at
+    batch = _batch(at.work)
     for d in range(at.draws):
         batch.weighs[d] = 0
-    for sensor in range(request.sensors):
-        if (sensors >> sensor) & 1:
-            _copy(batch.weighs, batch.resamples, at.draws)
-            key = (request.start + t) * request.sensors + sensor - 1
-            here = _resample(work, at, here, key)
-            _fill_log_weights(work, at, here, t, sensor)
-            _weigh(work, at)
-            if request.guided and t > 0:
-                _step_without(work, at, here, t)
-            if request.sorts:
-                here = _sort(work, at, here)
-    return here
 
 
-@compiled
-def _weigh(work, at):
-    request, batch = work.request, work.batch
+@entry(Instant)
+def _weigh(instant):
+    """Weigh the particles by a sensor.
+
+    If no particle explains a measurement, the draw is degenerate, and the measurement is left out.
+    """
+    at, _, t, _, sensor = read(instant)
+    request, batch = _request(at.work), _batch(at.work)
+    _fill_log_weights(at, t, sensor)
     for d in range(at.draws):
         total = weigh(
             batch.log_weight, d * batch.width, batch.width, request.particles, batch.weight,
@@ -470,18 +541,19 @@ def _weigh(work, at):
             batch.degenerate[d] = 1
 
 
-@compiled
-def _step_without(work, at, here, t):
+@entry(Instant)
+def _move_again(instant):
     """Repeat the step to t without the proposal for draws whose measurement is left out."""
-    request, batch = work.request, work.batch
+    at, _, t, _, _ = read(instant)
+    request, batch = _request(at.work), _batch(at.work)
     fails = False
     for d in range(at.draws):
         fails |= batch.weighs[d] == 0
     if not fails:
         return
-    source, cloud = _half(work, 1 - here), _half(work, here)
-    _fill_noise(work, at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
-    _of_particles(work, at, TRANSITION, t - 1, source, batch.quantity)
+    source, cloud = _other(at), _present(at)
+    _fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
+    _of_particles(at, TRANSITION, t - 1, source, batch.quantity)
     for d in range(at.draws):
         if not batch.weighs[d]:
             for c in range(request.states):
@@ -490,20 +562,20 @@ def _step_without(work, at, here, t):
 
 
 @compiled
-def _fill_log_weights(work, at, here, t, sensor):
+def _fill_log_weights(at, t, sensor):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
-    blocks, request, batch = work.blocks, work.request, work.batch
-    cloud, used = _half(work, here), at.draws * batch.width
-    y = _measured_at(work, at, t, request.first_components[sensor])
+    blocks, request, batch = _blocks(at.work), _request(at.work), _batch(at.work)
+    cloud, used = _present(at), at.draws * batch.width
+    y = _measured_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
-    _with_given(work, at, block, t, cloud, batch.log_weight, y, of_draw, 1)
+    _with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
     if request.guided and t > 0:
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):
             batch.log_weight[i] += guide[i]
     if request.threshold < np.inf:
         which = LOGARITHM * request.instants
-        call(
+        call_block(
             blocks.addresses[which],
             (batch.log_carried, batch.stride),
             (batch.cloud, 0),
@@ -518,101 +590,109 @@ def _fill_log_weights(work, at, here, t, sensor):
                     batch.log_weight[i] += batch.log_carried[i]
 
 
-@compiled
-def _sort(work, at, here):
-    """Sort the particles of each weighed draw by their state; the other half has the result."""
-    request, batch, scratch = work.request, work.batch, work.scratch
-    source, target = _half(work, here), _half(work, 1 - here)
+@entry(Instant)
+def _sort(instant):
+    """Sort the particles of each weighed draw by their state."""
+    at = read(instant).at
+    request, batch, source, target = _request(at.work), _batch(at.work), _present(at), _other(at)
     for d in range(at.draws):
         sort_by_state(
             source, target, batch.weight, batch.cumulative, d * batch.width, batch.width,
-            request.particles, batch.weighs[d] > 0, scratch,
+            request.particles, batch.weighs[d] > 0, _scratch(at.work),
         )  # fmt: skip
-    return 1 - here
+    batch.half[0] = 1 - batch.half[0]
 
 
 @compiled
-def _is_uneven(work, d):
+def _is_uneven(request, batch, d):
     """Whether the effective sample size of a draw lies below the threshold.
 
     Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
     the American Statistical Association 89, 1994.
     """
-    request, batch = work.request, work.batch
     if request.threshold == np.inf:
         return True
     squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
-    return batch.total[d] ** 2 < request.threshold * request.particles * squares
+    return batch.total[d] * batch.total[d] < request.threshold * request.particles * squares
 
 
-@compiled
-def _resample(work, at, here, key):
-    """Resample the draws with the flag; the half that then counts."""
-    request, batch, scratch = work.request, work.batch, work.scratch
+@entry(Instant)
+def _resample(instant):
+    """Resample the draws that the last measurement of the instant weighed.
+
+    Behind all sensors, only those with uneven weights are resampled.
+    """
+    at, _, t, _, sensor = read(instant)
+    request, batch, scratch = _request(at.work), _batch(at.work), _scratch(at.work)
     some = False
     for d in range(at.draws):
+        weighs = batch.weighs[d] > 0
+        batch.resamples[d] = weighs and (sensor < request.sensors or _is_uneven(request, batch, d))
         some |= batch.resamples[d] > 0
     if not some:
-        return here
+        return
+    key = (request.start + t) * request.sensors + sensor - 1
     first = request.first_draw + at.first
     drawn = Drawn(at.stream, key, first, at.draws, batch.width, request.particles)
-    find_ancestors(request.scheme, batch.cumulative, batch.resamples, drawn, scratch)
-    source, target = _half(work, here), _half(work, 1 - here)
+    search = Search(batch.cumulative, batch.resamples, request.holds_truth, drawn, scratch)
+    call(_steps(at.work).scheme, search)
+    source, target = _present(at), _other(at)
     for c in range(request.states):
         row = c * batch.stride
         take(scratch, ahead(source, row), ahead(target, row), at.draws, batch.width)
     for d in range(at.draws):
         if batch.resamples[d]:
             batch.weighted[d], batch.total[d] = 0, float(request.particles)
-    return 1 - here
+    batch.half[0] = 1 - batch.half[0]
 
 
 # --- estimates and errors -------------------------------------------------------------------------
 
 
-@compiled
-def _estimate(work, at, here, t, s):
+@entry(Instant)
+def _estimate(instant):
     """Estimate z(t) of each draw, and add the errors."""
-    request, wanted, batch = work.request, work.wanted, work.batch
+    at, s, t, _, _ = read(instant)
+    request, steps, batch = _request(at.work), _steps(at.work), _batch(at.work)
     quantities, weights = request.quantities, request.weights
-    cloud, mean = _half(work, here), ahead(batch.moments, quantities * batch.row)
+    cloud, mean = _present(at), ahead(batch.moments, quantities * batch.row)
     if request.is_state:
         for r in range(request.means):
             values = ahead(cloud, request.components_of_state[r] * batch.stride)
-            _fill_mean(work, at, values, ahead(batch.means, r * batch.row))
+            _fill_mean(at, values, ahead(batch.means, r * batch.row))
     else:
-        _of_particles(work, at, QUANTITY, t, cloud, batch.quantity)
-        _fill_means(work, at, batch.means, request.means)
-    _of_draws(work, ESTIMATE, t, batch.means, mean)
-    if weights.variance != 0.0 or weights.distance != 0.0 or wanted.moments:
-        _estimate_variance(work, at, cloud, t, s)
+        _of_particles(at, QUANTITY, t, cloud, batch.quantity)
+        _fill_means(at, batch.means, request.means)
+    _of_draws(at, ESTIMATE, t, batch.means, mean)
+    if steps.estimate_variance != 0:
+        call(steps.estimate_variance, Instant(at, s, t, 0, 0))
     if weights.squared_error != 0.0:
         for d in range(at.draws):
             z = ahead(request.z, ((at.first + d) * request.instants + t) * quantities)
             for c in range(quantities):
                 batch.moments[c * batch.row + d] = z[c]
-        _of_draws(work, ERROR, t, batch.moments, batch.distance)
+        _of_draws(at, ERROR, t, batch.moments, batch.distance)
         weight = request.instant_weights[t] * weights.squared_error
         for d in range(at.draws):
-            _add(work, s, t, d, batch.distance[d], weight)
+            _add(at, s, t, d, batch.distance[d], weight)
     for d in range(at.draws):
         if not batch.error[d] < np.inf:
             batch.error[d] = np.inf
 
 
 @compiled
-def _fill_means(work, at, means, rows):
+def _fill_means(at, means, rows):
     """Fill rows of draws with the weighted means of z, or of squared deviations."""
-    batch = work.batch
+    batch = _batch(at.work)
     for r in range(rows):
         values = ahead(batch.quantity, r * batch.stride)
-        _fill_mean(work, at, values, ahead(means, r * batch.row))
+        _fill_mean(at, values, ahead(means, r * batch.row))
 
 
 @compiled
-def _fill_mean(work, at, values, mean):
+def _fill_mean(at, values, mean):
     """Fill a row of draws with the weighted mean of a row of particles."""
-    request, batch = work.request, work.batch
+    request, batch = _request(at.work), _batch(at.work)
     for d in range(at.draws):
         origin = d * batch.width
         if batch.weighted[d]:
@@ -622,24 +702,25 @@ def _fill_mean(work, at, values, mean):
         mean[d] = value / batch.total[d]
 
 
-@compiled
-def _estimate_variance(work, at, cloud, t, s):
+@entry(Instant)
+def _estimate_variance(instant):
     """Record mean and variance, and add the part of the error that they estimate.
 
     Each filter contributes its variance, by the estimator's weights. The first of two filters
     stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
     """
-    request, wanted, batch = work.request, work.wanted, work.batch
+    at, s, t, _, _ = read(instant)
+    request, wanted, batch = _request(at.work), _wanted(at.work), _batch(at.work)
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
     variance = ahead(mean, quantities * row)
-    _with_given(work, at, DEVIATIONS, t, cloud, batch.quantity, mean, 1, row)
-    _fill_means(work, at, variance, quantities)
+    _with_given(at, DEVIATIONS, t, _present(at), batch.quantity, mean, 1, row)
+    _fill_means(at, variance, quantities)
     if wanted.moments:
-        _record(work, at, t, mean, variance)
+        _record(at, t, mean, variance)
     has_distance = request.filters > 1
     if has_distance:
-        _measure_distance(work, at, t, s, mean)
+        _measure_distance(at, t, s, mean)
     for d in range(at.draws):
         error = 0.0
         if request.weights.variance != 0.0:  # else an infinite variance would make a NaN
@@ -648,12 +729,12 @@ def _estimate_variance(work, at, cloud, t, s):
             error *= request.weights.variance
         if has_distance and at.number > 0:
             error += request.weights.distance * batch.distance[d]
-        _add(work, s, t, d, error, request.instant_weights[t])
+        _add(at, s, t, d, error, request.instant_weights[t])
 
 
 @compiled
-def _record(work, at, t, mean, variance):
-    request, results, batch = work.request, work.results, work.batch
+def _record(at, t, mean, variance):
+    request, results, batch = _request(at.work), _results(at.work), _batch(at.work)
     for d in range(at.draws):
         if batch.error[d] < np.inf:
             first = ((at.first + d) * request.instants + t) * request.quantities
@@ -663,37 +744,43 @@ def _record(work, at, t, mean, variance):
 
 
 @compiled
-def _measure_distance(work, at, t, s, mean):
+def _measure_distance(at, t, s, mean):
     """Keep the means of the first filter; the second measures the distance of its own to these."""
-    request, batch = work.request, work.batch
+    request, batch = _request(at.work), _batch(at.work)
     count = request.quantities * batch.row
     first_means = ahead(batch.first_means, (s * request.instants + t) * count)
     if at.number == 0:
         _copy(mean, first_means, count)
     else:
         _copy(first_means, ahead(mean, 2 * count), count)
-        _of_draws(work, DISTANCE, t, mean, batch.distance)
+        _of_draws(at, DISTANCE, t, mean, batch.distance)
 
 
 @compiled
-def _add(work, s, t, d, error, weight):
+def _add(at, s, t, d, error, weight):
     """Add a weighted error to those of a draw that has not ended, and to the sum over draws.
 
     An instant of weight 0 does not count, even if its error is infinite.
     """
-    request, results, wanted, batch = work.request, work.results, work.wanted, work.batch
+    request, results, wanted, batch = (
+        _request(at.work),
+        _results(at.work),
+        _wanted(at.work),
+        _batch(at.work),
+    )
     if batch.error[d] < np.inf and weight != 0.0:
         batch.error[d] += weight * error
         if wanted.errors:
             results.errors[s * request.instants + t] += weight * error
 
 
-@compiled
-def _rank_truth(work, at, here, t):
+@entry(Instant)
+def _rank_truth(instant):
     """The place of the truth's z, which is that of particle 0, among the weighted particles."""
-    results, request, batch = work.results, work.request, work.batch
+    at, _, t, _, _ = read(instant)
+    results, request, batch = _results(at.work), _request(at.work), _batch(at.work)
     half = request.draws * request.instants * request.quantities
-    _of_particles(work, at, QUANTITY, t, _half(work, here), batch.quantity)
+    _of_particles(at, QUANTITY, t, _present(at), batch.quantity)
     for d in range(at.draws):
         origin, total = d * batch.width, batch.total[d]
         first = ((at.first + d) * request.instants + t) * request.quantities
@@ -709,94 +796,120 @@ def _rank_truth(work, at, here, t):
             results.ranks[first + c], results.ranks[half + first + c] = below / total, equal / total
 
 
-@compiled
-def _finish(work, at, here, s):
+@entry(Instant)
+def _finish(instant):
     """Write the results of a set: mean errors, degenerate draws, and clouds that are wanted."""
-    request, results, wanted, batch = work.request, work.results, work.wanted, work.batch
+    at, s, _, _, _ = read(instant)
+    request, results, batch, keep = (
+        _request(at.work), _results(at.work), _batch(at.work), _steps(at.work).keep,
+    )  # fmt: skip
     for d in range(at.draws):
         place = (at.first + d) * request.sets + s
         mse = batch.error[d] / request.instants
         results.mse[place] = mse if at.number == 0 else results.mse[place] + mse
         results.degenerate[place] |= batch.degenerate[d]
-        if wanted.cloud and batch.error[d] < np.inf:
-            _keep(work, at, here, d)
+    if keep != 0:
+        call(keep, Instant(at, s, 0, 0, 0))
 
 
-@compiled
-def _keep(work, at, here, d):
-    """Copy the particles of a draw and their weights into the results."""
-    request, results, batch = work.request, work.results, work.batch
-    cloud, particles, row = _half(work, here), request.particles, at.first + d
-    for i in range(particles):
-        place = d * batch.width + i
-        weight = np.float64(batch.weight[place]) if batch.weighted[d] else 1.0
-        results.weight[row * particles + i] = weight
-        for c in range(request.states):
-            value = cloud[c * batch.stride + place]
-            results.cloud[(row * request.states + c) * particles + i] = value
+@entry(Instant)
+def _keep(instant):
+    """Copy the particles and their weights into the results."""
+    at = read(instant).at
+    request, results, batch = _request(at.work), _results(at.work), _batch(at.work)
+    cloud, particles = _present(at), request.particles
+    for d in range(at.draws):
+        if batch.error[d] < np.inf:
+            row = at.first + d
+            for i in range(particles):
+                place = d * batch.width + i
+                weight = np.float64(batch.weight[place]) if batch.weighted[d] else 1.0
+                results.weight[row * particles + i] = weight
+                for c in range(request.states):
+                    value = cloud[c * batch.stride + place]
+                    results.cloud[(row * request.states + c) * particles + i] = value
 
 
 # --- the arrays that a filter works in ------------------------------------------------------------
 
 _TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
 _MOST_SAVED = 2**22  # numbers of all saved batches, about
-_CACHE_LINE = 64  # bytes
 
 
-def filter_all(blocks: Blocks, request: Request, plan: Plan, results: Results) -> None:
+def filter_all(blocks: Blocks, request: Request, plan: Plan, results: Results, scheme: str) -> None:
     """Filter all draws, in arrays that each call makes for itself: threads filter together."""
     width = -(-request.particles // LANES) * LANES
     numbers = (request.states + 1) * width * max(1, plan.clouds)
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
-    batch, saved = _scratch(request, plan, width, draws)
-    sizes = results.estimate.size, results.errors.size, results.ranks.size, results.cloud.size
-    wanted = Wanted(*(size > 0 for size in sizes))
-    scratch = resampling_scratch(draws, width)
-    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved))
+    batch, saved, _memory = _arrays(request, plan, width, draws)
+    wanted = Wanted(results.estimate.size > 0, results.errors.size > 0)
+    scratch, steps = resampling_scratch(draws, width), _needed(request, plan, results, scheme)
+    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
 
 
-def _scratch(request: Request, plan: Plan, width: int, draws: int) -> tuple[Batch, Saved]:
-    """The arrays of a batch of draws."""
+def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Steps:
+    """The steps that this filter needs."""
+    weights, saves = request.weights, bool((plan.slots >= 0).any())
+    has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
+
+    def address(function: Entry, is_needed: bool = True) -> int:
+        return function.address if is_needed else 0
+
+    return Steps(
+        begin=address(_take_prior if request.has_prior else _draw_prior),
+        resume=address(_resume, saves),
+        save=address(_save, saves),
+        move=address(_move),
+        put_truth=address(_put_truth, request.holds_truth),
+        forget=address(_forget),
+        weigh=address(_weigh),
+        move_again=address(_move_again, request.guided),
+        sort=address(_sort, ALL_SCHEMES[scheme].sorts),
+        resample=address(_resample),
+        scheme=address(ENTRIES[scheme]),
+        estimate=address(_estimate),
+        estimate_variance=address(_estimate_variance, has_variance),
+        rank=address(_rank_truth, results.ranks.size > 0),
+        finish=address(_finish),
+        keep=address(_keep, results.cloud.size > 0),
+    )
+
+
+def _arrays(
+    request: Request, plan: Plan, width: int, draws: int
+) -> tuple[Batch, Saved, list[NDArray[np.uint8]]]:
+    """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
     states, quantities, spacious = request.states, request.quantities, stride + SPARE
     sets = request.sets if request.filters > 1 else 0
-
-    def array(*shape: int, dtype: Any = np.float64) -> NDArray[Any]:
-        """An array of zeros that begins where a line of the processor's cache begins."""
-        size = math.prod(shape) * np.dtype(dtype).itemsize
-        buffer = np.zeros(size + _CACHE_LINE, np.uint8)
-        start = -buffer.ctypes.data % _CACHE_LINE
-        return buffer[start : start + size].view(dtype).reshape(shape)
-
-    batch = Batch(
-        draws,
-        width,
-        stride,
-        spacious,
-        row,
-        cloud=array(2 * (states + 1), stride),
-        quantity=array(max(request.means, states, quantities), stride),
-        log_weight=array(stride),
-        log_carried=array(stride),
-        cumulative=array(stride),
-        noise=array(request.components, spacious, dtype=np.float32),
-        weight=array(stride, dtype=np.float32),
-        words=words_of(draws, width),
-        means=array(request.means, row),
-        moments=array(4 * quantities, row),
-        distance=array(row),
-        total=array(row),
-        error=array(row),
-        weighted=array(row, dtype=np.uint8),
-        weighs=array(row, dtype=np.uint8),
-        resamples=array(row, dtype=np.uint8),
-        degenerate=array(row, dtype=np.uint8),
-        first_means=array(sets, request.instants, quantities, row),
+    memory, arrays = zeros(
+        Batch,
+        half=1,
+        cloud=2 * (states + 1) * stride,
+        quantity=max(request.means, states, quantities) * stride,
+        log_weight=stride,
+        log_carried=stride,
+        cumulative=stride,
+        noise=request.components * spacious,
+        weight=stride,
+        words=number_of_words(draws, width),
+        means=request.means * row,
+        moments=4 * quantities * row,
+        distance=row,
+        total=row,
+        error=row,
+        weighted=row,
+        weighs=row,
+        resamples=row,
+        degenerate=row,
+        first_means=sets * request.instants * quantities * row,
     )
-    saved = Saved(
-        array(slots, states * stride),
-        array(slots, stride, dtype=np.float32),
-        array(slots, 2, row),
-        array(slots, 2, row, dtype=np.uint8),
+    kept, places = zeros(
+        Saved,
+        cloud=slots * states * stride,
+        weight=slots * stride,
+        numbers=slots * 2 * row,
+        flags=slots * 2 * row,
     )
-    return batch, saved
+    batch = Batch(draws, width, stride, spacious, row, **arrays)
+    return batch, Saved(**places), [memory, kept]

@@ -31,16 +31,15 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.memory import ahead, call, read
 from pfdist.kernels.vectors import (
     LANES,
     Array,
     Vector,
-    ahead,
     iota,
     polynomial,
     splat,
     vectorised,
-    with_pointers,
 )
 
 KINDS: Final = ("normal", "uniform", "centred", "exponential")
@@ -227,10 +226,9 @@ class Key(NamedTuple):
     component: int | np.signedinteger[Any]
 
 
-def words_of(draws: int, width: int) -> NDArray[np.uint32]:
-    """The array in which `fill` works: words for whole tiles."""
-    tiles = -(-width // TILE)
-    return np.zeros(2 * draws * tiles * TILE, np.uint32)
+def number_of_words(draws: int, width: int) -> int:
+    """The size of the array in which `fill` works: words for whole tiles."""
+    return 2 * draws * TILE * -(-width // TILE)
 
 
 @compiled
@@ -250,14 +248,25 @@ def fill_words(words, part, tiles, key, first, draws):
             )
 
 
-@compiled
-def fill(words, out, width, kind, key, first, draws):
-    """Fill a row with a variate for each particle of consecutive draws.
+class Row(NamedTuple):
+    """A row with a variate for each particle of consecutive draws."""
 
-    Particle i of draw ``first + d`` is at ``d * width + i``; `width` is a multiple of `LANES`, and
-    `words` an array of `words_of`. `SPARE` entries behind the last are overwritten. `kind` is a
-    position in `KINDS`. `words` and `out` are pointers.
+    words: NDArray[np.uint32]  # see `number_of_words`
+    out: NDArray[np.float32]
+    width: int  # entries of a draw, a multiple of `LANES`
+    kind: int  # position in `KINDS`
+    key: Key
+    first: int  # index of the first draw
+    draws: int
+
+
+@entry(Row)
+def fill(row):
+    """Fill a row: particle i of draw ``first + d`` is at ``d * width + i``.
+
+    `SPARE` entries behind the last are overwritten.
     """
+    words, out, width, kind, key, first, draws = read(row)
     tiles = (width + np.int64(TILE - 1)) // np.int64(TILE)
     zero, lanes, lows = np.int64(0), np.int64(LANES), ahead(words, draws * tiles * TILE)
     fill_words(words, zero, tiles, key, first, draws)
@@ -279,22 +288,23 @@ def fill(words, out, width, kind, key, first, draws):
                 _store_exponentials(words, at + i, out, to + i)
 
 
-@compiled
-def fill_of_draws(words, out, at, kind, key, first, draws):
-    """Fill a row, from an index on, with the variates of the first particle of consecutive draws.
+@entry(Row)
+def fill_of_draws(row):
+    """Fill a row, of width 1, with the variates of the first particle of consecutive draws.
 
     Up to 15 entries behind the last are overwritten. `words` has 64 entries or more.
     """
+    words, out, _, kind, key, first, draws = read(row)
     zero, low, (stream, t, role, component) = np.int64(0), np.int64(2 * LANES), key
     for d in range(zero, draws, np.int64(LANES)):
         _fill_words_of_draws(words, zero, stream, t, role, component, zero, first + d)
         if kind == NORMAL:
-            _store_normals(words, zero, out, at + d)
+            _store_normals(words, zero, out, d)
         elif kind == UNIFORM:
-            _store_uniforms(words, zero, out, at + d)
+            _store_uniforms(words, zero, out, d)
         else:
             _fill_words_of_draws(words, low, stream, t, role, component, zero + 1, first + d)
-            _store_centred(words, zero, words, low, out, at + d)
+            _store_centred(words, zero, words, low, out, d)
 
 
 class _Rows(NamedTuple):
@@ -305,14 +315,17 @@ class _Rows(NamedTuple):
     draws: NDArray[np.int64]
     rows: int
     width: int
+    kind: int
+    key: Key
+    fill: int  # address of `fill`
 
 
-@entry
-def _fill_rows(rows, kind, key):
-    rows = with_pointers(rows)
-    for d in range(rows.rows):
-        out = ahead(rows.out, d * (rows.width + SPARE))
-        fill(rows.words, out, rows.width, kind, key, rows.draws[d], np.int64(1))
+@entry(_Rows)
+def _fill_rows(rows):
+    words, out, draws, count, width, kind, key, address = read(rows)
+    for d in range(count):
+        row = ahead(out, d * (width + SPARE))
+        call(address, Row(words, row, width, kind, key, draws[d], 1))
 
 
 def variates(
@@ -332,9 +345,10 @@ def variates(
     draws = np.atleast_1d(np.asarray(draw, np.int64))
     width = -(-particles // LANES) * LANES
     out = np.empty((draws.size, width + SPARE), np.float32)
+    words = np.zeros(number_of_words(1, width), np.uint32)
     key = Key(np.uint64(stream), int(t), int(role), int(component))
-    rows = _Rows(words_of(1, width), out, draws, draws.size, width)
-    _fill_rows(rows, KINDS.index(kind), key)
+    number = KINDS.index(kind)
+    _fill_rows(_Rows(words, out, draws, draws.size, width, number, key, fill.address))
     values = out[:, :particles].astype(np.float64)
     return values if np.ndim(draw) else values[0]
 

@@ -11,7 +11,6 @@ from pfdist.filters.cloud import Cloud
 from pfdist.filters.formulas import simulation_blocks
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
-from pfdist.kernels import filter as kernel
 from pfdist.kernels.schemes import ALWAYS, SCHEMES
 from pfdist.models.base import MOST_KEPT
 
@@ -138,12 +137,10 @@ def test_a_simulated_draw_does_not_depend_on_the_others():
         np.testing.assert_array_equal(getattr(together, name)[299:302], getattr(alone, name))
 
 
-def test_the_filter_is_compiled_for_one_type_of_arrays():
-    """Whole numbers, and arrays that cannot be written, as they arrive at a worker."""
+def test_the_filter_takes_whole_numbers_and_arrays_that_cannot_be_written():
+    """As they arrive at a worker; the filter is compiled for one type of arrays."""
     model = load_model("ungm")
     draws = simulate(model, 6, range(3), 1)
-    particle_filter.filter_draws(model, draws, (2,), 50, 2, "systematic")
-    before = len(kernel.filter_draws.signatures)
     for values in (draws.x, draws.y, draws.z):
         values.flags.writeable = False
     x, weight = np.arange(50).reshape(1, -1), np.ones(50, np.int64)
@@ -151,10 +148,13 @@ def test_the_filter_is_compiled_for_one_type_of_arrays():
         each.flags.writeable = False
     for threshold in (ALWAYS, 0.5):
         prior = Cloud(0, x, weight)
-        particle_filter.filter_draws(
-            model, draws, (2,), 50, 2, "systematic", True, prior=prior, threshold=threshold
+        filtered, expected = (
+            particle_filter.filter_draws(
+                model, draws, (2,), 50, 2, "systematic", True, prior=each, threshold=threshold
+            )
+            for each in (prior, Cloud(0, x.astype(float), weight.astype(float)))
         )
-    assert len(kernel.filter_draws.signatures) == before
+        np.testing.assert_array_equal(filtered.estimate, expected.estimate)
 
 
 def test_a_model_keeps_a_few_of_its_filters():

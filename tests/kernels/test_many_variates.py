@@ -12,8 +12,8 @@ import pytest
 from numba import njit
 from scipy import stats
 
-from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, fill, words_of
-from pfdist.kernels.vectors import LANES, with_pointers
+from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, Row, fill, number_of_words
+from pfdist.kernels.vectors import LANES
 
 pytestmark = pytest.mark.statistics
 STREAM = np.uint64(0x5EED_0F_7E57_1005)
@@ -25,8 +25,6 @@ TAILS = np.arange(4.0, 6.5, 0.5)
 
 
 class Counts(NamedTuple):
-    words: np.ndarray
-    out: np.ndarray
     bins: np.ndarray  # the last two count variates below and above the bins
     powers: np.ndarray  # sums of the first six powers
     products: np.ndarray  # with the neighbour, with the other of a pair, and of their squares
@@ -34,39 +32,41 @@ class Counts(NamedTuple):
 
 
 @njit(nogil=True)
-def count(counts, kind, low, rows):
-    given = with_pointers(counts)
-    for row in range(rows):
-        key = Key(STREAM, np.int64(7), FILTER_PROCESS, np.int64(0))
-        fill(given.words, given.out, np.int64(WIDTH), kind, key, row, np.int64(1))
-        powers, products = np.zeros(6), np.zeros(3)
-        for i in range(WIDTH):
-            value = np.float64(counts.out[i])
-            place = np.floor((value - low) * STEPS)
-            inside = 0 <= place < BINS
-            counts.bins[np.int64(place) if inside else BINS + (place > 0)] += 1
-            power = 1.0
-            for k in range(6):
-                power *= value
-                powers[k] += power
-            if i + 1 < WIDTH:
-                products[0] += value * counts.out[i + 1]
-            if (i // LANES) % 2 == 0:
-                other = np.float64(counts.out[i + LANES])
-                products[1] += value * other
-                products[2] += (value * value - 1.0) * (other * other - 1.0)
-            if abs(value) > 4.0:
-                for k in range(TAILS.size):
-                    counts.tails[k] += abs(value) > TAILS[k]
-        counts.powers[:] += powers
-        counts.products[:] += products
+def count(counts, values, low):
+    powers, products = np.zeros(6), np.zeros(3)
+    for i in range(WIDTH):
+        value = np.float64(values[i])
+        place = np.floor((value - low) * STEPS)
+        inside = 0 <= place < BINS
+        counts.bins[np.int64(place) if inside else BINS + (place > 0)] += 1
+        power = 1.0
+        for k in range(6):
+            power *= value
+            powers[k] += power
+        if i + 1 < WIDTH:
+            products[0] += value * values[i + 1]
+        if (i // LANES) % 2 == 0:
+            other = np.float64(values[i + LANES])
+            products[1] += value * other
+            products[2] += (value * value - 1.0) * (other * other - 1.0)
+        if abs(value) > 4.0:
+            for k in range(TAILS.size):
+                counts.tails[k] += abs(value) > TAILS[k]
+    counts.powers[:] += powers
+    counts.products[:] += products
 
 
 def counted(kind: str) -> Counts:
-    out, words = np.zeros(WIDTH + SPARE, np.float32), words_of(1, WIDTH)
     bins, tails = np.zeros(BINS + 2, np.int64), np.zeros(TAILS.size, np.int64)
-    counts = Counts(words, out, bins, np.zeros(6), np.zeros(3), tails)
-    count(counts, np.int64(KINDS.index(kind)), LOW[kind], ROWS)
+    counts = Counts(bins, np.zeros(6), np.zeros(3), tails)
+    values, words = (
+        np.zeros(WIDTH + SPARE, np.float32),
+        np.zeros(number_of_words(1, WIDTH), np.uint32),
+    )
+    key = Key(STREAM, 7, int(FILTER_PROCESS), 0)
+    for row in range(ROWS):
+        fill(Row(words, values, WIDTH, KINDS.index(kind), key, row, 1))
+        count(counts, values, LOW[kind])
     return counts
 
 

@@ -5,12 +5,13 @@ from typing import NamedTuple
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.blocks import Source, call, compile_blocks, run
+from pfdist.kernels.blocks import Source, call_block, compile_blocks, run
+from pfdist.kernels.cached import entry
 from pfdist.kernels.lowering import Half, machine_code, module_of, split
-from pfdist.kernels.vectors import LANES, ahead, with_pointers
+from pfdist.kernels.memory import ahead, read
+from pfdist.kernels.vectors import LANES
 from pfdist.models.program import MASKS, Operation, merged
 from pfdist.models.tracing import Formula, trace
 
@@ -81,11 +82,13 @@ def called(blocks, t, x, w, y, outputs):
     out = np.empty((outputs, draws, width))
     x, w, y = (np.ascontiguousarray(each) for each in (x, w, y))
     address, place = int(blocks.addresses[0, t]), int(blocks.places[0, t])
-    _call(address, _Arrays(out, x, w, y, blocks.table, y.shape[1], draws, width), place)
+    _call(_Arrays(address, place, out, x, w, y, blocks.table, y.shape[1], draws, width))
     return out
 
 
 class _Arrays(NamedTuple):
+    address: int
+    place: int
     out: NDArray[np.float64]
     x: NDArray[np.float64]
     w: NDArray[np.float32]
@@ -96,10 +99,11 @@ class _Arrays(NamedTuple):
     width: int
 
 
-@njit
-def _call(address, arrays, place):
-    given, stride = with_pointers(arrays), arrays.draws * arrays.width
-    call(
-        address, (given.out, stride), (given.x, stride), (given.w, stride),
-        (given.y, given.components, 1), ahead(given.table, place), (given.draws, given.width),
+@entry(_Arrays)
+def _call(arrays):
+    given = read(arrays)
+    stride = given.draws * given.width
+    call_block(
+        given.address, (given.out, stride), (given.x, stride), (given.w, stride),
+        (given.y, given.components, 1), ahead(given.table, given.place), (given.draws, given.width),
     )  # fmt: skip
