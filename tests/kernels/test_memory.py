@@ -86,7 +86,7 @@ def test_a_terminal_sees_when_the_filter_is_compiled(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     (Path(folder()) / "code").touch()
     folder()
-    assert capsys.readouterr().err == "Compiling the filter, once on this machine...\n"
+    assert capsys.readouterr().err == "Compiling the filter, once on this machine (about 10 s)...\n"
 
 
 def test_code_is_not_kept_in_a_folder_that_others_can_write(
