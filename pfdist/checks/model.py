@@ -28,10 +28,12 @@ from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_F
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.work import Estimation, Work
-from pfdist.kernels.lowering import has_fused_multiply_add
+from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, carried_model
+from pfdist.models.checks import own_formulas
 from pfdist.models.parameters import check_lengths
-from pfdist.models.twin import twin_of
+from pfdist.models.program import merged
+from pfdist.models.twin import traced, twin_of
 from pfdist.sequential.one_filter import formatted_instant
 from pfdist.times.measurement_times import Times, regular
 
@@ -134,10 +136,25 @@ def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, 
     except TraceError as error:
         slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
         return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
-    text = "every formula is traced and compiled"
+    text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
     if has_fused_multiply_add():
         return evaluator, Check("compile", "ok", text)
     return evaluator, Check("compile", "note", f"{text}; {WITHOUT_FMA}")
+
+
+def _in_pieces(model: StateSpaceModel, horizon: int) -> str:
+    """The longest formula, if it is compiled in pieces."""
+    programs = {
+        name: traced(model, name, range(horizon + 1)).programs for name in own_formulas(model)
+    }
+    sizes = {
+        name: max(len(merged(each).operations) for each in several)
+        for name, several in programs.items()
+    }
+    name = max(sizes, key=lambda each: sizes[each])
+    if sizes[name] <= MOST_TOGETHER:
+        return ""
+    return f"; {name} has {sizes[name]:,} operations and is compiled in pieces"
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:

@@ -32,7 +32,7 @@ The arrays are "slots" (a float64 for each particle), "noise" (a float32 for eac
 _SHARED = ("t", "parameter", "covariate", "constant")  # leaves with one value for all particles
 _INDEX, _DOUBLE, _FLOAT = ir.IntType(64), ir.DoubleType(), ir.FloatType()
 _MOST_COMPILED = 32
-_MOST_TOGETHER = 300  # operations of a function
+MOST_TOGETHER = 300  # operations of a function; a longer program is compiled in pieces
 _MOST_INLINED = 4  # long operations of one kind in a function
 _LEAVES = ("slots", "noise", "given", "shared", "number")
 
@@ -276,7 +276,7 @@ class _Function:
             if name in ("slots", "noise"):
                 vector = self._array(name).load(self._row(name, which, position), LANES)
                 self._values[number] = vector.to("f8")
-        if len(self._computed) <= _MOST_TOGETHER:
+        if len(self._computed) <= MOST_TOGETHER:
             for number in self._computed:
                 self._values[number] = _applied(self._half, number, self._values, self._often)
         else:
@@ -292,8 +292,8 @@ class _Function:
         """
         operations, computed = self._half.operations, self._computed
         pieces = [
-            computed[first : first + _MOST_TOGETHER]
-            for first in range(0, len(computed), _MOST_TOGETHER)
+            computed[first : first + MOST_TOGETHER]
+            for first in range(0, len(computed), MOST_TOGETHER)
         ]
         piece_of = {number: k for k, piece in enumerate(pieces) for number in piece}
         kept = {

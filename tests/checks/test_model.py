@@ -11,7 +11,7 @@ import pytest
 
 from pfdist import load_model
 from pfdist.checks.formulas import likelihood
-from pfdist.checks.model import Check, check_model
+from pfdist.checks.model import Check, check_loaded, check_model
 from pfdist.filters.plain import simulate
 
 RIGHT = """
@@ -186,3 +186,18 @@ def test_a_parameter_with_the_name_of_the_clocks_is_wrong(tmp_path: Path) -> Non
 def test_no_such_model(tmp_path: Path) -> None:
     (check,) = check_model("mine.py:model", folder=tmp_path)
     assert (check.name, check.state) == ("load", "wrong")
+
+
+def test_a_long_formula_that_is_compiled_in_pieces_is_named() -> None:
+    walk = load_model("random_walk")
+
+    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+        a = x[0]
+        for _ in range(200):
+            a = 0.5 * a + 0.1
+        return (a + w[0],)
+
+    long = replace(walk, transition=transition, linear_gaussian=False)
+    for model, says in ((walk, ""), (long, "; transition has 405 operations and is compiled in p")):
+        (text,) = (c.text for c in check_loaded(lambda: model, 3, 10) if c.name == "compile")  # noqa: B023
+        assert text.removesuffix("ieces") == f"every formula is traced and compiled{says}"
