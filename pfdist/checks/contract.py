@@ -20,7 +20,7 @@ _DRAWS = 10  # simulated, so that a formula that mixes particles is found
 
 
 def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
-    """A few draws in NumPy of a model, or of its twin; each formula is called at each instant.
+    """A few draws in NumPy of a model's twin; each formula is called at each instant.
 
     If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 later
     instants. Raises `ModelError` if a formula failed, or gave a value that is not finite.

@@ -65,9 +65,11 @@ def instants_of(draws: Draws) -> list[int]:
 
 
 def _calls_of(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Each formula's name and arguments, at a few instants."""
+    """Name and arguments of each formula that is called itself, at a few instants."""
     for t in instants_of(draws):
-        yield from _calls(model, draws, t).items()
+        for name, arguments in _calls(model, draws, t).items():
+            if not getattr(getattr(model, name), "is_traced", False):
+                yield name, arguments
 
 
 def values_of(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
@@ -79,7 +81,10 @@ def values_of(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], siz
 
 
 def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text: each formula, called twice, must give the same, and change nothing."""
+    """State and text: each formula, called twice, must give the same, and change nothing.
+
+    Those that are traced were recorded twice, and nothing can change what they are given.
+    """
     for name, arguments in _calls_of(model, draws):
         before = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
         first = values_of(model, name, arguments, len(draws.index))
@@ -102,7 +107,11 @@ def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text: each formula must do to an array what it does to its entries."""
+    """State and text: each formula must do to an array what it does to its entries.
+
+    Those that are traced do: what is recorded for a particle is computed for each, and tracing has
+    compared it with the formula for single numbers.
+    """
     some = np.linspace(0, len(draws.index) - 1, 10).astype(int)
     for name, arguments in _calls_of(model, draws):
         together = values_of(model, name, arguments, len(draws.index))[:, some]

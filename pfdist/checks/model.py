@@ -32,7 +32,7 @@ from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, carried_model
 from pfdist.models.checks import own_formulas
 from pfdist.models.parameters import check_lengths
-from pfdist.models.program import merged
+from pfdist.models.program import Program, merged
 from pfdist.models.twin import traced, twin_of
 from pfdist.sequential.one_filter import formatted_instant
 from pfdist.times.measurement_times import Times, regular
@@ -148,13 +148,18 @@ def _in_pieces(model: StateSpaceModel, horizon: int) -> str:
         name: traced(model, name, range(horizon + 1)).programs for name in own_formulas(model)
     }
     sizes = {
-        name: max(len(merged(each).operations) for each in several)
-        for name, several in programs.items()
+        name: max(_size(merged(each)) for each in several) for name, several in programs.items()
     }
     name = max(sizes, key=lambda each: sizes[each])
     if sizes[name] <= MOST_TOGETHER:
         return ""
     return f"; {name} has {sizes[name]:,} operations and is compiled in pieces"
+
+
+def _size(program: Program) -> int:
+    """The number of operations that are computed for each particle."""
+    operations = zip(program.operations, program.is_shared, strict=True)
+    return sum(bool(each.arguments) and not shared for each, shared in operations)
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:

@@ -316,6 +316,8 @@ class Evaluator:
             if not self.exact:
                 settings = self.settings(replace(estimation, particles=1))
                 filter_checked_draws(self.believed, draws, (), 0, settings)
+        for each in self.of_scenarios:
+            each.compile(*estimations)
 
     def check(self, estimation: Estimation) -> None:
         """Raise a `ModelError` if the estimator or the resampling scheme does not fit the models.
@@ -450,12 +452,15 @@ def carried_evaluator(
     for part, each in (("model", model), ("model.filter", filter_model)):
         check_lengths(each.parameters, horizon + 1, f"{part}.parameters.", exactly=True)
     check_fits(filter_model, model)
+    scenarios = [each.parameters for each in settings.get("scenarios", ())]
+    told = scenarios if settings.get("told") else []
+    known = carried.at(model, horizon, scenarios), carried_filter.at(filter_model, horizon, told)
     return Evaluator(
         model,
         horizon,
         filter_model.named_as(model),
         clock=clock,
-        carried=(carried.at(model, horizon), carried_filter.at(filter_model, horizon)),
+        carried=known,
         **settings,
     )
 

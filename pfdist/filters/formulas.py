@@ -26,10 +26,11 @@ def filter_blocks(
     The second result has the components of x that are those of z; it is empty if z is computed, or
     an angle. A `TraceError` says that a formula cannot be traced.
     """
-    guided, error = settings.guides(model), truth.formulas["error"]
-    key = "filter", instants, guided, error, tuple(truth.parameters.items()), truth.is_angle
-    result: tuple[Compiled, tuple[int, ...]] = model.kept(
-        key, lambda: _filter_blocks(model, truth, guided, instants)
+    guided = settings.guides(model)
+    result: tuple[Compiled, tuple[int, ...]]
+    result, _ = model.kept(  # it holds the truth, so that no other one gets its id
+        ("filter", instants, guided, id(truth)),
+        lambda: (_filter_blocks(model, truth, guided, instants), truth),
     )
     return result
 

@@ -1,8 +1,7 @@
-"""The pieces from which the simulation and the filter are fused: noise, weights, resampling.
+"""Compiled code: programs as machine code, noise, weights, resampling, the generic filter.
 
-This room uses only NumPy and Numba, and knows no model. Noise and weights are written once and used
-twice: compiled for one value at a time, and unchanged on NumPy arrays. Every other compiled
-function is tested against a plain twin or against NumPy's own function.
+This room uses only NumPy, llvmlite and Numba, and knows programs, but no model. Every compiled
+function is tested against plain NumPy.
 """
 
 import os

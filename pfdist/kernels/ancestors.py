@@ -440,7 +440,7 @@ def _merge(scratch, number, count, to):
     """Find the ancestors of ascending points, by merging the points with the shares.
 
     In a merge of single numbers each step waits for the step before it. So here a step compares all
-    pairs of `LANES` shares and `LANES` points, and goes on to the next shares or points.
+    pairs of `LANES` shares and `LANES` points, and continues with the next shares or points.
     """
     shares, points, ancestor = scratch.shares, scratch.points, scratch.ancestor
     first = base = number * scratch.span

@@ -86,13 +86,8 @@ class _Program:
 
     def _divides_by_extremes(self) -> bool:
         """Whether the reciprocal of a number for all particles may have fewer digits."""
-        program = self._program
-        divisors = {
-            arguments[1]
-            for name, arguments, _ in program.operations
-            if name == "divide" and program.is_shared[arguments[1]]
-        }
-        sizes = np.abs(np.concatenate([*self._leaves(tuple(divisors)), [1.0]]))
+        divisors = self._leaves(self._program.shared_divisors)
+        sizes = np.abs(np.concatenate([*divisors, [1.0]]))
         return bool(((sizes < 1.0 / _LARGE) | (sizes > _LARGE)).any())
 
     def _leaves(self, operations: tuple[int, ...]) -> list[Array]:

@@ -38,7 +38,7 @@ from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, Key, 
 from pfdist.kernels.vectors import LANES
 
 INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
-    np.arange(10)  # NumPy's: Numba compiles a function anew for each integer of Python
+    np.arange(10)  # NumPy's: Numba compiles a function again for each integer of Python
 )
 """Rows of `Blocks`: what each block computes. The last is the log-likelihood of the first sensor;
 those of further sensors follow.
@@ -151,7 +151,7 @@ class Batch(NamedTuple):
     cumulative: NDArray[np.float64]
     noise: NDArray[np.float32]
     weight: NDArray[np.float32]
-    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.words_of`
+    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.number_of_words`
     # of draws
     means: NDArray[np.float64]  # weighted means of `quantity`
     moments: NDArray[np.float64]  # (4 q rows): z, mean, variance, and the first filter's mean

@@ -28,7 +28,7 @@ from pfdist.models.parameters import (
 )
 from pfdist.models.seeing import in_python
 
-MOST_KEPT = 64  # results that are derived from a model, such as traced formulas
+_MOST_KEPT = 64  # results that are derived from a model, such as traced formulas
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
 
 
@@ -106,12 +106,13 @@ class SensorPart(NamedTuple):
 class StateSpaceModel:
     """A system that can be simulated and measured.
 
-    x, w, v, y and z are tuples of components, even if there is a single component. A component is a
-    number in the compiled filter and an array in the plain filter. So formulas use operators,
-    NumPy's elementwise functions, `pfdist.where` and `pfdist.clip`. t is an integer. p holds the
-    parameters, read as ``p.sigma``; a parameter that varies with t is read as ``p.rate[t]``. If the
-    job has a clock, ``p.time[t]`` is the time of the instant t, and ``p.dt[t]`` the time from t to
-    t + 1, both in the clock's unit.
+    A formula says what happens to one particle; it is called with symbols. x, w, v, y and z are
+    tuples of components, even if there is a single component. Formulas use operators and NumPy's
+    functions. t is an integer. p holds the parameters, read as ``p.sigma``; a parameter that varies
+    with t is read as ``p.rate[t]``. If the job has a clock, ``p.time[t]`` is the time of the instant
+    t, and ``p.dt[t]`` the time from t to t + 1, both in the clock's unit.
+
+    A model, and objects whose methods are its formulas, must not change after the model is made.
 
     Parameters
     ----------
@@ -252,7 +253,7 @@ class StateSpaceModel:
         made = self.derived.get(key)
         if made is None:
             made = self.derived[key] = make()
-            for oldest in [*self.derived][:-MOST_KEPT]:
+            for oldest in [*self.derived][:-_MOST_KEPT]:
                 self.derived.pop(oldest, None)  # another thread may have done so
         return made
 

@@ -12,7 +12,7 @@ import pickle
 import sys
 import types
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -24,8 +24,11 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, TraceError
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.fingerprint import (
+    DATA_FILES,
+    FORMULAS,
     Fingerprint,
     Inspection,
+    fingerprint_of_files,
     fingerprint_of_programs,
     inspected,
     users_modules,
@@ -46,7 +49,8 @@ class CarriedModel:
     # The model's fields and the text of its source, pickled. They are sent to workers, and never
     # stored in a run.
     content: bytes = field(repr=False)
-    # Empty for a model whose programs must tell whether it changed, until there are instants.
+    # Without formulas for a model whose programs must tell whether it changed, until there are
+    # instants.
     fingerprint: Fingerprint = field(repr=False)
 
     @property
@@ -76,29 +80,33 @@ class CarriedModel:
         if not parameters:
             return self
         # The data files are not read again: their part of the fingerprint is that of the reading.
-        data = {key: value for key, value in self.fingerprint.items() if key.startswith(_DATA)}
+        kept = self.fingerprint.items()
+        data = {key: value for key, value in kept if key.startswith(DATA_FILES)}
         changed = carried(self.model.with_parameters(parameters), self.name)
-        return changed._with(changed.fingerprint and changed.fingerprint | data)
+        return changed._with(data)
 
-    def at(self, model: StateSpaceModel, horizon: int) -> "CarriedModel":
+    def at(
+        self,
+        model: StateSpaceModel,
+        horizon: int,
+        scenarios: Sequence[Mapping[str, Parameter]] = (),
+    ) -> "CarriedModel":
         """The same with a fingerprint, if need be that of its programs at 0..T.
 
-        `model` is the model that was made of this one, on its clock. A `ModelError` says that it
-        has no fingerprint and cannot be traced, either.
+        `model` was made of this one, on its clock; `scenarios` are the parameters that it may have.
+        A `ModelError` says that it has no fingerprint and cannot be traced, either.
         """
-        if self.fingerprint:
+        if FORMULAS in self.fingerprint:
             return self
+        models = [model, *map(model.with_parameters, scenarios)]
         try:
-            return self._with(fingerprint_of_programs(model, range(horizon + 1)))
+            return self._with(fingerprint_of_programs(models, range(horizon + 1)))
         except TraceError:
             inspected(model)  # raises the error that names what has no fingerprint
             raise
 
     def _with(self, fingerprint: Fingerprint) -> "CarriedModel":
-        return dataclasses.replace(self, fingerprint=fingerprint)
-
-
-_DATA = "data_files."
+        return dataclasses.replace(self, fingerprint=self.fingerprint | fingerprint)
 
 
 def carried(
@@ -117,7 +125,8 @@ def carried(
         inspection = inspected(model, data)
         travelling = with_named_modules(travelling)
     except ModelError as error:
-        unknown, inspection = error, Inspection({}, users_modules(), {})
+        unknown = error
+        inspection = Inspection(fingerprint_of_files(data or {}), users_modules(), {})
     fields |= {name: formula for name, formula in travelling.items() if name in fields}
     fields["sensors"] = {
         name: dataclasses.replace(

@@ -25,7 +25,7 @@ import hashlib
 import sys
 import sysconfig
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
@@ -45,6 +45,8 @@ Fingerprint = dict[str, Any]
 """Hashes, numbers and versions by labels: ``formulas``, ``helper.C``, ``parameters.sd``, ..."""
 
 FORMULAS: Final = "formulas"
+DATA_FILES: Final = "data_files."
+"""The beginning of the labels of data files."""
 _SETTINGS = ("initial_noise", "process_noise", "measurement_noise", "linear_gaussian")
 _NAMES = ("x_names", "y_names", "z_names", "circular")  # they name columns and components
 _DYNAMIC = {"__import__", "eval", "exec", "getattr", "globals", "locals", "setattr", "vars"}
@@ -76,23 +78,29 @@ def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection
     A `ModelError` names what a formula uses that has no fingerprint.
     """
     walk = _Walk(model.name, model.formulas)
-    entries = walk.fingerprint()
-    files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
-    return Inspection(_with_fields(entries, model) | files, walk.modules, walk.texts)
+    entries = _with_fields(walk.fingerprint(), model)
+    return Inspection(entries | fingerprint_of_files(data or {}), walk.modules, walk.texts)
 
 
-def fingerprint_of_programs(model: Any, instants: range) -> Fingerprint:
-    """The fingerprint of a model by its programs at some instants.
+def fingerprint_of_files(data: Mapping[str, bytes]) -> Fingerprint:
+    """The fingerprint of data files, by their names."""
+    return {f"{DATA_FILES}{name}": digest([content]) for name, content in data.items()}
 
-    A `TraceError` says that a formula cannot be traced.
+
+def fingerprint_of_programs(models: Sequence[Any], instants: range) -> Fingerprint:
+    """The fingerprint of a model, the first of several, by their programs at some instants.
+
+    The others have the parameters of scenarios. A `TraceError` says that a formula cannot be
+    traced.
     """
     found = list[str | bytes]()
-    for part in [model, *(part.model for part in model.parts if model.sensors)]:
-        for name in own_formulas(part):
-            programs = traced(part, name, instants)
-            places = programs.which.tobytes(), programs.row.tobytes()
-            found += [name, *(each.hash for each in programs.programs), *places]
-    return _with_fields({FORMULAS: digest(found)}, model)
+    for model in models:
+        for part in [model, *(part.model for part in model.parts if model.sensors)]:
+            for name in own_formulas(part):
+                programs = traced(part, name, instants)
+                places = programs.which.tobytes(), programs.row.tobytes()
+                found += [name, *(each.hash for each in programs.programs), *places]
+    return _with_fields({FORMULAS: digest(found)}, models[0])
 
 
 def users_modules() -> set[str]:
@@ -275,9 +283,9 @@ class _Walk:
 
     def _refuse(self, label: str, what: str) -> NoReturn:
         raise ModelError(
-            f"model {self._model}: {label} {what} (formulas may use numbers, text, tuples, lists, "
-            "dictionaries, arrays, frames of pandas and functions, so that pfdist can tell "
-            "whether a run goes on with the same model)"
+            f"model {self._model}: {label} {what} (a formula that cannot be traced and sent to "
+            "workers may use numbers, text, tuples, lists, dictionaries, arrays, frames of pandas "
+            "and functions, because a run is resumed only with the same model)"
             f"{self._place}"
         )
 

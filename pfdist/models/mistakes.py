@@ -129,10 +129,12 @@ def _formula_at_fault(
     error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
     """Name of the formula that an error passed through, and the value of its t if it has one."""
-    names = {code_of(function): name for name, function in formulas.items()}
+    names = dict[CodeType | None, list[str]]()
+    for name, function in formulas.items():  # methods of one class may have the same code
+        names.setdefault(code_of(function), []).append(name)
     for frame, _ in frames_of(error):
         if frame.f_code in names:
-            return names[frame.f_code], frame.f_locals.get("t")
+            return " or ".join(names[frame.f_code]), frame.f_locals.get("t")
     return "a formula", None
 
 
@@ -230,13 +232,6 @@ def advice_on_special(name: str) -> str:
     if name == "logsumexp":
         return "; write pfdist.densities.logsumexp((a, b))"
     return f"; write {_INSTEAD[name]}" if "densities" in _INSTEAD.get(name, "") else ""
-
-
-def advice_on_density(name: str) -> str:
-    """Advice on a density of SciPy, as ``; advice``; empty if there is none."""
-    if density := DENSITIES.get(density_named(name)):
-        return f"; write pfdist.densities.{density.log_density.__name__}"
-    return ""
 
 
 def remedy(error: BaseException) -> str:

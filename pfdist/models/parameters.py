@@ -59,13 +59,6 @@ def _as_read(value: Any) -> Any:
     return array
 
 
-def parameter_names(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """The names of parameters as compiled code takes them: a varying parameter as ``name[t]``."""
-    return tuple(
-        f"{name}[t]" if isinstance(value, tuple) else name for name, value in parameters.items()
-    )
-
-
 def check_lengths(
     parameters: Mapping[str, Any], instants: int, where: str = "parameter ", exactly: bool = False
 ) -> None:
@@ -80,18 +73,3 @@ def check_lengths(
             raise ModelError(
                 f"{where}{name} needs {instants} values, one for each instant, got {got}"
             )
-
-
-def flat_parameters(parameters: Mapping[str, Any], instants: int) -> Any:
-    """All numbers of parameters in an array: first the constant ones, then the varying ones.
-
-    The varying parameters have as many numbers as there are instants, one parameter after another.
-    A `ModelError` says that a parameter has too few. Compiled formulas rely on this check: they
-    read ``p.rate[t]`` without one.
-    """
-    check_lengths(parameters, instants)
-    numbers = [value for value in parameters.values() if not isinstance(value, tuple)]
-    varying = [value for value in parameters.values() if isinstance(value, tuple)]
-    return np.array(
-        [*numbers, *(number for values in varying for number in values[:instants])], np.float64
-    )

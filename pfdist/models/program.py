@@ -83,6 +83,16 @@ class Program:
             shared.append(name not in GROUPS and all(shared[each] for each in arguments))
         return tuple(shared)
 
+    @property
+    def shared_divisors(self) -> tuple[int, ...]:
+        """The numbers of the operations that are divisors, and the same for all particles."""
+        found = (
+            arguments[1]
+            for name, arguments, _ in self.operations
+            if name in ("divide", "floor_divide", "remainder") and self.is_shared[arguments[1]]
+        )
+        return tuple(dict.fromkeys(found))
+
 
 def merged(program: Program) -> Program:
     """The program without repetitions: equal columns and operations become one, others go.

@@ -17,7 +17,7 @@ from pfdist.models.program import MASKS, Operation, Program
 from pfdist.models.program import take as take_entries
 
 MOST_OPERATIONS: Final = 50_000
-_NUMBERS = (bool, int, float, np.number, np.bool_)
+_NUMBERS = (bool, int, float, np.integer, np.floating, np.bool_)
 _LARGEST_TABLE = 64  # entries of a table whose entries are symbols
 
 
@@ -230,25 +230,27 @@ class Symbol:
         return _binary("not_equal", self, other)
 
     def __and__(self, other: Any) -> Any:
-        return _logical("logical_and", self, other)
+        return _of_conditions("logical_and", self, other)
 
     def __or__(self, other: Any) -> Any:
-        return _logical("logical_or", self, other)
+        return _of_conditions("logical_or", self, other)
 
     def __xor__(self, other: Any) -> Any:
-        return _logical("logical_xor", self, other)
+        return _of_conditions("logical_xor", self, other)
 
     __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
 
     def __invert__(self) -> Any:
-        return _logical("logical_not", self)
+        return _of_conditions("logical_not", self)
 
     def astype(self, kind: Any, *_: Any, **__: Any) -> Any:
         """The value as a number of another kind: ``int`` cuts off what follows the point."""
-        wanted = np.dtype(kind).kind
-        if wanted == "b":
+        wanted = np.dtype(kind)
+        if wanted == np.bool_:
             return _as_mask(self)
-        if wanted in "iu":
+        if wanted not in (np.float64, np.int64):
+            raise RefusedError(f"astype({wanted}): write astype(int), astype(float), astype(bool)")
+        if wanted == np.int64:
             whole = _record("trunc", self)
             whole.kind = "whole"
             return whole
@@ -341,6 +343,7 @@ def _as_mask(value: Any) -> Any:
 
 
 _SINGLE = (Symbol, *_NUMBERS)
+_OF_NUMBERS = frozenset({"add", "subtract"})
 _WHOLE = frozenset({"add", "subtract", "multiply", "floor_divide", "remainder"})
 
 
@@ -348,6 +351,8 @@ def _binary(name: str, first: Any, second: Any) -> Any:
     a, b = _plain(first), _plain(second)
     if a is None or b is None:
         return NotImplemented
+    if name in _OF_NUMBERS and _is_condition(a) and _is_condition(b):
+        raise RefusedError(f"{name} of two conditions: write a.astype(int), or & and |")
     result = _record(name, _as_float(a), _as_float(b))
     if name in _WHOLE and _is_whole(a) and _is_whole(b):
         result.kind = "whole"
@@ -369,6 +374,21 @@ def _logical(name: str, *values: Any) -> Any:
     masks = [_as_mask(each) for each in given]
     symbol = next(each for each in masks if isinstance(each, Symbol))
     return _record(name, *(_mask_of(symbol, each) for each in masks))
+
+
+def _is_condition(value: Any) -> bool:
+    return getattr(value, "kind", "") == "mask" or isinstance(value, bool | np.bool_)
+
+
+def _of_conditions(name: str, *values: Any) -> Any:
+    """An operation of bits, which NumPy computes otherwise for whole numbers."""
+    given = [_plain(each) for each in values]
+    if not all(each is None or _is_condition(each) for each in given):
+        raise RefusedError(
+            "&, |, ^ and ~ of numbers: write n % 2 and n // 2 for bits; of conditions, put each "
+            "into brackets, as in (x > 0) & (x < 1)"
+        )
+    return _logical(name, *values)
 
 
 def _mask_of(symbol: Symbol, value: Any) -> Symbol:
@@ -535,6 +555,7 @@ _OPERATORS = (
     *("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"),
 )
 
+_OF_BITS = ("and", "or", "xor")
 UFUNCS: dict[str, Callable[..., Any]] = {
     **{name: _recorded(name) for name in _SAME},
     **{name: partial(_binary, name) for name in _OPERATORS},
@@ -542,11 +563,10 @@ UFUNCS: dict[str, Callable[..., Any]] = {
     "divmod": lambda a, b: (_binary("floor_divide", a, b), _binary("remainder", a, b)),
     "square": lambda x: _power(x, 2.0), "reciprocal": lambda x: 1.0 / x,
     "positive": lambda x: x, "fabs": abs,
-    **{
-        f"{kind}_{name}": partial(_logical, f"logical_{name}")
-        for kind in ("logical", "bitwise") for name in ("and", "or", "xor")
-    },
-    **dict.fromkeys(("logical_not", "invert"), partial(_logical, "logical_not")),
+    **{f"logical_{name}": partial(_logical, f"logical_{name}") for name in _OF_BITS},
+    **{f"bitwise_{name}": partial(_of_conditions, f"logical_{name}") for name in _OF_BITS},
+    "logical_not": partial(_logical, "logical_not"),
+    "invert": partial(_of_conditions, "logical_not"),
     "deg2rad": lambda x: x * (math.pi / 180.0), "radians": lambda x: x * (math.pi / 180.0),
     "rad2deg": lambda x: x * (180.0 / math.pi), "degrees": lambda x: x * (180.0 / math.pi),
     "heaviside": _heaviside,

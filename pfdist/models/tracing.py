@@ -7,8 +7,9 @@ same operations become one, whose constants are rows of a table.
 """
 
 import re
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -20,13 +21,15 @@ from pfdist.common.telling import Waiting
 from pfdist.errors import ModelError, TraceError
 from pfdist.models.mistakes import error_line, is_interrupt, place_of, remedy
 from pfdist.models.parameters import Parameter, named_parameters
-from pfdist.models.program import Program, evaluate
+from pfdist.models.program import Program, evaluate, merged
 from pfdist.models.symbols import Recording, RefusedError, Symbol
 
 MOST_STRUCTURES: Final = 32
 MOST_CONSTANTS: Final = 2**23  # numbers of a formula, 64 MiB
+_ONE_AT_A_TIME = threading.RLock()
 _OUTSIDE = re.compile(r".*index .*out of (bounds|range)")  # and no axis, which arrays may have
-_CLOSE = 1e-9  # relative difference of a formula with numbers in the place of t and parameters
+_CLOSE, _TINY = 1e-9, 1e-12  # differences of a formula that is called with numbers
+_MOST_TRIED = 8  # instants at which a division by 0 may be an error of Python
 _TRIED = np.array([[0.3, -1.7, 0.9, 2.1, -0.4], [-0.8, 0.6, 1.3, -0.2, 0.7]])
 
 MODES: Final = ("t and parameters are symbols", "t is a number", "t and parameters are numbers")
@@ -102,6 +105,19 @@ class Formula:
             value = self.function(*given)
         return recording.closed(self._outputs(value))
 
+    def with_numbers(self, groups: Mapping[str, tuple[Any, ...]], t: int) -> tuple[Any, ...]:
+        """The values of the formula for one particle; empty if it fails, or needs symbols."""
+        given = {**groups, "t": t, "p": self._numbers}
+        try:
+            with np.errstate(all="ignore"):
+                value = self.function(*(given[name] for name in self.arguments))
+                values = value if isinstance(value, tuple) else np.atleast_1d(value)
+                return tuple(np.float64(each) for each in values)
+        except BaseException as error:  # a formula may raise any exception
+            if is_interrupt(error):
+                raise
+            return ()
+
     def _given(self, name: str, count: int, recording: Recording, mode: str, t: int) -> Any:
         """An argument of a call."""
         if name == "t":
@@ -132,7 +148,8 @@ def _result(value: Any) -> Any:
         value = value[()]
     if isinstance(value, Symbol):
         return value
-    return value if isinstance(value, bool | int | float | np.number | np.bool_) else None
+    numbers = bool | int | float | np.integer | np.floating | np.bool_
+    return value if isinstance(value, numbers) else None
 
 
 class _Parameters:
@@ -184,7 +201,8 @@ def trace(formula: Formula, instants: range) -> Traced:
     """
     for mode in MODES:
         try:
-            return _TRACERS[mode](formula, mode, instants)
+            with _ONE_AT_A_TIME:  # a formula may keep values in an object while it computes
+                return _TRACERS[mode](formula, mode, instants)
         except ModelError:
             raise
         except BaseException as error:  # a formula may raise any exception
@@ -198,13 +216,16 @@ def trace(formula: Formula, instants: range) -> Traced:
 class _DiffersError(Exception):
     """A formula computes something else with numbers than with symbols."""
 
+    def __str__(self) -> str:
+        return "it computes something else with numbers than with symbols"
+
 
 def _symbolic(formula: Formula, mode: str, instants: range) -> Traced:
     """Trace with symbols alone."""
     program = formula.recorded(mode, instants[0])
     _check_same(formula, program, formula.recorded(mode, instants[0]), None)
     _check_numbers(formula, instants, lambda t: (program, 0))
-    if (t := _division_by_zero(formula, program, instants)) is not None:
+    for t in _divisions_by_zero(formula, program, instants):
         _recorded_at(formula, MODES[-1], t)  # raises the error of Python, if it is one
     zeros = np.zeros(len(instants), np.int64)
     return Traced(instants, (program,), zeros, zeros, mode)
@@ -240,9 +261,8 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
             first.operations, first.outputs, first.constants[at : at + 1], first.tables
         )
         _check_same(formula, before, _recorded_at(formula, mode, t), t)
-    if mode != MODES[-1]:
-        index = instants.index
-        _check_numbers(formula, instants, lambda t: (programs[which[index(t)]], row[index(t)]))
+    index = instants.index
+    _check_numbers(formula, instants, lambda t: (programs[which[index(t)]], row[index(t)]))
     return traced
 
 
@@ -263,20 +283,14 @@ def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
         raise
 
 
-def _division_by_zero(formula: Formula, program: Program, instants: range) -> int | None:
-    """The first instant at which a divisor that all particles share is 0."""
-    divisors = {
-        arguments[1]
-        for name, arguments, _ in program.operations
-        if name in ("divide", "floor_divide", "remainder") and program.is_shared[arguments[1]]
-    }
-    groups = {name: [1.0] * count for name, count in formula.arguments.items()}
-    shared = Program(program.operations, tuple(divisors), program.constants, program.tables)
-    values = evaluate(shared, groups, np.array(instants), formula.parameters)
+def _divisions_by_zero(formula: Formula, program: Program, instants: range) -> list[int]:
+    """The first instants at which a divisor that all particles share is 0."""
+    shared = merged(replace(program, outputs=program.shared_divisors))
+    values = evaluate(shared, {}, np.array(instants), formula.parameters)
     zero = np.zeros(len(instants), np.bool_)
     for value in values:
         zero |= value == 0.0
-    return instants[int(zero.argmax())] if zero.any() else None
+    return [instants[place] for place in np.flatnonzero(zero)[:_MOST_TRIED]]
 
 
 def _few(instants: range) -> list[int]:
@@ -298,7 +312,7 @@ def _check_same(formula: Formula, first: Program, second: Program, t: int | None
 def _check_numbers(
     formula: Formula, instants: range, program_at: Callable[[int], tuple[Program, int]]
 ) -> None:
-    """Raise an error if a formula computes something else with numbers than with symbols."""
+    """Raise an error if a program gives something else than its formula for a single particle."""
     groups = {
         name: [np.roll(_TRIED[i % 2], i // 2) for i in range(count)]
         for name, count in formula.arguments.items()
@@ -306,11 +320,14 @@ def _check_numbers(
     }
     for t in _few(instants):
         program, row = program_at(t)
-        by_symbols = evaluate(program, groups, t, formula.parameters, row)
-        by_numbers = evaluate(formula.recorded(MODES[-1], t), groups, t, formula.parameters)
-        for a, b in zip(by_symbols, by_numbers, strict=True):
-            if not np.allclose(a, b, rtol=_CLOSE, atol=0.0, equal_nan=True):
-                raise _DiffersError
+        found = evaluate(program, groups, t, formula.parameters, row)
+        for k in range(_TRIED.shape[1]):
+            single = {name: tuple(each[k] for each in values) for name, values in groups.items()}
+            expected = formula.with_numbers(single, t)
+            for a, b in zip(found, expected, strict=True) if expected else ():
+                value = np.broadcast_to(a, _TRIED.shape[1])[k]
+                if not np.isclose(value, b, rtol=_CLOSE, atol=_TINY, equal_nan=True):
+                    raise _DiffersError
 
 
 def _check_limits(formula: Formula, structures: int, size: int) -> None:
@@ -332,7 +349,8 @@ def _explained(formula: Formula, error: BaseException, t: int | None = None) -> 
 
     It is a `TraceError` unless the formula would fail in NumPy, too.
     """
-    what = str(error) if isinstance(error, RefusedError) else f"{error_line(error)}{remedy(error)}"
+    known = isinstance(error, RefusedError | _DiffersError)
+    what = str(error) if known else f"{error_line(error)}{remedy(error)}"
     at = "" if t is None else f" at t = {t}"
     if isinstance(error, IndexError) and "only integers" in str(error):
         what = f"{error_line(error)}: by a value of particles it is take(table, value.astype(int))"

@@ -97,6 +97,11 @@ class _Twin:
         except TraceError:
             return self._itself
 
+    @property
+    def is_traced(self) -> bool:
+        """Whether there is a program."""
+        return self._computed != self._itself
+
     def __call__(self, *arguments: Any) -> Any:
         return self._computed(*arguments)
 

@@ -12,7 +12,7 @@ from pfdist.filters.formulas import simulation_blocks
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.schemes import ALWAYS, SCHEMES
-from pfdist.models.base import MOST_KEPT
+from pfdist.models import base
 
 CLOCK = tuple(0.5 * t for t in range(31))
 
@@ -162,6 +162,6 @@ def test_a_model_keeps_a_few_of_its_filters():
     model = load_model("ungm")
     for horizon in range(1, 30):
         simulate(model, horizon, range(1), 1)
-    assert len(model.derived) == MOST_KEPT
+    assert len(model.derived) == base._MOST_KEPT
     first = simulation_blocks(model, range(30))
     assert simulation_blocks(model, range(30)) is first

@@ -343,7 +343,32 @@ def sums_one_component(x, t, w, p):
     return (np.sum(x[0]) + w[0], x[1])
 
 
+def takes_bits(x, t, w, p):
+    return (x[0] + (w[0].astype(int) & 1), x[1])
+
+
+def adds_conditions(x, t, w, p):
+    return (x[0] + ((x[0] > 0) + (w[0] > 0)), x[1])
+
+
+def takes_bytes(x, t, w, p):
+    return ((x[0] * 100).astype(np.uint8) + w[0], x[1])
+
+
+def turns(x, t, w, p):
+    return (np.abs(x[0] * np.exp(0.3j)), x[1])
+
+
+def looks_at_types(x, t, w, p):
+    return (x[0] + (0.0 if isinstance(x[0], float) else 1.0), x[1])
+
+
 REFUSED = {
+    takes_bits: "write n % 2 and n // 2 for bits",
+    adds_conditions: "add of two conditions: write a.astype(int)",
+    takes_bytes: "astype(uint8)",
+    turns: "TypeError",
+    looks_at_types: "it computes something else with numbers than with symbols",
     sums_one_component: "np.sum of a single value",
     counts_calls: "must compute the same whenever it is called",
     is_random: "takes randomness from the noise it is given",
@@ -369,7 +394,7 @@ def test_what_cannot_be_traced_is_named_with_its_line(function):
     assert REFUSED[function] in message
     assert message.startswith("model mine: transition ")
     assert "\n" not in message
-    if function not in (counts_calls, is_random, gives_text):
+    if function not in (counts_calls, is_random, gives_text, looks_at_types):
         first = function.__code__.co_firstlineno
         assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
         assert "the engine 'numpy'" in message
@@ -393,6 +418,14 @@ def test_a_division_by_zero_at_one_instant_fails_only_if_it_fails_in_python():
         traced(divides_by_symbol)
     assert traced(divides_by_symbol, range(3))[0].mode == SYMBOLS
     assert traced(divides_particles)[0].mode == SYMBOLS  # arrays of NumPy become infinite
+
+
+def test_bits_of_t_are_those_of_a_number():
+    """Also where the first, the middle and the last instant do not show the difference."""
+    result, _ = traced(lambda x, t, w, p: (x[0] + (t & 1), w[0]), range(14))
+    assert result.mode == T_NUMBER
+    at = [result.values({"x": [0.0, 0.0], "w": [0.0]}, t, {})[0] for t in range(14)]
+    assert at == [t & 1 for t in range(14)]
 
 
 def test_an_index_that_arrays_of_particles_have_is_left_to_numpy():

@@ -1,6 +1,8 @@
 """Ways to write a formula: the compiled engine computes what NumPy computes from the formula."""
 
-from dataclasses import replace
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +14,8 @@ from oracles.satellite import Satellite, model_of
 from pfdist.errors import ModelError, RunMismatchError
 from pfdist.filters import particle_filter, plain, simulation
 from pfdist.models import StateSpaceModel, carried, carried_model
-from pfdist.models.twin import twin_of
+from pfdist.models.tracing import MODES
+from pfdist.models.twin import traced, twin_of
 
 MODEL = (
     """
@@ -135,6 +138,16 @@ class Position:
         return x[: self.components]
 
 
+@dataclass
+class Squared:
+    """A callable object without a hash, as an error."""
+
+    factor: float
+
+    def __call__(self, z, estimate, t, p):
+        return self.factor * (z[0] - estimate[0]) ** 2
+
+
 class Missing:
     """A callable object that lacks arguments."""
 
@@ -153,6 +166,15 @@ def test_callable_objects_and_partial_functions_are_formulas():
         assert_same_filters(model)
 
 
+def test_a_callable_object_needs_no_hash():
+    def mse(factor: float):
+        model = replace(model_of(Satellite()), error=Squared(factor))
+        draws = simulation.simulate(model, 8, range(10), 1)
+        return particle_filter.filter_draws(model, draws, (0, 4), 50, 2).mse
+
+    np.testing.assert_allclose(mse(2.0), 2 * mse(1.0), rtol=1e-12)
+
+
 @pytest.mark.parametrize("wrong", [5, "f", Missing()])
 def test_what_cannot_be_called_as_a_formula_is_refused(wrong):
     with pytest.raises(ModelError, match=r"quantity_of_interest must be a function of \(x, t, p\)"):
@@ -169,6 +191,50 @@ def test_a_model_of_objects_travels_and_is_known_by_its_programs(tmp_path):
     other = pfdist.Problem(model_of(Satellite(pull=1.1)), horizon=8, measurement_budget=3)
     with pytest.raises(RunMismatchError, match=r"model.formulas"):
         run(other.with_changes(particles=50).job(**draws), pool="threads")
+
+
+class Switched:
+    """A formula that computes something else where a parameter is large."""
+
+    def __init__(self, factor: float) -> None:
+        self.factor = factor
+
+    def __call__(self, x, t, w, p):
+        return (x[0] * (self.factor if p.a > 1 else 0.5) + w[0],)
+
+
+def test_the_programs_of_scenarios_count_too():
+    def known(factor: float):
+        walk = pfdist.load_model("random_walk")
+        given = {**walk.parameters, "a": 0.5}
+        changes = {"transition": Switched(factor), "linear_gaussian": False}
+        model = replace(walk, parameters=given, **changes)
+        return carried(model, "mine"), model
+
+    def keys(*scenarios):
+        return [each.at(model, 3, scenarios).key for each, model in (known(0.6), known(0.9))]
+
+    first, second = keys()
+    assert first == second
+    first, second = keys({"a": 2.0})
+    assert first != second
+
+
+def test_threads_may_trace_an_object_that_keeps_values_while_it_computes():
+    class Keeping:
+        def __call__(self, x, t, w, p):
+            self.x = np.array(x)
+            return tuple(self.x + w[0])
+
+    model = replace(pfdist.load_model("random_walk"), transition=Keeping(), linear_gaussian=False)
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            made = threads.map(lambda t: traced(model, "transition", range(t, t + 9)), range(40))
+            assert {each.mode for each in made} == {MODES[0]}
+    finally:
+        sys.setswitchinterval(before)
 
 
 def test_a_model_with_neither_a_fingerprint_nor_a_program_is_refused():
