@@ -109,8 +109,8 @@ class StateSpaceModel:
     A formula says what happens to one particle; it is called with symbols. x, w, v, y and z are
     tuples of components, even if there is a single component. Formulas use operators and NumPy's
     functions. t is an integer. p holds the parameters, read as ``p.sigma``; a parameter that varies
-    with t is read as ``p.rate[t]``. If the job has a clock, ``p.time[t]`` is the time of the instant
-    t, and ``p.dt[t]`` the time from t to t + 1, both in the clock's unit.
+    with t is read as ``p.rate[t]``. If the job has a clock, ``p.time[t]`` is the time of the
+    instant t, and ``p.dt[t]`` the time from t to t + 1, both in the clock's unit.
 
     A model, and objects whose methods are its formulas, must not change after the model is made.
 

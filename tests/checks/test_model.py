@@ -198,6 +198,6 @@ def test_a_long_formula_that_is_compiled_in_pieces_is_named() -> None:
         return (a + w[0],)
 
     long = replace(walk, transition=transition, linear_gaussian=False)
-    for model, says in ((walk, ""), (long, "; transition has 405 operations and is compiled in p")):
+    for model, says in ((walk, ""), (long, "; transition has 401 operations and is compiled in p")):
         (text,) = (c.text for c in check_loaded(lambda: model, 3, 10) if c.name == "compile")  # noqa: B023
         assert text.removesuffix("ieces") == f"every formula is traced and compiled{says}"
