@@ -95,6 +95,24 @@ def test_a_formula_may_be_written_in_many_ways(way, tmp_path):
     assert_same_filters(carried_model("mine.py:model", tmp_path).model)
 
 
+@pytest.mark.usefixtures("as_written")
+def test_a_model_may_have_twenty_components():
+    matrix = 0.9 * np.linalg.qr(np.random.default_rng(1).normal(size=(20, 20)))[0]
+    model = StateSpaceModel(
+        name="twenty",
+        initial=lambda w, p: w,
+        transition=lambda x, t, w, p: tuple(matrix @ np.array(x) + 0.3 * np.array(w)),
+        measurement=lambda x, t, v, p: (x[0] + v[0], x[19] + v[1]),
+        log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) ** 2 + (y[1] - x[19]) ** 2),
+        quantity_of_interest=lambda x, t, p: x,
+        initial_noise=("normal",) * 20,
+        process_noise=("normal",) * 20,
+        measurement_noise=("normal",) * 2,
+    )
+    assert model.components == (20, 2, 20)
+    assert_same_filters(model)
+
+
 # --- objects --------------------------------------------------------------------------------------
 
 
