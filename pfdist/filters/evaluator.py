@@ -313,9 +313,11 @@ class Evaluator:
         prior = None if isinstance(self.prior, Gaussian) else self.prior
         draws = simulate(self.model, self.horizon, range(0), 0, prior)
         for estimation in estimations:
+            stopping.check()
             if not self.exact:
                 settings = self.settings(replace(estimation, particles=1))
                 filter_checked_draws(self.believed, draws, (), 0, settings)
+        stopping.check()
         for each in self.of_scenarios:
             each.compile(*estimations)
 
