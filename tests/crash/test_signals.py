@@ -171,7 +171,7 @@ def test_a_signal_in_a_callback_ends_the_run_which_then_resumes(
     callback: str, small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
     flag, run = tmp_path / "flag", tmp_path / "run"
-    begun, model = str(run / "parts" / "draws"), tmp_path / "mine.py"
+    begun, model = str(run / "job.toml"), tmp_path / "mine.py"
     model.write_text(MODEL.format(flag=str(flag), begun=begun, callback=callback))
     options = ["--set", f"model.name='{model}:model'", "filter.engine=numpy", "--no-report"]
     options += [
