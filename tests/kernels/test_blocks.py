@@ -111,7 +111,7 @@ def test_a_long_program_has_the_same_bits_in_pieces(monkeypatch):
     layout = {"x": ("slots", 0), "v": ("noise", 0)}
     source, results = Source(trace(formula, range(1)), layout, model.parameters), []
     for most in (100_000, 300, 7):
-        monkeypatch.setattr(lowering, "_MOST_TOGETHER", most)
+        monkeypatch.setattr(lowering, "MOST_TOGETHER", most)
         lowering.machine_code.cache_clear()
         compiled = compile_blocks([source], range(1))
         results.append(called(compiled.blocks, 0, x, v, np.zeros((1, 1)), 2))
