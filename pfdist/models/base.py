@@ -28,7 +28,7 @@ from pfdist.models.parameters import (
 )
 from pfdist.models.seeing import in_python
 
-_MOST_KEPT = 64  # results that are derived from a model, such as traced formulas
+_MOST_KEPT = 1000  # results that are derived from a model, such as traced formulas
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
 
 
