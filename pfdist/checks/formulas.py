@@ -103,7 +103,7 @@ def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
                 f"{name} must not change its arguments, got one that does: a = a + b in the place "
                 f"of a += b{place_of_function(getattr(model, name))}"
             )
-    return "ok", "a formula called twice gives the same, and leaves its arguments as they are"
+    return "ok", "a formula recorded or called twice gives the same, and changes no argument"
 
 
 def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:

@@ -13,7 +13,7 @@ def tell(line: str) -> None:
 
 
 class Waiting:
-    """Tells every few seconds how far some work is.
+    """Tells every few seconds at how many instants some work is done.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ def carried(
     fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
     fields |= {key: dict(value) for key, value in fields.items() if isinstance(value, Mapping)}
     travelling: Mapping[str, Any] = model.formulas | {"error": model.error}
-    unknown: ModelError | None = None
+    unknown: ModelError | None = None  # why the formulas have no fingerprint of their own
     try:
         inspection = inspected(model, data)
         travelling = with_named_modules(travelling)
