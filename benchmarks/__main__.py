@@ -10,7 +10,6 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
-    beside_c,
     densities,
     driver,
     estimators,
@@ -36,7 +35,6 @@ from benchmarks.results import Benchmark, redraw, save, write_readme
 # Peers come last: JAX leaves threads behind, and later benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
-    "beside_c": beside_c,
     "densities": densities,
     "prefixes": prefixes,
     "growth": growth,

@@ -104,7 +104,7 @@ def _looping(name: str, *, draws: bool) -> Callable[[], None]:
         arrays[3] = np.floor(arrays[3])
     arguments = {"x": len(arrays), "p": 0}
     traced = trace(Formula(formula, name, arguments, {}, "benchmark"), range(1))
-    compiled = compile_blocks([Source(traced, {"x": ("slots", 0)}, {})], range(1))
+    compiled = compile_blocks([Source(traced, {"x": ("slots", 0)}, {}, 1)], range(1))
     out = np.empty((1, PARTICLES))
 
     def call() -> None:

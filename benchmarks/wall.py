@@ -1,6 +1,6 @@
 """The time of whole commands, beside the same commands of an earlier commit, in turns.
 
-The earlier commit is the one before the bound held for every number of particles. Kernels are on
+The earlier commit is the one before models were traced. Kernels are on
 disk: each command runs once before the clock does. The processor time is that of the command and
 of all processes that it has waited for.
 """
@@ -28,15 +28,13 @@ from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY
 TITLE = "Whole commands"
 TABLES: tuple[str, ...] = ("wall", "seconds_of_plan")
 
-BEFORE = "c4ffa8fc65644ca72868eb05b09a241cf0046010"
-REPEATS = 5
+BEFORE = "e7a706d9fb1d91a651f220f0c96fd54da3635a5b"
+REPEATS = 3
 COMMANDS = {
     "--help": ("--help",),
     "quick": ("run", "jobs/quick.toml"),
     "plan": ("plan", "jobs/plan.toml"),
     "plan on Ray": ("plan", "jobs/plan.toml", "--pool", "ray"),
-    "budget 5:41": ("budget", "jobs/plan.toml", "--measurements", "5:41"),
-    "paper on Ray": ("run", "jobs/paper.toml", "--pool", "ray"),
 }
 PLAN = ("plan", "jobs/plan.toml", "--pool", "serial")
 _RUN = Path("results", "plan")

@@ -140,7 +140,15 @@ class ModelError(PfdistError):
 
 
 class TraceError(ModelError):
-    """A formula of a model cannot be traced."""
+    """A formula of a model cannot be traced.
+
+    Attributes
+    ----------
+    advice : str
+        Advice on what to write instead; empty if there is none.
+    """
+
+    advice = ""
 
 
 class MeasurementTimesError(PfdistError):

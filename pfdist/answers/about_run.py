@@ -53,10 +53,10 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "system", _model(job["model"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", _model(job["model"]["filter"])
-    meaning = read_recorded(subject.run.path)[0]["model"]
-    for key, what in (("z_names", "quantity of interest"), ("y_names", "what is measured")):
-        if meaning.get(key):
-            yield what, str(meaning[key])
+    names = read_recorded(subject.run.path)[0]["provenance"].get("names", {})
+    for key, what in (("z", "quantity of interest"), ("y", "what is measured")):
+        if names.get(key):
+            yield what, ", ".join(names[key])
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)

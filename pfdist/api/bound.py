@@ -109,8 +109,7 @@ def bound(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
-        process made.
+        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
     settings : BoundSettings
         Draws, particles, windows and limits of the proof, and the gap that is demanded.
     results : str or Path, optional

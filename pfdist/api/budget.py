@@ -39,8 +39,8 @@ def budget(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file. The job's searches, its measurement budget, its
-        number of compared draws and its section [online] are ignored.
+        A problem, a job, or the path of a job file or of a run's folder. The job's searches, its
+        measurement budget, its number of compared draws and its section [online] are ignored.
     measurements : (int, int), range or set of int
         The least and the largest number of measurements as a pair; or all numbers, as a range or a
         set.

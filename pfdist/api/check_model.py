@@ -15,7 +15,7 @@ from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.job.job import Job
 from pfdist.job.problem import Problem
 from pfdist.job.source import JobSource, as_job
-from pfdist.models import PYTHON, CarriedModel, StateSpaceModel, carried
+from pfdist.models import StateSpaceModel
 from pfdist.runner.build import evaluator_of, models_of
 from pfdist.runner.searches import comparing_of
 
@@ -93,7 +93,7 @@ def checks_of(
     if isinstance(model, str):
         return check_named(model, instants, count, times=times)
     if isinstance(model, StateSpaceModel):
-        return check_loaded(lambda: carried(model, f"{PYTHON}{model.name}").model, instants, count)
+        return check_loaded(lambda: model, instants, count)
     raise ArgumentError(
         "a model must be a StateSpaceModel, the name of a model, a problem or a job, got "
         f"{shown(model)}",
@@ -116,11 +116,11 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
     clock, complete = job.problem.clock if job.problem.has_clock else None, True
     if clock is not None:
         horizon = min(horizon, clock.horizon)
-    prefixes = ("",) if models[0].key == models[1].key else ("", "filter: ")
+    prefixes = ("",) if models[0] == models[1] else ("", "filter: ")
     for prefix, each in zip(prefixes, models, strict=False):
 
-        def load(each: CarriedModel = each) -> StateSpaceModel:
-            return each.model if clock is None else each.model.on_clock(clock.times)
+        def load(each: StateSpaceModel = each) -> StateSpaceModel:
+            return each if clock is None else each.on_clock(clock.times)
 
         for check in check_loaded(load, horizon, particles, filtered=False):
             yield replace(check, name=f"{prefix}{check.name}")

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
-from pfdist.analysis import Run, read_recorded
+from pfdist.analysis import Run
 from pfdist.analysis.stored_run import check_one_number, problem_of
 from pfdist.api.evaluate import OneSet, instants_of
 from pfdist.api.options import Chosen, Options, following, with_options
@@ -18,7 +18,7 @@ from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, check_pool, say_model_files
-from pfdist.runner.identity import changed_fingerprints
+from pfdist.runner.identity import changed_models
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import REGULAR, Times
 
@@ -235,8 +235,9 @@ def compare(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file. It gives the problem. Sets that the job gives
-        are compared, too: a list of times as comparison.reference, and [comparison.sets].
+        A problem, a job, or the path of a job file or of a run's folder. It gives the problem. Sets
+        that the job gives are compared, too: a list of times as comparison.reference, and
+        [comparison.sets].
     runs : Run, str or Path
         Finished runs, or their folders, whose sets are compared, too: the found sets, and the
         references if they differ. The runs are only read. A name that is already in use gets the
@@ -278,7 +279,7 @@ def compare(
     path = folder_of(job, results, "-compare")
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([compared], tell)
-        built = build(compared)
+        built = build(compared, path)
         for sentence in [*sets.differences, *_other_models(opened, built)]:
             tell(sentence)
         return run_built(built, path, chosen, show, tell)
@@ -288,7 +289,7 @@ def _other_models(runs: Iterable[Run], built: Built) -> list[str]:
     """Say which runs have other models than the job."""
     sentences = []
     for run in runs:
-        changes = changed_fingerprints(read_recorded(run.path)[0], built)
+        changes = changed_models(run.path, built)
         if changes:
             sentences.append(
                 f"{run.path} has another problem than the first: its model differs in "

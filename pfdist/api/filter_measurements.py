@@ -146,8 +146,7 @@ def filter_measurements(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
-        process made.
+        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame.
     planned : str, optional

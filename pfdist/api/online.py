@@ -29,8 +29,8 @@ def online(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file. Without a section [online] it gets the
-        defaults.
+        A problem, a job, or the path of a job file or of a run's folder. Without a section [online]
+        it gets the defaults.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>`` if the job file has a
         section [online], as its run has, and otherwise ``results/<stem>-online``.

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pandas as pd
 
 from pfdist.api.evaluate import UNNAMED, instants_of
-from pfdist.checks.formulas import ENDLESS
+from pfdist.checks.likelihood import ENDLESS
 from pfdist.checks.particles import (
     has_particle_loss,
     mean_effective_sizes,
@@ -37,7 +37,7 @@ def particle_losses(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file.
+        A problem, a job, or the path of a job file or of a run's folder.
     particles : iterable of int
         Numbers of particles; they replace that of the job.
     measurement_times : iterable of int or float, or str

@@ -28,7 +28,8 @@ def plan(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file. Searches that the job names are left aside.
+        A problem, a job, or the path of a job file or of a run's folder. Searches that the job
+        names are left aside.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``. If the job names
         searches, that folder belongs to their run, and the default is ``results/<stem>-plan``.

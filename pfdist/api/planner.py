@@ -44,8 +44,8 @@ class Planner:
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file. Its section [online] says how plans are made.
-        A job that is built already is not built again.
+        A problem, a job, or the path of a job file or of a run's folder. Its section [online] says
+        how plans are made. A job that is built already is not built again.
     times : iterable of int or float, optional
         The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible
         set of the job, or of one of its measurement budgets. By default a short search finds some.

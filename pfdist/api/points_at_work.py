@@ -128,7 +128,7 @@ class PointsAtWork:
 
         say = silent if self._say is silent else told  # lines about results become warnings
         try:
-            built = build(self._sweep.jobs[name])
+            built = build(self._sweep.jobs[name], self._path / name)
             with opened(self._path / name, built) as store:
                 yield from compute(Session(built, store, show, say), self._bound)
         except BusyError as error:

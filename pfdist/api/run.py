@@ -47,7 +47,7 @@ def run(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file.
+        A problem, a job, or the path of a job file or of a run's folder.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``.
     reuse : str, Path or iterable of these, optional
@@ -76,7 +76,7 @@ def run(
     others = paths_argument("reuse", reuse)
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([job], tell)
-        built = build(job)
+        built = build(job, path)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
         return run_built(built, path, chosen, show, tell, settings, others)

@@ -10,7 +10,7 @@ from typing import Any
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.stored_run import job_of
 from pfdist.common.arguments import path_argument
-from pfdist.errors import ArgumentError, RunMismatchError, StoreError
+from pfdist.errors import RunMismatchError, StoreError
 from pfdist.job.job import Job
 from pfdist.job.source import JobSource, as_job
 from pfdist.runner.build import Built, build, say_model_files
@@ -64,7 +64,7 @@ def finished_run(run: Run | str | Path) -> Run:
     if opened.state != "finished":
         raise StoreError(
             f"{opened.path} is not finished ({opened.state}): run its job on first, "
-            f"`pfdist run {opened.path / 'job.toml'}`"
+            f"`pfdist run {opened.path}`"
         )
     return opened
 
@@ -81,7 +81,7 @@ def run_and_job(
     Parameters
     ----------
     source : Problem, Job, str, Path or Run
-        A problem, a job, or the path of a job file; or a run that this process made of one.
+        A problem, a job, the path of a job file or of the run's folder, or a run.
     results : str, Path or None
         Folder of the run. By default it is the folder where `pfdist.run` and `pfdist.plan` put the
         run of the job. If a job that lists searches has been planned but not run, it is the plan.
@@ -94,22 +94,14 @@ def run_and_job(
 
     Raises
     ------
-    ArgumentError
-        The run was opened from its folder, which holds no model.
     StoreError
         There is no finished run of the job, or the run is of another job or of other models.
     ModelError
         A model cannot be loaded.
     """
     if isinstance(source, Run):
-        made_from = job_of(source)
-        if made_from is None:
-            raise ArgumentError(
-                f"a run that was opened from its folder holds no model, got {source.path}: give "
-                f"the job, for instance {str(source.path / 'job.toml')!r}",
-                argument="job",
-            )
-        results, source = source.path if results is None else results, made_from
+        results = source.path if results is None else results
+        source = job_of(source) or source.path
     job = as_job(source)
     path, sections = folder_of(job, results), _AS_DEFAULT
     if not holds_run(path):
@@ -121,7 +113,7 @@ def run_and_job(
     run = finished_run(path)
     check_same_job(path, run.job, job)
     say_model_files([job], say)
-    built = build(job.with_changes(sections=run.job))  # with the draws of the run
+    built = build(job.with_changes(sections=run.job), path)  # with the draws of the run
     check_same_models(path, built)
     return run, built
 

@@ -268,7 +268,8 @@ def foreseen(
     with following(progress, say) as (show, _):
         for done, point in enumerate(sweep_job.points):
             show(Progress("dry run", done, len(sweep_job.points), doing=f"measuring {point.name}"))
-            folder, built = path / point.name, build(sweep_job.jobs[point.name])
+            folder = path / point.name
+            built = build(sweep_job.jobs[point.name], folder)
             state = _state(folder, built.job)
             steps = foreseen_steps(built)
             work = {"steps": steps, "seconds": steps * _seconds_a_step(built)}

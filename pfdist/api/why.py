@@ -133,8 +133,7 @@ def why(
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
-        process made.
+        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
     draws : int
         Number of draws, at least 2. They are computed in this process, and memory does not grow
         with their number. An exact engine uses it only for ``jitter``.

@@ -1,26 +1,23 @@
 """The conditions that every formula must satisfy before a run starts."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.formulas import elementwise, pure
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws, not_finite
 from pfdist.models import StateSpaceModel
-from pfdist.models.mistakes import formulas_of
 
 Array = NDArray[np.float64]
 Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]
-_LOOKS: dict[str, Look] = {"pure": pure, "elementwise": elementwise}
 _INSTANTS = 500
-_DRAWS = 10  # simulated, so that a formula that mixes particles is found
+_DRAWS = 10
 
 
 def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
-    """A few draws in NumPy of a model's twin; each formula is called at each instant.
+    """A few draws in NumPy of a recorded model; each formula is called at each instant.
 
     If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 later
     instants. Raises `ModelError` if a formula failed, or gave a value that is not finite.
@@ -29,7 +26,7 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
     later = sorted({round(t) for t in np.linspace(last, horizon, _INSTANTS)} - {last})
     instants = [*range(last + 1), *later]
     parts: tuple[list[Array], ...] = ([], [], [])
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         x = before = _finite(model, "initial", "x", 0, _noise(model.initial_noise, rng))
         for t in instants:
             v, w = _noise(model.measurement_noise, rng), _noise(model.process_noise, rng)
@@ -74,37 +71,10 @@ def _finite(
     return values
 
 
-def look_at_formulas(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, str, str]]:
-    """Yield name, state and text of each check of a model's formulas in NumPy, on a few draws.
-
-    The first wrong result is the last: the other checks would say the same again.
-    """
-    for name, look in _LOOKS.items():
-        state, text = looked(look, model, draws)
-        yield name, state, text
-        if state == "wrong":
-            return
-
-
 def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """State and text of one check; an error that a formula raises is wrong."""
     try:
-        with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):
             return look(model, draws)
     except ModelError as error:
         return "wrong", str(error)
-
-
-def check_formulas(model: StateSpaceModel, draws: Draws) -> None:
-    """Refuse a model with wrong formulas, before any is compiled or any worker has a task.
-
-    Raises `ModelError` if a formula fails at some instant, is not pure, or mixes particles.
-    """
-    for _, state, text in look_at_formulas(model, draws):
-        _refuse(model, state, text)
-
-
-def _refuse(model: StateSpaceModel, state: str, text: str) -> None:
-    prefix = f"model {model.name}: "
-    if state == "wrong":
-        raise ModelError(text if text.startswith(prefix) else prefix + text)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.formulas import (
+from pfdist.checks.likelihood import (
     MEASUREMENTS,
     Within,
     formatted_state,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.checks.contract import few_draws, look_at_formulas, looked
-from pfdist.checks.formulas import Within, likelihood
+from pfdist.checks.contract import few_draws, looked
+from pfdist.checks.likelihood import Within, likelihood
 from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.particles import (
     NUMBERS,
@@ -29,11 +29,12 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
-from pfdist.models import StateSpaceModel, carried_model
+from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.checks import own_formulas
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
-from pfdist.models.twin import traced, twin_of
+from pfdist.models.recorded import recorded
+from pfdist.models.twin import traced
 from pfdist.sequential.one_filter import formatted_instant
 from pfdist.times.measurement_times import Times, regular
 
@@ -77,7 +78,7 @@ def check_model(
     the clock: the time of each instant. By default it is 0..T for a model that reads a clock, and
     other models have none.
     """
-    return check_loaded(lambda: carried_model(name, folder).model, horizon, particles, times)
+    return check_loaded(lambda: load_model(name, folder), horizon, particles, times)
 
 
 def check_loaded(
@@ -164,12 +165,9 @@ def _size(program: Program) -> int:
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
     """Yield checks of formulas in NumPy and, if these are right, as an engine computes them."""
-    twin = twin_of(model, range(horizon + 1))
     try:
-        for look, state, text in look_at_formulas(twin, few_draws(twin, horizon)):
-            yield Check(look, state, text)
-            if state == "wrong":
-                return
+        model = recorded(model, range(horizon + 1))
+        few_draws(model, horizon)
         evaluator, check = _compiled(Evaluator(model, horizon), estimation)
         yield check
         count = min(_DRAWS, _MOST_STEPS // (horizon + 1))
@@ -189,7 +187,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     ):
         if is_declared:
             within = Within(_LONGEST)
-            state, text = looked(partial(patient, within=within), twin, draws)
+            state, text = looked(partial(patient, within=within), model, draws)
             yield Check(look, state, text + within.text)
     every_instant = partial(_every_instant, evaluator.computed_by.name)
     yield Check(EVERY_INSTANT, *looked(every_instant, model, draws))

@@ -13,7 +13,7 @@ import pandas as pd
 
 from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
-from pfdist.checks.formulas import Within
+from pfdist.checks.likelihood import Within
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work, with_truth

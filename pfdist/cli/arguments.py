@@ -47,7 +47,7 @@ def add_job(parser: ArgumentParser) -> None:
     parser.add_argument(
         "job",
         metavar="JOB",
-        help="job file, for instance jobs/paper.toml, or the job.toml in the folder of a run",
+        help="job file, for instance jobs/paper.toml, or the folder of a run",
     )
     add_changes(parser)
 
@@ -59,7 +59,7 @@ def add_job_of_run(parser: ArgumentParser) -> None:
         "--results",
         metavar="DIR",
         help=f"folder of the run (default: {RESULTS}, where `pfdist run` and `pfdist plan` put the "
-        "run; with -plan after it if only that one holds a run; for a run's job.toml, its folder)",
+        "run; with -plan after it if only that one holds a run; of the folder of a run, this one)",
     )
 
 

@@ -17,6 +17,7 @@ from typing import Any
 from pfdist.errors import shown
 
 MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than a million
+MOST_BYTES_OF_MODELS = 256_000_000  # of the model.json of a run
 MOST_LEVELS = 16  # a job has four
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
 _DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")

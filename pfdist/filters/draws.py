@@ -1,6 +1,7 @@
 """Draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
 
 import inspect
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, SupportsIndex
 
@@ -12,6 +13,7 @@ from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of, place_of_function
+from pfdist.models.programs import Programs
 
 
 @dataclass(frozen=True)
@@ -121,18 +123,26 @@ def not_finite(
     ``x[0] = nan``.
     """
     function = inspect.unwrap(getattr(model, formula))  # of a twin, what the user wrote
-    cause = place_of_function(function)
-    try:
-        with np.errstate(all="raise", under="ignore"):
-            function(*arguments)
-    except FloatingPointError as error:
-        cause = f": {error}{place_of(error)}"
-    except Exception as error:  # the formula did not fail before: warnings are errors here
-        cause = f": {type(error).__name__}{place_of(error)}"
+    if isinstance(function, Programs):
+        cause = function.cause(*arguments)
+    else:
+        cause = _cause(function, arguments)
     return (
         f"model {model.name}: a simulation must stay finite, got {got} at t = {t} from {formula}"
         f"{cause}"
     )
+
+
+def _cause(function: Callable[..., Any], arguments: tuple[Any, ...]) -> str:
+    """NumPy's words for the operation that is not finite, with its line."""
+    try:
+        with np.errstate(all="raise", under="ignore"):
+            function(*arguments)
+    except FloatingPointError as error:
+        return f": {error}{place_of(error)}"
+    except Exception as error:  # the formula did not fail before: warnings are errors here
+        return f": {type(error).__name__}{place_of(error)}"
+    return place_of_function(function)
 
 
 def _given(

@@ -5,8 +5,8 @@ draw stays the same, and so does every figure that is computed from the draws in
 """
 
 import contextlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,9 +29,12 @@ from pfdist.filters.settings import check_filter, check_fits
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
-from pfdist.models import CarriedModel, StateSpaceModel
+from pfdist.models import StateSpaceModel
+from pfdist.models.by_value import by_value, made
 from pfdist.models.mistakes import NO_CLOCK
-from pfdist.models.parameters import check_lengths
+from pfdist.models.parameters import Parameter, check_lengths
+from pfdist.models.recorded import recorded
+from pfdist.models.written import key_of_model
 from pfdist.times.measurement_times import Times
 
 _ANY = Estimation(particles=1)
@@ -41,8 +44,8 @@ _ANY = Estimation(particles=1)
 class Evaluator:
     """Compute the MSE of sets of measurement times for a model, a horizon and a filter's model.
 
-    The evaluator of a job holds its models as they are carried; see `carried_evaluator`. It travels
-    to the workers, and each process compiles its formulas once. A `PriorError` says that the prior
+    The evaluator of a job holds recorded models; see `recorded_evaluator`. It travels to the
+    workers, and each process compiles its formulas once. A `PriorError` says that the prior
     does not fit a model or the horizon. A `ModelError` says that an estimation or the filter's
     model does not fit, or that the engine "kalman" needs another model.
     """
@@ -60,9 +63,6 @@ class Evaluator:
     estimations: tuple[Estimation, ...] = ()
     # (T+1,): the time of each instant, if the models were put on a clock
     clock: tuple[float, ...] | None = None
-    # The carried model and the carried filter's model. Without these the evaluator cannot travel,
-    # and its evaluations have no ids.
-    carried: tuple[CarriedModel, ...] = field(default=(), repr=False)
     # Each draw has the parameters of one of these scenarios; none: of the model. If the filter is
     # told, it has the parameters of the draw's scenario, too.
     scenarios: tuple[Scenario, ...] = ()
@@ -84,9 +84,22 @@ class Evaluator:
             self.check(estimation)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel as what the models were made of, because formulas cannot be pickled."""
-        names = {each.name for each in fields(self)} - {"model", "filter_model", "carried"}
-        return _arrived, (*self.carried, {name: getattr(self, name) for name in names})
+        """Travel as the models' programs; formulas that cannot be traced travel by value."""
+        names = {each.name for each in fields(self)} - {"model", "filter_model"}
+        return _arrived, (self._content, {name: getattr(self, name) for name in names})
+
+    @cached_property
+    def _content(self) -> bytes:
+        return by_value((self.model, self.filter_model))
+
+    @cached_property
+    def keys(self) -> tuple[str, str]:
+        """Hashes of the true model and of the filter's model."""
+        instants = range(self.horizon + 1)
+        model, believed = (
+            key_of_model(recorded(each, instants)) for each in (self.model, self.believed)
+        )
+        return model, believed
 
     @property
     def start(self) -> int:
@@ -117,7 +130,6 @@ class Evaluator:
         return replace(
             self,
             filter_model=None,
-            carried=self.carried[:1] * 2,
             estimations=(),
             told=bool(self.scenarios),
         )
@@ -169,7 +181,6 @@ class Evaluator:
             self,
             model=self.believed,
             filter_model=None,
-            carried=self.carried[1:] * 2,
             estimations=(),
             scenarios=self.scenarios if self.told else (),
         )
@@ -292,7 +303,7 @@ class Evaluator:
         """
         key = stream_key(
             KERNEL_VERSION,
-            *(each.key for each in self.carried),
+            *self.keys,
             self.horizon,
             self.engine,
             estimation.recorded,
@@ -427,22 +438,37 @@ class Evaluator:
         return replace(estimation, prior=self.prior)
 
 
-def carried_evaluator(
-    carried: CarriedModel,
-    carried_filter: CarriedModel,
+def recorded_evaluator(
+    model: StateSpaceModel,
+    filter_model: StateSpaceModel,
     *,
     horizon: int,
     clock: tuple[float, ...] | None = None,
+    others: Iterable[Mapping[str, Parameter]] = (),
+    told: bool = False,
     **settings: Any,
 ) -> Evaluator:
-    """The evaluator of models that travel, which fit the clock and each other.
+    """The evaluator of recorded models, which fit the clock and each other.
 
-    `carried` is the true model, and `carried_filter` the model that the filter uses. `clock` (T+1,)
-    is the time of each instant, which formulas read; None if the job has no clock. `settings` are
-    further fields of `Evaluator`. A `ModelError` says that a model cannot be made here, reads a
-    clock that the job lacks, or does not fit the job.
+    Parameters
+    ----------
+    model, filter_model : StateSpaceModel
+        The true model, and the model that the filter uses.
+    horizon : int
+    clock : tuple of float, (T+1,), optional
+        The time of each instant, which formulas read.
+    others : iterable of mapping
+        Further values of the truth's parameters: those of scenarios.
+    told : bool
+        Whether the filter's model has these, too.
+    settings
+        Further fields of `Evaluator`.
+
+    Raises
+    ------
+    ModelError
+        A model reads a clock that the job lacks, or does not fit the job; or a formula fails.
     """
-    model, filter_model = carried.model, carried_filter.model
     for part, each in (("model", model), ("model.filter", filter_model)):
         if clock is None and each.reads_clock:
             raise ModelError(
@@ -454,26 +480,20 @@ def carried_evaluator(
     for part, each in (("model", model), ("model.filter", filter_model)):
         check_lengths(each.parameters, horizon + 1, f"{part}.parameters.", exactly=True)
     check_fits(filter_model, model)
-    scenarios = [each.parameters for each in settings.get("scenarios", ())]
-    told = scenarios if settings.get("told") else []
-    known = carried.at(model, horizon, scenarios), carried_filter.at(filter_model, horizon, told)
-    return Evaluator(
-        model,
-        horizon,
-        filter_model.named_as(model),
-        clock=clock,
-        carried=known,
-        **settings,
-    )
+    filter_model, instants = filter_model.named_as(model), range(horizon + 1)
+    is_same, known = filter_model == model, [*others]
+    model = recorded(model, instants, known)
+    if not is_same:
+        filter_model = recorded(filter_model, instants, known if told else ())
+    return Evaluator(model, horizon, model if is_same else filter_model, clock=clock, **settings)
 
 
-def _arrived(
-    carried: CarriedModel, carried_filter: CarriedModel, settings: dict[str, Any]
-) -> Evaluator:
+def _arrived(content: bytes, settings: dict[str, Any]) -> Evaluator:
     """An evaluator that has travelled to this process.
 
     It is compiled before its first task, because the time of tasks is limited.
     """
-    evaluator = carried_evaluator(carried, carried_filter, **settings)
+    model, filter_model = made(content)
+    evaluator = Evaluator(model=model, filter_model=filter_model, **settings)
     evaluator.compile(*evaluator.estimations)
     return evaluator

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,28 +44,30 @@ def _filter_blocks(
     states, (own, once) = model.components[0], (_Formulas(model, truth.is_angle), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     x, u = {"x": states}, {"u": len(model.proposal_variates)}
-    z = "quantity_of_interest"
+    z, source = "quantity_of_interest", partial(_source, model)
     sources = dict[Any, Source | None](
         {
             rows.INITIAL: _own(model, "initial", instants),
             rows.TRANSITION: _own(model, "transition", instants) if instants[1:] else None,
-            rows.QUANTITY: _source(model, z, own.quantity, {**x, "t": 0}, instants),
-            rows.DEVIATIONS: _source(
-                model, z, own.deviations, {**x, "y": quantities, "t": 0}, instants
+            rows.QUANTITY: source(
+                quantities + 2 * angles, z, own.quantity, {**x, "t": 0}, instants
             ),
-            rows.ESTIMATE: _source(
-                model, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
+            rows.DEVIATIONS: source(
+                quantities, z, own.deviations, {**x, "y": quantities, "t": 0}, instants
+            ),
+            rows.ESTIMATE: source(
+                quantities, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
             ),
             rows.ERROR: _own(truth, "error", instants),
-            rows.DISTANCE: _source(model, "distance", own.distance, {"x": 3 * quantities}, once),
-            rows.LOGARITHM: _source(model, "logarithm", _logarithm, {"w": 1}, once),
+            rows.DISTANCE: source(1, "distance", own.distance, {"x": 3 * quantities}, once),
+            rows.LOGARITHM: source(1, "logarithm", _logarithm, {"w": 1}, once),
         }
     )
     for number, part in enumerate(model.parts):
         sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
     if guided:
         given = {**x, "y": model.components[1], "t": 0, **u}
-        sources[rows.GUIDED] = _source(model, "proposal", own.guided, given, instants[:-1])
+        sources[rows.GUIDED] = source(states + 1, "proposal", own.guided, given, instants[:-1])
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
     return blocks, _components_of_state(sources[rows.QUANTITY])
 
@@ -106,11 +109,13 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 def _own(model: StateSpaceModel, name: str, instants: range) -> Source:
     """A formula of the model itself, traced."""
     formula = formula_of(model, name)
-    return Source(traced(model, name, instants), _layout(formula), model.parameters)
+    layout = _layout(formula)
+    return Source(traced(model, name, instants), layout, model.parameters, formula.results)
 
 
 def _source(
     model: StateSpaceModel,
+    results: int,
     name: str,
     function: Callable[..., Any],
     arguments: dict[str, int],
@@ -119,8 +124,9 @@ def _source(
     """A formula that is made from those of a model, traced; None without instants."""
     if not instants:
         return None
-    formula = Formula(function, name, {**arguments, "p": 0}, model.parameters, model.name)
-    return Source(trace(formula, instants), _layout(formula), model.parameters)
+    given = {**arguments, "p": 0}
+    formula = Formula(function, name, given, model.parameters, model.name, results)
+    return Source(trace(formula, instants), _layout(formula), model.parameters, results)
 
 
 def _layout(formula: Formula) -> dict[str, tuple[str, int]]:

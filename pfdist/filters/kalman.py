@@ -32,7 +32,6 @@ from pfdist.filters.interface import (
 )
 from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.mistakes import formulas_of
 from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times
 
@@ -101,17 +100,17 @@ def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearG
         return _probed(at, inputs, f"model {owner.name}: {name} at t = {t}")
 
     process_inputs = states + len(model.process_noise)
-    with formulas_of(model.name, model.formulas):
-        return LinearGaussian(
-            affine("initial", 0, 0, len(model.initial_noise)),
-            tuple(affine("transition", t, states, process_inputs) for t in instants[:-1]),
-            tuple(
-                affine("measurement", t, states, states + len(each.measurement_noise), each)
-                for t in instants
-                for each in (part.model for part in twin.parts)
-            ),
-            tuple(affine("quantity_of_interest", t, states, states) for t in instants),
-        )
+    check()
+    return LinearGaussian(
+        affine("initial", 0, 0, len(model.initial_noise)),
+        tuple(affine("transition", t, states, process_inputs) for t in instants[:-1]),
+        tuple(
+            affine("measurement", t, states, states + len(each.measurement_noise), each)
+            for t in instants
+            for each in (part.model for part in twin.parts)
+        ),
+        tuple(affine("quantity_of_interest", t, states, states) for t in instants),
+    )
 
 
 def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> Affine:

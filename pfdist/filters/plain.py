@@ -36,7 +36,6 @@ from pfdist.kernels.variates import (
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
-from pfdist.models.mistakes import formulas_of
 from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times
 
@@ -55,7 +54,7 @@ def simulate(
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
         return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
 
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         if prior is None:
             state = model.initial(noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
         else:
@@ -84,9 +83,8 @@ def filter_checked_draws(
 ) -> Filtered:
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
     count = max(1, _AT_ONCE // settings.particles)
-    formulas = model.formulas | {"error": draws.model.formulas["error"]}
     model = twin_of(model, draws.instants)
-    with formulas_of(model.name, formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         blocks = [
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)

@@ -35,7 +35,7 @@ from pfdist.times.measurement_times import REGULAR, Times
 from pfdist.times.written import validated_instants
 
 if TYPE_CHECKING:  # a job is read without Numba
-    from pfdist.models import CarriedModel
+    from pfdist.models import NamedModel
 
 
 def override(data: dict[str, Any], change: str) -> None:
@@ -135,7 +135,7 @@ class Origin(NamedTuple):
     names_searches: bool = False  # whether the file has a [[search]]; else the job has the default
     names_online: bool = False  # whether the file has a section [online]
     # Models that were given as objects, for the parts "model" and "filter_model".
-    models: Mapping[str, "CarriedModel"] = _NOTHING
+    models: Mapping[str, "NamedModel"] = _NOTHING
     is_file: bool = True  # a problem in Python has no job file
 
 
@@ -369,7 +369,7 @@ def load_job(
     Parameters
     ----------
     path : str or Path
-        A TOML file.
+        A TOML file, or the folder of a run, which keeps its job and its models.
     overrides : iterable of str
         ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
         ``search.genetic.generations=5``, where ``genetic`` is the name of a search.
@@ -389,6 +389,12 @@ def load_job(
         The file cannot be read or is no TOML, a value is wrong, or values contradict each other.
     """
     path = path_argument("path", path)
+    if path.is_dir():
+        from pfdist.store import check_entries, holds_run  # noqa: PLC0415  most jobs are files
+
+        if holds_run(path):
+            check_entries(path)
+            path /= "job.toml"
     data = toml_of_file(path)
     if "job" in data:
         raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
@@ -404,10 +410,7 @@ def toml_of_file(path: Path) -> dict[str, Any]:
     try:
         return parse_toml(read_text(path))
     except IsADirectoryError as error:
-        remedy = ""
-        if (path / "job.toml").is_file():
-            remedy = f": name the job of its run, which keeps it in {path / 'job.toml'}"
-        raise JobError(f"a job must be a job file, got the folder {path}{remedy}") from error
+        raise JobError(f"a job must be a job file, got the folder {path}") from error
     except OSError as error:
         folders = path.parent, Path("jobs")
         meant = did_you_mean_path(path, folders, lambda other: other.suffix == ".toml")

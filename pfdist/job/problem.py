@@ -20,9 +20,8 @@ from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import Filter
 from pfdist.models import (
     PYTHON,
-    CarriedModel,
+    NamedModel,
     StateSpaceModel,
-    carried,
     check_name,
     installed_name,
     load_model,
@@ -37,8 +36,8 @@ class Problem(Shown):
     """A model, and how often and when it may be measured: what a job file says, in Python.
 
     The keys are those of the sections [problem] and [filter] of a job file. All of them are checked
-    at once. A model that was defined in a notebook or a script travels to the workers by value, as
-    it is now; later changes of a constant need a new problem.
+    at once. The formulas of a model that was defined in a notebook or a script are recorded each
+    time that something is computed.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ class Problem(Shown):
     JobError
         A value is wrong, values contradict each other, or a key is unknown.
     ModelError
-        The model cannot be found, or it cannot be sent to workers.
+        The model cannot be found.
 
     Examples
     --------
@@ -166,7 +165,7 @@ class Problem(Shown):
                     f"argument of pfdist.Problem{did_you_mean(name, allowed)}"
                 )
         given = {"model": self._model, "filter_model": self._filter_model}
-        models = {part: each for part, each in given.items() if isinstance(each, CarriedModel)}
+        models = {part: each for part, each in given.items() if isinstance(each, NamedModel)}
         origin = Origin(
             Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
         )
@@ -200,16 +199,16 @@ class Problem(Shown):
         return parts.Page("", f"problem {self.name}: {about}", [section])
 
 
-def _given(model: StateSpaceModel | str | CarriedModel, argument: str) -> str | CarriedModel:
-    """The name of a model that was handed over in Python, or the object as it travels."""
-    if isinstance(model, CarriedModel):  # of a problem that is changed
+def _given(model: StateSpaceModel | str | NamedModel, argument: str) -> str | NamedModel:
+    """The name of a model that was handed over in Python, or the object with its name."""
+    if isinstance(model, NamedModel):  # of a problem that is changed
         return model
     try:
         if isinstance(model, str):
             check_name(model)
             return model
         if isinstance(model, StateSpaceModel):
-            return carried(model, installed_name(model) or f"{PYTHON}{model.name}")
+            return NamedModel(installed_name(model) or f"{PYTHON}{model.name}", model)
     except ModelError as error:
         raise ModelError(f"{argument}: {error}", argument=argument) from error
     raise ModelError(
@@ -219,11 +218,11 @@ def _given(model: StateSpaceModel | str | CarriedModel, argument: str) -> str | 
     )
 
 
-def _name_of(model: str | CarriedModel) -> str:
+def _name_of(model: str | NamedModel) -> str:
     return model if isinstance(model, str) else model.name
 
 
-def _section_of(model: str | CarriedModel) -> dict[str, Any]:
+def _section_of(model: str | NamedModel) -> dict[str, Any]:
     """The keys by which a job names a model, with the parameters that differ from its own."""
     if isinstance(model, str):
         return {"name": model, "parameters": {}}

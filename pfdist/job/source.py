@@ -1,4 +1,4 @@
-"""A problem, a job, or the path of a job file: a public function takes each of them."""
+"""A problem, a job, or a path of one: a public function takes each of them."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ from pfdist.job.job import Job, load_job
 from pfdist.job.problem import Problem
 
 JobSource = Problem | Job | str | Path
-"""A problem, a job, or the path of a job file."""
+"""A problem, a job, or the path of a job file or of a run's folder."""
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 

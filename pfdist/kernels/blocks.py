@@ -19,7 +19,7 @@ from pfdist.kernels.lowering import ARGUMENTS, FUNCTION, POINTERS, Code, Layout,
 from pfdist.kernels.vectors import LANES
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array, evaluate, merged
-from pfdist.models.tracing import Traced
+from pfdist.models.tracing import Traced, check_results
 
 _LARGE = 2.0**1000  # the reciprocals of smaller numbers have all digits
 
@@ -38,6 +38,7 @@ class Source(NamedTuple):
     traced: Traced
     layout: Layout
     parameters: Mapping[str, Parameter]
+    results: int  # rows that its block writes
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ def compile_blocks(sources: Sequence[Source | None], instants: range) -> Compile
         if source is not None
         for which in range(len(source.traced.programs))
     ]
+    for number, source, program in programs:
+        check_results(f"formula {number}", program.program, source.results, instants[0])
     halves = [half for *_, program in programs for half in program.split[::2]]
     code = machine_code((*dict.fromkeys(half for half in halves if half.outputs),))
     addresses, places = np.zeros((2, len(sources), len(instants)), np.int64)
@@ -80,19 +83,19 @@ class _Program:
 
     def __init__(self, source: Source, which: int) -> None:
         self._source, self.which = source, which
-        self._program = merged(source.traced.programs[which])
+        self.program = merged(source.traced.programs[which])
         self._instants = np.array(source.traced.instants)[source.traced.which == which]
-        self.split = split(self._program, source.layout, exact=self._divides_by_extremes())
+        self.split = split(self.program, source.layout, exact=self._divides_by_extremes())
 
     def _divides_by_extremes(self) -> bool:
         """Whether the reciprocal of a number for all particles may have fewer digits."""
-        divisors = self._leaves(self._program.shared_divisors)
+        divisors = self._leaves(self.program.shared_divisors)
         sizes = np.abs(np.concatenate([*divisors, [1.0]]))
         return bool(((sizes < 1.0 / _LARGE) | (sizes > _LARGE)).any())
 
     def _leaves(self, operations: tuple[int, ...]) -> list[Array]:
         """Values that are the same for all particles, by NumPy, for each instant."""
-        some = replace(self._program, outputs=operations)
+        some = replace(self.program, outputs=operations)
         parameters, rows = self._source.parameters, np.arange(len(some.constants))
         values = evaluate(merged(some), {}, self._instants, parameters, rows)
         return [np.broadcast_to(each, self._instants.shape) for each in values]

@@ -4,9 +4,9 @@ A model consists of formulas. It knows neither filters nor simulations.
 """
 
 from pfdist.models.base import Sensor, StateSpaceModel, squared_error
-from pfdist.models.carried import PYTHON, CarriedModel, carried
 from pfdist.models.loader import (
-    carried_model,
+    PYTHON,
+    NamedModel,
     check_name,
     installed_models,
     installed_name,
@@ -15,11 +15,9 @@ from pfdist.models.loader import (
 
 __all__ = [
     "PYTHON",
-    "CarriedModel",
+    "NamedModel",
     "Sensor",
     "StateSpaceModel",
-    "carried",
-    "carried_model",
     "check_name",
     "installed_models",
     "installed_name",

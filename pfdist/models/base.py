@@ -26,6 +26,7 @@ from pfdist.models.parameters import (
     named_parameters,
     trial_parameters,
 )
+from pfdist.models.programs import Programs
 from pfdist.models.seeing import in_python
 
 _MOST_KEPT = 1000  # results that are derived from a model, such as traced formulas
@@ -35,7 +36,7 @@ _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
 def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
     """The squared Euclidean norm of z minus its estimate: the error of equation 5."""
     total = 0.0
-    for value, estimated in zip(z, estimate):  # noqa: B905  Numba knows no strict
+    for value, estimated in zip(z, estimate, strict=True):
         total += (value - estimated) ** 2
     return total
 
@@ -64,7 +65,7 @@ def error_with_angles(is_angle: tuple[bool, ...]) -> Callable[..., Any]:
 
     def error(z, estimate, t, p):
         total = 0.0
-        for value, estimated, angle in zip(z, estimate, is_angle):  # noqa: B905
+        for value, estimated, angle in zip(z, estimate, is_angle, strict=True):
             total += angular_error(value, estimated) if angle else (value - estimated) ** 2
         return total
 
@@ -148,11 +149,6 @@ class StateSpaceModel:
     linear_gaussian : bool
         Whether every formula is linear in x and noise, and every noise is normal. The engine
         "kalman" then computes the expected MSE exactly, and checks this declaration.
-    data_files : tuple of str
-        Files in the folder of the model's file that the model reads while it is imported, by their
-        relative paths: ``("rates.csv",)`` for
-        ``np.loadtxt(Path(__file__).with_name("rates.csv"))``. Their content is part of the
-        identity of a run. Workers need no such file: they get the arrays that were read.
     normalised : bool
         Whether `log_likelihood` is the logarithm of a density or probability of y, with all
         constants. A filter of real measurements then gives their log evidence.
@@ -181,9 +177,8 @@ class StateSpaceModel:
     ------
     ModelError
         A formula does not take its arguments or does not give a tuple of components; a kind of
-        noise is unknown; a parameter lies outside its range, or a data file outside the folder;
-        names do not fit the components; a circular component is unknown, or the model declares
-        itself linear and Gaussian.
+        noise is unknown; a parameter lies outside its range; names do not fit the components; a
+        circular component is unknown, or the model declares itself linear and Gaussian.
 
     References
     ----------
@@ -203,7 +198,6 @@ class StateSpaceModel:
     parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     error: Callable[..., Any] = squared_error
     linear_gaussian: bool = False
-    data_files: tuple[str, ...] = ()
     normalised: bool = False
     missing_components: bool = False
     x_names: tuple[str, ...] = ()
@@ -219,11 +213,17 @@ class StateSpaceModel:
         check_fields(self)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
         object.__setattr__(self, "parameters", fixed)
+        ranges = {name: tuple(map(float, each)) for name, each in self.parameter_ranges.items()}
+        object.__setattr__(self, "parameter_ranges", ranges)
         for name in own_formulas(self):
-            try:
-                formula = in_python(getattr(self, name))
-            except ModelError as error:
-                raise ModelError(f"model {self.name}: {name} {error}") from error
+            formula = getattr(self, name)
+            if isinstance(formula, Programs):
+                formula = formula.with_parameters(self.parameters)
+            else:
+                try:
+                    formula = in_python(formula)
+                except ModelError as error:
+                    raise ModelError(f"model {self.name}: {name} {error}") from error
             object.__setattr__(self, name, formula)
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
         for kind in _NAMES:

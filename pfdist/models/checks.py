@@ -10,7 +10,6 @@ import keyword
 import math
 import re
 from collections.abc import Mapping
-from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from pfdist.models.mistakes import (
 )
 from pfdist.models.parameters import Parameter, named_parameters, values_of_parameter
 from pfdist.models.program import evaluate
+from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula
 
 NOISE_KINDS = ("normal", "uniform", "centred")
@@ -61,8 +61,8 @@ ONE_NUMBER = {
 def check_fields(model: Any) -> None:
     """Raise a `ModelError` about the first wrong field of a model, before any formula is called.
 
-    A formula does not take its arguments, a kind of noise is unknown, a data file lies outside the
-    folder, or a parameter has a wrong name or value.
+    A formula does not take its arguments, a kind of noise is unknown, or a parameter has a wrong
+    name or value.
     """
     _check_sensors(model)
     for name in own_formulas(model):
@@ -70,7 +70,6 @@ def check_fields(model: Any) -> None:
     for name in ("initial_noise", "process_noise", "measurement_noise", "proposal_noise"):
         _check_noise(model, name)
     _check_proposal(model)
-    _check_data_files(model)
     for name in model.parameter_ranges:
         if name not in model.parameters:
             raise ModelError(
@@ -175,15 +174,6 @@ def _check_proposal(model: Any) -> None:
         )
 
 
-def _check_data_files(model: Any) -> None:
-    files = model.data_files
-    if not isinstance(files, tuple) or not all(map(is_in_folder, files)):
-        raise ModelError(
-            f"model {model.name}: data_files must be a tuple of names relative to the folder of "
-            f"the model's file, and in it, got {files!r}"
-        )
-
-
 def _check_parameter(model: Any, name: str, value: Parameter) -> None:
     if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
         raise ModelError(
@@ -201,16 +191,6 @@ def _check_parameter(model: Any, name: str, value: Parameter) -> None:
                 f"model {model.name}: parameter {name} must be a finite number in "
                 f"{low:g}..{high:g}, got {number!r}{'' if number is value else f' for t = {t}'}"
             )
-
-
-def is_in_folder(name: Any) -> bool:
-    """Whether a name is a path relative to a folder that stays in this folder."""
-    if not isinstance(name, str):
-        return False
-    path = PurePosixPath(name)
-    return (
-        bool(path.parts) and "\0" not in name and not path.is_absolute() and ".." not in path.parts
-    )
 
 
 # --- formulas -------------------------------------------------------------------------------------
@@ -252,17 +232,22 @@ def _variates(kinds: tuple[str, ...]) -> tuple[Any, ...]:
 def _call(model: Any, name: str, *arguments: Any) -> Any:
     """The checked value of a formula."""
     formula = getattr(model, name)
-    if (recorded := _by_program(model, name, arguments)) is not None:
+    if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
+        return example
+    recorded, refused = _by_program(model, name, arguments)
+    if recorded is not None:
         return recorded
     try:
         value = formula(*arguments)
     except BaseException as error:  # a formula may raise any exception
         if is_interrupt(error):
             raise
-        raise ModelError(
-            f"model {model.name}: {name} failed on arrays: {error_line(error)}"
-            f"{_advice(model, name, arguments, error)}{place_of(error)}"
-        ) from error
+        if refused is not None:  # it says what to write instead
+            failed = f"{refused}{place_of(refused)}"
+        else:
+            advice = _advice(model, name, arguments, error)
+            failed = f"{error_line(error)}{advice}{place_of(error)}"
+        raise ModelError(f"model {model.name}: {name} failed: {failed}") from error
     wrong = _wrong_kind(name, value) or _wrong_shape(value)
     if wrong:
         place = place_of_function(formula)
@@ -270,10 +255,15 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
     return value
 
 
-def _by_program(model: Any, name: str, arguments: tuple[Any, ...]) -> Any:
-    """The value of a formula by its program at t = 0; None if it cannot be recorded."""
+def _by_program(
+    model: Any, name: str, arguments: tuple[Any, ...]
+) -> tuple[Any, RefusedError | None]:
+    """The value of a formula by its program at t = 0; None, and why it cannot be recorded."""
     groups = dict(zip(ARGUMENTS[name], arguments, strict=True))
-    parameters = groups["p"]._asdict()
+    parameters = {
+        key: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
+        for key, value in groups["p"]._asdict().items()
+    }
 
     def of_right_kind(*symbols: Any) -> Any:
         value = getattr(model, name)(*symbols)
@@ -283,6 +273,7 @@ def _by_program(model: Any, name: str, arguments: tuple[Any, ...]) -> Any:
         return value
 
     sizes = {key: len(each) if type(each) is tuple else 0 for key, each in groups.items()}
+    refused = None
     formula = Formula(of_right_kind, name, sizes | {"p": 0}, parameters, model.name)
     for mode in MODES:
         try:
@@ -290,9 +281,10 @@ def _by_program(model: Any, name: str, arguments: tuple[Any, ...]) -> Any:
         except BaseException as error:  # a formula may raise any exception
             if is_interrupt(error):
                 raise
+            refused = error if isinstance(error, RefusedError) else None
         else:
-            return values[0] if name in ONE_NUMBER else values
-    return None
+            return (values[0] if name in ONE_NUMBER else values), None
+    return None, refused
 
 
 def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseException) -> str:

@@ -4,6 +4,7 @@ A name is that of a model that ships, that of an installed entry point of the gr
 ``pfdist.models``, or ``path/file.py:object``.
 """
 
+import ast
 import contextlib
 import dataclasses
 import hashlib
@@ -13,25 +14,30 @@ import pkgutil
 import sys
 import threading
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from pfdist.common.nearest import did_you_mean
-from pfdist.common.parsing import read_bytes, read_text
+from pfdist.common.parsing import read_text
 from pfdist.errors import ModelError, shown
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.carried import PYTHON, CarriedModel, carried
-from pfdist.models.fingerprint import file_of
 from pfdist.models.mistakes import error_line, is_interrupt, place_of, ships
-from pfdist.models.parameters import Parameter
-from pfdist.models.syntax import imported_by
 
+PYTHON: Final = "python:"
+"""The beginning of the name, in a job, of a model that was given as an object in Python."""
 _GROUP = "pfdist.models"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
 """Modules that a file beside a model must not hide."""
-MOST_DATA = 1_000_000_000  # bytes of a data file
 _importing = threading.RLock()  # the path and the table of modules belong to all threads
+
+
+class NamedModel(NamedTuple):
+    """A model that was given as an object in Python, and its name in a job."""
+
+    name: str
+    model: StateSpaceModel
 
 
 def load_model(name: str, folder: Path = Path()) -> StateSpaceModel:
@@ -54,21 +60,12 @@ def load_model(name: str, folder: Path = Path()) -> StateSpaceModel:
     ModelError
         There is no such model, or it cannot be loaded.
     """
-    return _model_and_file(name, folder)[0]
-
-
-def carried_model(
-    name: str, folder: Path = Path(), parameters: Mapping[str, Parameter] | None = None
-) -> CarriedModel:
-    """A model by its name, as it travels to the workers, with some parameters replaced.
-
-    The name and the folder are those of `load_model`. A `ModelError` says that there is no such
-    model, that it cannot be loaded or cannot travel, that a data file cannot be read, or that a
-    parameter is unknown or outside its range.
-    """
-    model, file = _model_and_file(name, folder)
-    data = {each: _read_data(model, file, each) for each in model.data_files}
-    return carried(model.with_parameters(parameters) if parameters else model, name, data)
+    home, attribute = _located(name, folder)
+    if isinstance(home, Path):
+        return _model_of(_imported(home), attribute, home)
+    with _errors_in_one_line(f"the module {home!r} of model {name!r} fails when imported"):
+        module = importlib.import_module(home)
+    return _model_of(module, attribute, Path(module.__file__ or home))
 
 
 def check_name(name: str) -> None:
@@ -98,25 +95,14 @@ def installed_models() -> dict[str, tuple[str, str]]:
     return plugged | shipped
 
 
-def _model_and_file(name: str, folder: Path) -> tuple[StateSpaceModel, Path]:
-    """A model, and the file that contains it."""
-    home, attribute = _located(name, folder)
-    if isinstance(home, Path):
-        return _model_of(_imported(home), attribute, home), home
-    with _errors_in_one_line(f"the module {home!r} of model {name!r} fails when imported"):
-        module = importlib.import_module(home)
-    file = Path(module.__file__ or home)
-    return _model_of(module, attribute, file), file
-
-
 def _located(name: str, folder: Path) -> tuple[Path | str, str]:
     """The file or the installed module of a model, and the model's name in it."""
     if not isinstance(name, str):
         raise ModelError(f"the name of a model must be a text, got {shown(name)}")
     if name.startswith(PYTHON):
         raise ModelError(
-            f"the model {name!r} was given as an object in Python, and no file holds it: go on in "
-            "Python with this object, as in pfdist.run(problem)"
+            f"the model {name!r} was given as an object in Python, and no file holds it: give the "
+            "folder of its run, or resume in Python, as in pfdist.run(problem)"
         )
     if ".py:" in name:
         path, _, attribute = name.rpartition(":")
@@ -138,13 +124,24 @@ def _readable(file: Path, name: str) -> Path:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ModelError(f"cannot read {file}: {reason} (got {name!r})") from error
     with contextlib.suppress(SyntaxError, ValueError):  # the import says what is wrong
-        for module in imported_by(text) & _FIRST:
+        for module in _imported_by(text) & _FIRST:
             if (hides := file.with_name(f"{module}.py")).exists():
                 raise ModelError(
                     f"{file} imports {module}, and {hides} hides the module of this name: rename "
                     "the file"
                 )
     return file
+
+
+def _imported_by(text: str) -> set[str]:
+    """The top-level modules that a source imports; SyntaxError or ValueError if it is no source."""
+    modules = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            modules.add(node.module.partition(".")[0])
+    return modules
 
 
 def _imported(file: Path) -> types.ModuleType:
@@ -207,7 +204,7 @@ def _beside(folder: Path) -> Iterator[None]:
 
 
 def _lies_in(module: types.ModuleType, folder: Path) -> bool:
-    file = file_of(module)
+    file = vars(module).get("__file__") or next(iter(getattr(module, "__path__", ())), None)
     return file is not None and Path(file).is_relative_to(folder) and not _is_installed(module)
 
 
@@ -245,15 +242,3 @@ def _model_of(module: types.ModuleType, attribute: str, file: Path) -> StateSpac
             f"models in this file: {', '.join(models) or 'none'}{did_you_mean(attribute, models)}"
         )
     return model
-
-
-def _read_data(model: StateSpaceModel, file: Path, name: str) -> bytes:
-    path = file.parent / name
-    try:
-        return read_bytes(path, MOST_DATA)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ModelError(
-            f"model {model.name}: data_files must name files that can be read, got {name!r}: "
-            f"{path}: {reason}"
-        ) from error

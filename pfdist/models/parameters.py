@@ -30,7 +30,7 @@ def values_of_parameter(value: Any) -> Iterable[Any]:
 def fixed_parameter(value: Any) -> Any:
     """A checked parameter in a form that can be compared: a sequence becomes a tuple."""
     value = _plain(value)
-    return tuple(map(float, value)) if isinstance(value, list | tuple) else value
+    return tuple(map(float, value)) if isinstance(value, list | tuple) else float(value)
 
 
 def _plain(value: Any) -> Any:

@@ -18,14 +18,36 @@ Array = NDArray[np.float64]
 GROUPS = ("x", "y", "z", "w", "v", "u", "estimate")
 """Names of the tuples that formulas take; a component is a value of each particle."""
 
-MASKS = frozenset(
-    {
-        *("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"),
-        *("logical_and", "logical_or", "logical_xor", "logical_not"),
-        *("isnan", "isinf", "isfinite", "signbit"),
-    }
+UNARY = (
+    *("negative", "absolute", "sqrt", "cbrt", "sign", "exp", "exp2", "expm1"),
+    *("log", "log2", "log10", "log1p", "sin", "cos", "tan", "arcsin", "arccos", "arctan"),
+    *("sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
+    *("floor", "ceil", "trunc", "rint", "isnan", "isinf", "isfinite", "signbit"),
 )
+"""Operations of a number that are recorded under the names of NumPy's functions."""
+BINARY = (
+    *("fmod", "copysign", "arctan2", "hypot", "logaddexp"),
+    *("maximum", "minimum", "fmax", "fmin"),
+)
+"""The same of two numbers."""
+OPERATORS = (
+    *("add", "subtract", "multiply", "divide", "floor_divide", "remainder"),
+    *("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"),
+)
+"""Operations of two numbers that have an operator."""
+LOGICAL = ("logical_and", "logical_or", "logical_xor", "logical_not")
+"""Operations of masks."""
+MASKS = frozenset({*OPERATORS[6:], *LOGICAL, "isnan", "isinf", "isfinite", "signbit"})
 """Operations that give masks; all others give floating-point numbers."""
+
+TAKES = (
+    dict.fromkeys((*GROUPS, "t", "parameter", "constant"), "")
+    | dict.fromkeys(("covariate", "take", *UNARY), "f")
+    | dict.fromkeys(("power", *BINARY, *OPERATORS), "ff")
+    | dict.fromkeys(LOGICAL, "mm")
+    | {"logical_not": "m", "float": "m", "where": "mff"}
+)
+"""What each operation takes: "f" is a number, and "m" a mask."""
 
 
 class Operation(NamedTuple):
@@ -124,6 +146,18 @@ def merged(program: Program) -> Program:
         constants[:, column] = np.frombuffer(content)
     outputs = tuple(moved[each] for each in program.outputs)
     return Program(tuple(operations), outputs, constants, program.tables)
+
+
+def cause_of(program: Program, values: Sequence[Any]) -> str:
+    """The first operation that gives a number that is not finite from finite ones.
+
+    `values` has that of each operation. The name is empty if there is none.
+    """
+    finite = [bool(np.isfinite(each).all()) for each in values]
+    for number, (name, arguments, _) in enumerate(program.operations):
+        if arguments and not finite[number] and all(finite[each] for each in arguments):
+            return name
+    return ""
 
 
 # --- the plain twin -------------------------------------------------------------------------------

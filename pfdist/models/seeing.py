@@ -1,21 +1,19 @@
 """Copies of formulas that have the same code and see other objects under the names in it.
 
 A formula may call functions that its author compiled with `numba.njit`. Numba compiles these
-without checks of their indices. So a model takes the Python functions from which they were made,
-and the kernels compile these together with the formula. A formula that travels sees copies of the
-user's modules, which hold only what it names.
+without checks of their indices, and they take no symbols. So a model takes the Python functions
+from which they were made.
 """
 
 import sys
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from numba.extending import is_jitted
 
 from pfdist.errors import ModelError
 from pfdist.models.mistakes import place_of_function, ships
-from pfdist.models.syntax import codes_in
 
 _PLACE = {"__file__", "__path__"}  # show that a module is the user's
 _LIBRARIES = sys.stdlib_module_names | {
@@ -35,9 +33,17 @@ def is_library(module: str) -> bool:
     return top in _LIBRARIES
 
 
+def _codes_in(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The code of a function, and of the functions that it defines."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _codes_in(constant)
+
+
 def names_in(code: types.CodeType) -> set[str]:
     """Names of globals and attributes in a function and in the functions that it defines."""
-    return {name for each in codes_in(code) for name in each.co_names}
+    return {name for each in _codes_in(code) for name in each.co_names}
 
 
 def seeing(
@@ -101,18 +107,6 @@ def in_python(function: Any) -> Any:
         return function
     same, changed = _in_python(function, (), {})
     return same if changed else function
-
-
-def with_named_modules(formulas: Mapping[str, Any]) -> dict[str, types.FunctionType]:
-    """Formulas that see copies of the user's modules, with only the names that they use.
-
-    A function that several of them call is copied once.
-    """
-    copies: _Copies = {}
-    return {
-        name: function if is_library(home_of(function)) else _in_python(function, (), copies)[0]
-        for name, function in formulas.items()
-    }
 
 
 def home_of(function: types.FunctionType) -> str:

@@ -12,13 +12,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from pfdist.models.mistakes import advice_on_special
-from pfdist.models.program import MASKS, Operation, Program
+from pfdist.models.program import BINARY, MASKS, OPERATORS, UNARY, Operation, Program
 from pfdist.models.program import take as take_entries
 
 MOST_OPERATIONS: Final = 50_000
 _NUMBERS = (bool, int, float, np.integer, np.floating, np.bool_)
 _LARGEST_TABLE = 64  # entries of a table whose entries are symbols
+
+
+_SPECIAL = {
+    **dict.fromkeys(("gammaln", "loggamma"), "write pfdist.densities.lgamma"),
+    **{name: f"write pfdist.densities.{name}" for name in ("erf", "erfc", "logsumexp")},
+}
+"""Functions of SciPy that formulas have elsewhere."""
 
 
 class RefusedError(TypeError):
@@ -30,7 +36,6 @@ class Recording:
 
     def __init__(self) -> None:
         self.operations: list[Operation] = []
-        self.is_shared: list[bool] = []
         self.constants: list[float] = []
         self.tables: dict[bytes, int] = {}
         self.is_open = True
@@ -44,18 +49,16 @@ class Recording:
                 f"a formula must have at most {MOST_OPERATIONS:,} operations: a loop that never "
                 "ends, or too many steps"
             )
-        is_shared = True
-        for each in arguments:
-            is_shared = is_shared and self.is_shared[each]
-        self.is_shared.append(is_shared)
         self.operations.append(Operation(name, arguments, which))
         return len(self.operations) - 1
 
-    def leaf(self, name: str, which: Any = None, *, shared: bool = False) -> int:
-        """The number of a new leaf."""
-        number = self.add(name, (), which)
-        self.is_shared[number] = shared
-        return number
+    def operand(self, value: Any) -> int:
+        """The number of a symbol, or of a new constant."""
+        if type(value) is not Symbol:
+            return self.number(value)
+        if value.recording is not self:
+            raise RefusedError("a value is kept from another call: compute it again in this one")
+        return value.number
 
     def number(self, value: Any) -> int:
         """The number of a new constant."""
@@ -91,11 +94,6 @@ class Symbol:
         return f"<symbol {name}{'' if which is None else f'[{which}]'}>"
 
     @property
-    def is_shared(self) -> bool:
-        """Whether all particles have this value."""
-        return self.recording.is_shared[self.number]
-
-    @property
     def shape(self) -> tuple[()]:
         """The shape of a single number."""
         return ()
@@ -112,8 +110,9 @@ class Symbol:
 
     def __float__(self) -> float:
         raise RefusedError(
-            "a value of particles as a number of Python: write np.sin and not math.sin, and "
-            "np.array([a, b]) and not an assignment into an array of numbers"
+            "a value of particles as a number of Python: write np.sin and not math.sin, "
+            "pfdist.densities.lgamma and not math.lgamma, and np.array([a, b]) and not an "
+            "assignment into an array of numbers"
         )
 
     def __int__(self) -> int:
@@ -254,7 +253,7 @@ class Symbol:
             whole = _record("trunc", self)
             whole.kind = "whole"
             return whole
-        return _as_float(self)
+        return as_float(self)
 
     # --- NumPy's protocols ------------------------------------------------------------------------
 
@@ -263,8 +262,8 @@ class Symbol:
         if method != "__call__" or keywords or name not in UFUNCS:
             called = name if method == "__call__" else f"{name}.{method}"
             given = f" with {', '.join(keywords)}" if keywords else ""
-            advice = advice_on_special(name) or ": write it with operators"
-            raise RefusedError(f"{called}{given} of a value of particles{advice}")
+            advice = _SPECIAL.get(name, "write it with operators")
+            raise RefusedError(f"{called}{given} of a value of particles: {advice}")
         if any(isinstance(each, np.ndarray | list | tuple) and np.ndim(each) for each in inputs):
             return elementwise(UFUNCS[name], *inputs)
         return UFUNCS[name](*inputs)
@@ -312,6 +311,8 @@ def _in_arrays(argument: Any) -> Any:
 
 def _plain(value: Any) -> Any:
     """A symbol or a number; an array of one entry counts as it."""
+    if type(value) is Symbol or type(value) is float:  # most are
+        return value
     if isinstance(value, _SINGLE):
         return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
@@ -321,19 +322,14 @@ def _plain(value: Any) -> Any:
 
 def _record(name: str, *values: Any) -> Symbol:
     """Record an operation on symbols and numbers."""
-    symbols = [each for each in values if type(each) is Symbol]
-    recording = symbols[0].recording
-    for symbol in symbols:
-        if symbol.recording is not recording:
-            raise RefusedError("a value is kept from another call: compute it again in this one")
-    numbers = [each.number if type(each) is Symbol else recording.number(each) for each in values]
-    kind = "mask" if name in MASKS else "float"
-    return Symbol(recording, recording.add(name, tuple(numbers)), kind)
+    recording: Recording = next(each.recording for each in values if type(each) is Symbol)
+    number = recording.add(name, tuple(map(recording.operand, values)))
+    return Symbol(recording, number, "mask" if name in MASKS else "float")
 
 
-def _as_float(value: Any) -> Any:
+def as_float(value: Any) -> Any:
     """A mask as 1 and 0; other values as they are."""
-    return _record("float", value) if getattr(value, "kind", "") == "mask" else value
+    return _record("float", value) if type(value) is Symbol and value.kind == "mask" else value
 
 
 def _as_mask(value: Any) -> Any:
@@ -351,20 +347,26 @@ def _binary(name: str, first: Any, second: Any) -> Any:
     a, b = _plain(first), _plain(second)
     if a is None or b is None:
         return NotImplemented
-    if name in _OF_NUMBERS and _is_condition(a) and _is_condition(b):
+    kind, other = _kind(a), _kind(b)
+    if kind == other == "mask" and name in _OF_NUMBERS:
         raise RefusedError(f"{name} of two conditions: write a.astype(int), or & and |")
-    result = _record(name, _as_float(a), _as_float(b))
-    if name in _WHOLE and _is_whole(a) and _is_whole(b):
+    result = _record(name, as_float(a), as_float(b))
+    if kind == other == "whole" and name in _WHOLE:
         result.kind = "whole"
     return result
 
 
-def _is_whole(value: Any) -> bool:
-    return getattr(value, "kind", "") == "whole" or isinstance(value, int | np.integer)
+def _kind(value: Any) -> str:
+    """The kind of a symbol or a number."""
+    if type(value) is Symbol:
+        return value.kind
+    if isinstance(value, bool | np.bool_):
+        return "mask"
+    return "whole" if isinstance(value, int | np.integer) else "float"
 
 
 def _unary(name: str, value: Any) -> Any:
-    return _record(name, _as_float(value))
+    return _record(name, as_float(value))
 
 
 def _logical(name: str, *values: Any) -> Any:
@@ -376,14 +378,10 @@ def _logical(name: str, *values: Any) -> Any:
     return _record(name, *(_mask_of(symbol, each) for each in masks))
 
 
-def _is_condition(value: Any) -> bool:
-    return getattr(value, "kind", "") == "mask" or isinstance(value, bool | np.bool_)
-
-
 def _of_conditions(name: str, *values: Any) -> Any:
     """An operation of bits, which NumPy computes otherwise for whole numbers."""
     given = [_plain(each) for each in values]
-    if not all(each is None or _is_condition(each) for each in given):
+    if not all(each is None or _kind(each) == "mask" for each in given):
         raise RefusedError(
             "&, |, ^ and ~ of numbers: write n % 2 and n // 2 for bits; of conditions, put each "
             "into brackets, as in (x > 0) & (x < 1)"
@@ -405,7 +403,7 @@ def _power(base: Any, exponent: Any) -> Any:
     a, b = _plain(base), _plain(exponent)
     if a is None or b is None:
         return NotImplemented
-    a, b = _as_float(a), _as_float(b)
+    a, b = as_float(a), as_float(b)
     if isinstance(b, Symbol):
         return _record("power", a, b)
     simple: dict[float, Callable[[], Any]] = {
@@ -428,7 +426,7 @@ def choose(condition: Any, if_true: Any, if_false: Any) -> Any:
         return elementwise(choose, *values)
     if not isinstance(condition, Symbol):
         return if_true if condition else if_false
-    a, b = _as_float(_plain(if_true)), _as_float(_plain(if_false))
+    a, b = as_float(_plain(if_true)), as_float(_plain(if_false))
     return _record("where", _as_mask(condition), a, b)
 
 
@@ -481,7 +479,7 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
     flat = values.ravel()
     if not isinstance(index, Symbol):
         return take_entries(flat, index)
-    if not _is_whole(index):
+    if _kind(index) != "whole":
         raise RefusedError("an index must be a whole number: write take(table, x.astype(int))")
     if flat.dtype == object:
         if flat.size > _LARGEST_TABLE:
@@ -536,29 +534,16 @@ def _recorded(name: str) -> Callable[..., Any]:
     """The function that records an operation of this name."""
 
     def record(*values: Any) -> Any:
-        return _record(name, *(_as_float(_plain(each)) for each in values))
+        return _record(name, *(as_float(_plain(each)) for each in values))
 
     return record
 
 
-_SAME = (
-    *("negative", "absolute", "sqrt", "cbrt", "fmod", "sign", "copysign", "exp", "exp2", "expm1"),
-    *("log", "log2", "log10", "log1p", "sin", "cos", "tan", "arcsin", "arccos", "arctan"),
-    *("arctan2", "hypot", "logaddexp", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
-    *("floor", "ceil", "trunc", "rint", "maximum", "minimum", "fmax", "fmin"),
-    *("isnan", "isinf", "isfinite", "signbit"),
-)
-"""Functions of NumPy that are recorded as they are."""
-
-_OPERATORS = (
-    *("add", "subtract", "multiply", "divide", "floor_divide", "remainder"),
-    *("less", "less_equal", "greater", "greater_equal", "equal", "not_equal"),
-)
-
+_SAME = (*UNARY, *BINARY)
 _OF_BITS = ("and", "or", "xor")
 UFUNCS: dict[str, Callable[..., Any]] = {
     **{name: _recorded(name) for name in _SAME},
-    **{name: partial(_binary, name) for name in _OPERATORS},
+    **{name: partial(_binary, name) for name in OPERATORS},
     "true_divide": partial(_binary, "divide"), "power": _power, "float_power": _power,
     "divmod": lambda a, b: (_binary("floor_divide", a, b), _binary("remainder", a, b)),
     "square": lambda x: _power(x, 2.0), "reciprocal": lambda x: 1.0 / x,

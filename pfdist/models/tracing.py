@@ -6,10 +6,11 @@ If it also needs parameters as numbers, it gets these, too. Programs of single i
 same operations become one, whose constants are rows of a table.
 """
 
+import hashlib
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -44,27 +45,94 @@ class Traced:
     ----------
     instants : range
     programs : tuple of Program
-        With different operations.
+        With different operations. A program has a row of constants for each of its instants, in
+        their order.
     which : array of int64, (instants,)
         The program of each instant.
-    row : array of int64, (instants,)
-        The row of the program's constants at each instant.
     mode : str
         One of `MODES`.
+    read : mapping of str to float or sequence of float
+        The parameters that the programs have as numbers, with their values.
     """
 
     instants: range
     programs: tuple[Program, ...]
     which: NDArray[np.int64]
-    row: NDArray[np.int64]
     mode: str
+    read: Mapping[str, Parameter] = field(default_factory=dict)
+
+    @classmethod
+    def symbolic(cls, program: Program, instants: range) -> "Traced":
+        """A formula whose program is that of all instants."""
+        return cls(instants, (program,), np.zeros(len(instants), np.int64), MODES[0])
+
+    @cached_property
+    def row(self) -> NDArray[np.int64]:
+        """The row of the program's constants at each instant, (instants,)."""
+        row = np.zeros(self.which.size, np.int64)
+        if self.mode != MODES[0]:
+            for number in range(len(self.programs)):
+                is_here = self.which == number
+                row[is_here] = np.arange(is_here.sum())
+        return row
+
+    def at(self, instants: range) -> "Traced":
+        """The same formula at other instants.
+
+        Raises
+        ------
+        ModelError
+            Each instant has its own constants, and some of these instants have none.
+        """
+        if instants == self.instants:
+            return self
+        if self.mode == MODES[0]:
+            return Traced.symbolic(self.programs[0], instants)
+        if not (instants[0] in self.instants and instants[-1] in self.instants):
+            raise ModelError(
+                f"it was recorded for t = {self.instants[0]} to {self.instants[-1]}, got "
+                f"t = {instants[0]} to {instants[-1]}: give the job, whose model is recorded again"
+            )
+        first = self.instants.index(instants[0])
+        here = slice(first, first + len(instants))
+        which, row = self.which[here], self.row[here]
+        numbers, order = np.unique(which, return_inverse=True)
+        programs = tuple(
+            replace(program, constants=program.constants[row[which == number]])
+            for number in numbers
+            for program in self.programs[number : number + 1]
+        )
+        return replace(self, instants=instants, programs=programs, which=order)
 
     def values(
         self, groups: Mapping[str, Sequence[Any]], t: int, parameters: Mapping[str, Parameter]
     ) -> tuple[Any, ...]:
         """The values of the formula for arrays, by NumPy's functions: its plain twin."""
+        program, row = self.program_at(t)
+        return evaluate(program, groups, t, parameters, row)
+
+    def program_at(self, t: Any) -> tuple[Program, int]:
+        """The program of an instant, and the row of its constants.
+
+        Raises
+        ------
+        ModelError
+            The instant has none.
+        """
+        if self.mode == MODES[0]:
+            return self.programs[0], 0
+        if t not in self.instants:
+            self.at(range(t, t + 1))
         at = self.instants.index(t)
-        return evaluate(self.programs[self.which[at]], groups, t, parameters, self.row[at])
+        return self.programs[self.which[at]], int(self.row[at])
+
+    @cached_property
+    def hash(self) -> str:
+        """Hash of the programs and of the instants at which they are."""
+        at = () if self.mode == MODES[0] else (self.instants, self.which.tolist())
+        programs = [each.hash for each in self.programs]
+        content = repr((self.mode, programs, at)).encode()
+        return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -83,6 +151,8 @@ class Formula:
         Those that vary with t have an entry for each instant 0..T.
     model : str
         Name of the model.
+    results : int
+        The number of results that it must give at each instant; 0 if any number is right.
     """
 
     function: Callable[..., Any]
@@ -90,10 +160,17 @@ class Formula:
     arguments: Mapping[str, int]
     parameters: Mapping[str, Parameter]
     model: str
+    results: int = 0
 
     @cached_property
-    def _numbers(self) -> Any:
-        return named_parameters(self.parameters)
+    def _numbers(self) -> "_Numbers":
+        return _Numbers(named_parameters(self.parameters))
+
+    @property
+    def read(self) -> dict[str, Parameter]:
+        """The parameters that the formula has read as numbers so far, in the order of all."""
+        read = self._numbers.read
+        return {name: value for name, value in self.parameters.items() if name in read}
 
     def recorded(self, mode: str, t: int) -> Program:
         """The program of one call at the instant t."""
@@ -107,7 +184,7 @@ class Formula:
 
     def with_numbers(self, groups: Mapping[str, tuple[Any, ...]], t: int) -> tuple[Any, ...]:
         """The values of the formula for one particle; empty if it fails, or needs symbols."""
-        given = {**groups, "t": t, "p": self._numbers}
+        given = {**groups, "t": t, "p": self._numbers.numbers}
         try:
             with np.errstate(all="ignore"):
                 value = self.function(*(given[name] for name in self.arguments))
@@ -123,11 +200,11 @@ class Formula:
         if name == "t":
             if mode != MODES[0]:
                 return t
-            return Symbol(recording, recording.leaf("t", shared=True), "whole")
+            return Symbol(recording, recording.add("t", ()), "whole")
         if name == "p":
             numbers = mode == MODES[2]
             return self._numbers if numbers else _Parameters(recording, self.parameters)
-        return tuple(Symbol(recording, recording.leaf(name, i)) for i in range(count))
+        return tuple(Symbol(recording, recording.add(name, (), i)) for i in range(count))
 
     def _outputs(self, value: Any) -> list[Any]:
         """The results of a call, as symbols and numbers."""
@@ -152,6 +229,17 @@ def _result(value: Any) -> Any:
     return value if isinstance(value, numbers) else None
 
 
+class _Numbers:
+    """Parameters as numbers, which remember which of them were read."""
+
+    def __init__(self, numbers: Any) -> None:
+        self.numbers, self.read = numbers, set[str]()
+
+    def __getattr__(self, name: str) -> Any:
+        self.read.update(self.numbers._fields if name.startswith("_") else (name,))
+        return getattr(self.numbers, name)
+
+
 class _Parameters:
     """Parameters as symbols, which a formula reads as ``p.sd`` and ``p.rate[t]``."""
 
@@ -164,7 +252,7 @@ class _Parameters:
         value = self._parameters[name]
         if isinstance(value, tuple):
             return _Covariate(self._recording, name, len(value))
-        return Symbol(self._recording, self._recording.leaf("parameter", name, shared=True))
+        return Symbol(self._recording, self._recording.add("parameter", (), name))
 
 
 class _Covariate:
@@ -186,6 +274,15 @@ class _Covariate:
 
     def __getattr__(self, name: str) -> Any:
         raise RefusedError(f"{self._name} as an array of numbers")
+
+
+def recording_of(p: Any, *arguments: Any) -> Recording | None:
+    """The recording of the symbols among the arguments of a call; None if all are numbers."""
+    if isinstance(p, _Parameters):
+        recording: Recording = vars(p)["_recording"]
+        return recording
+    parts = (each for group in arguments for each in (group if type(group) is tuple else (group,)))
+    return next((each.recording for each in parts if isinstance(each, Symbol)), None)
 
 
 def trace(formula: Formula, instants: range) -> Traced:
@@ -222,18 +319,17 @@ class _DiffersError(Exception):
 
 def _symbolic(formula: Formula, mode: str, instants: range) -> Traced:
     """Trace with symbols alone."""
-    program = formula.recorded(mode, instants[0])
+    program = _recorded_at(formula, mode, instants[0])
     _check_same(formula, program, formula.recorded(mode, instants[0]), None)
     _check_numbers(formula, instants, lambda t: (program, 0))
     for t in _divisions_by_zero(formula, program, instants):
         _recorded_at(formula, MODES[-1], t)  # raises the error of Python, if it is one
-    zeros = np.zeros(len(instants), np.int64)
-    return Traced(instants, (program,), zeros, zeros, mode)
+    return Traced.symbolic(program, instants)
 
 
 def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
     """Trace each instant by itself; equal programs become one."""
-    structures, which, row = dict[Any, int](), list[int](), list[int]()
+    structures, which = dict[Any, int](), list[int]()
     firsts, constants, size = list[Program](), list[list[Any]](), 0
     waiting = Waiting(f"Tracing {formula.name} of {formula.model}", len(instants))
     for done, t in enumerate(instants):
@@ -245,7 +341,6 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
             firsts.append(program)
             constants.append([])
         which.append(number)
-        row.append(len(constants[number]))
         constants[number].append(program.constants[0])
         size += program.constants.size
         _check_limits(formula, len(firsts), size)
@@ -253,16 +348,11 @@ def _by_instants(formula: Formula, mode: str, instants: range) -> Traced:
         Program(first.operations, first.outputs, np.array(rows), first.tables)
         for first, rows in zip(firsts, constants, strict=True)
     )
-    traced = Traced(instants, programs, np.array(which), np.array(row), mode)
+    traced = Traced(instants, programs, np.array(which), mode, formula.read)
     for t in _few(instants):
-        number, at = which[t - instants.start], row[t - instants.start]
-        first = programs[number]
-        before = Program(
-            first.operations, first.outputs, first.constants[at : at + 1], first.tables
-        )
+        (before,) = traced.at(range(t, t + 1)).programs
         _check_same(formula, before, _recorded_at(formula, mode, t), t)
-    index = instants.index
-    _check_numbers(formula, instants, lambda t: (programs[which[index(t)]], row[index(t)]))
+    _check_numbers(formula, instants, traced.program_at)
     return traced
 
 
@@ -273,10 +363,26 @@ _TRACERS: dict[str, Callable[[Formula, str, range], Traced]] = {
 }
 
 
+def check_results(formula: str, program: Program, results: int, t: int) -> None:
+    """Raise a `ModelError` unless a program gives the right number of results.
+
+    Compiled code writes them into arrays of this length.
+    """
+    if results and len(program.outputs) != results:
+        raise ModelError(
+            f"{formula} must give {results} result{'s' * (results > 1)} at each instant, got "
+            f"{len(program.outputs)} at t = {t}"
+        )
+
+
 def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
     """The program of an instant; with numbers alone, an error names t."""
     try:
-        return formula.recorded(mode, t)
+        program = formula.recorded(mode, t)
+        check_results(f"model {formula.model}: {formula.name}", program, formula.results, t)
+        return program
+    except ModelError:
+        raise
     except BaseException as error:  # a formula may raise any exception
         if mode == MODES[-1] and not is_interrupt(error):
             raise _explained(formula, error, t) from error
@@ -362,7 +468,9 @@ def _explained(formula: Formula, error: BaseException, t: int | None = None) -> 
         return ModelError(
             f"model {formula.model}: {formula.name} failed: {what}{at}{place_of(error)}"
         )
-    return TraceError(
+    explained = TraceError(
         f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "
         "the engine 'numpy' computes it as it is"
     )
+    explained.advice = str(error) if known else ""
+    return explained

@@ -6,15 +6,15 @@ over the components of x then adds up all particles, too. Its program does not.
 
 import copy
 import dataclasses
-from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from pfdist.errors import TraceError
+from pfdist.errors import ModelError, TraceError
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.checks import ARGUMENTS, ONE_NUMBER
+from pfdist.models.checks import ARGUMENTS
+from pfdist.models.programs import Programs, Untraced
 from pfdist.models.tracing import Formula, Traced, trace
 
 _STEPS = ("transition", "proposal", "proposal_log_density")  # from an instant to the next
@@ -23,9 +23,6 @@ _STEPS = ("transition", "proposal", "proposal_log_density")  # from an instant t
 def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
     """A formula of a model, traced at instants.
 
-    Formulas of steps are not traced at the last instant, unless it is the only one, and `initial`
-    is traced at 0.
-
     Raises
     ------
     TraceError
@@ -33,14 +30,28 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
     ModelError
         The formula fails, also with numbers.
     """
-    if name == "initial":
-        instants = range(1)
-    elif name in _STEPS:
-        instants = instants[:-1] or instants
+    instants, formula = instants_of(name, instants), model.formulas[name]
+    if isinstance(formula, Untraced) and formula.refused is not None:
+        raise formula.refused
+    if isinstance(formula, Programs):
+        try:
+            return formula.traced.at(instants)
+        except ModelError as error:
+            raise ModelError(f"model {model.name}: {name}: {error}") from error
     result: Traced = model.kept(
         ("traced", name, instants), lambda: trace(formula_of(model, name), instants)
     )
     return result
+
+
+def instants_of(name: str, instants: range) -> range:
+    """The instants at which a formula is traced, for instants of the system.
+
+    Those of steps leave out the last, unless it is the only one, and `initial` is traced at 0.
+    """
+    if name == "initial":
+        return range(1)
+    return (instants[:-1] or instants) if name in _STEPS else instants
 
 
 def formula_of(model: StateSpaceModel, name: str) -> Formula:
@@ -51,7 +62,16 @@ def formula_of(model: StateSpaceModel, name: str) -> Formula:
     if name == "initial":
         sizes["w"] = len(model.initial_noise)
     arguments = {argument: sizes[argument] for argument in ARGUMENTS[name]}
-    return Formula(model.formulas[name], name, arguments, model.parameters, model.name)
+    results = results_of(model, name)
+    return Formula(model.formulas[name], name, arguments, model.parameters, model.name, results)
+
+
+def results_of(model: StateSpaceModel, name: str) -> int:
+    """The number of components that a formula gives; 1 for a number."""
+    states, measurements, quantities = model.components
+    counts = {"initial": states, "transition": states, "measurement": measurements}
+    counts |= {"quantity_of_interest": quantities, "proposal": len(model.process_noise)}
+    return counts.get(name, 1)
 
 
 def twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
@@ -64,6 +84,8 @@ def twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
 
 
 def _twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
+    if all(isinstance(each, Programs | Untraced) for each in model.formulas.values()):
+        return model
     twin = copy.copy(model)  # without what is cached beside the fields
     twin.__dict__["components"] = model.components
     if model.sensors:
@@ -84,33 +106,22 @@ def _twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
 
 
 class _Twin:
-    """A formula that computes by its program."""
+    """A formula that is recorded when it is first called."""
 
     def __init__(self, model: StateSpaceModel, name: str, instants: range) -> None:
         self._model, self._name, self._instants = model, name, instants
         self.__wrapped__ = model.formulas[name]
 
     @cached_property
-    def _computed(self) -> Callable[..., Any]:
+    def _computed(self) -> Programs | Untraced:
+        if isinstance(self.__wrapped__, Untraced):
+            return self.__wrapped__
         try:
-            return partial(self._by_program, traced(self._model, self._name, self._instants))
-        except TraceError:
-            return self._itself
-
-    @property
-    def is_traced(self) -> bool:
-        """Whether there is a program."""
-        return self._computed != self._itself
+            program = traced(self._model, self._name, self._instants)
+        except TraceError as error:
+            name, function = self._model.name, self.__wrapped__
+            return Untraced(self._name, name, np.empty(0), function, error)
+        return Programs(self._name, self._model.name, program)
 
     def __call__(self, *arguments: Any) -> Any:
         return self._computed(*arguments)
-
-    def _by_program(self, program: Traced, *arguments: Any) -> Any:
-        groups = dict(zip(ARGUMENTS[self._name], arguments, strict=True))
-        parameters = groups.pop("p")._asdict()
-        values = program.values(groups, groups.pop("t", 0), parameters)
-        return values[0] if self._name in ONE_NUMBER else values
-
-    def _itself(self, *arguments: Any) -> Any:
-        value = self.__wrapped__(*arguments)
-        return tuple(value) if isinstance(value, np.ndarray) and value.ndim > 1 else value

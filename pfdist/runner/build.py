@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.contract import check_formulas, few_draws
+from pfdist.checks.contract import few_draws
 from pfdist.common.component_names import Component
-from pfdist.errors import EngineWarning, JobError, ModelError, TraceError, shown
+from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, TraceError, shown
 from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
-from pfdist.filters.evaluator import Evaluator, carried_evaluator
+from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.work import Estimation
 from pfdist.job.job import ONLINE, Job
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.kernels.lowering import has_fused_multiply_add
-from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
-from pfdist.models.twin import twin_of
+from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
+from pfdist.models.parameters import CLOCK
+from pfdist.models.recorded import differences, with_functions
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
@@ -96,21 +97,24 @@ class Built:
         return self.study.unsearched if self.searches else self.study.references
 
 
-def build(job: Job) -> Built:
+def build(job: Job, run: Path | None = None) -> Built:
     """Make the objects of a job, and check that they fit each other.
+
+    The constants of recorded models are those of a run in a folder, if it has the same models. A
+    job that a run keeps takes its models from there, and imports nothing.
 
     Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
     range, or if an estimator or a resampling scheme does not fit. Raises `JobError` if the job
     wants a number of particles that is enough, and none is.
     """
     if job.filter.is_automatic:
-        return build(_with_enough_particles(job))
-    model, filter_model = models_of(job)
-    evaluator = evaluator_of(job, model, filter_model)
-    model, filter_model = evaluator.carried
+        return build(_with_enough_particles(job, run), run)
+    evaluator = evaluator_of(job, *models_of(job))
+    if run is not None:
+        evaluator = _as_kept(evaluator, run)
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
-    is_wrong = filter_model.key != model.key or evaluator.truth.told != evaluator.told
+    is_wrong = evaluator.believed != evaluator.model or evaluator.truth.told != evaluator.told
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
     study = Study(job, feasible)
@@ -122,7 +126,7 @@ def build(job: Job) -> Built:
         wanted.append(planning_of(job, evaluator.cheapest_estimator).estimation)
     wanted = [*evaluator.estimations, *wanted]
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
-    _check_formulas(evaluator)
+    _check_draws(job, evaluator)
     evaluator = replace(evaluator, engine=_compiled_or_numpy(evaluator))
     built = Built(job, feasible, study, evaluator, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
@@ -130,30 +134,33 @@ def build(job: Job) -> Built:
     return built
 
 
-def evaluator_of(job: Job, model: CarriedModel, filter_model: CarriedModel) -> Evaluator:
+def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel) -> Evaluator:
     """The evaluator of a job and its models, which is not compiled; errors as of `build`."""
     _check_sensors(job, model)
-    evaluator = carried_evaluator(
-        model,
-        filter_model,
-        horizon=job.problem.feasible.horizon,
-        engine=job.filter.engine,
-        estimations=(comparing_of(job), Settings.from_job(job).estimation),
-        clock=job.problem.clock.times if job.problem.has_clock else None,
-        weights=job.problem.weights,
-    )
-    if job.scenarios is None:
-        return evaluator
-    told = job.scenarios.filter == "told"
+    scenarios = () if job.scenarios is None else job.scenarios.each
+    told = job.scenarios is not None and job.scenarios.filter == "told"
     try:
-        return replace(evaluator, scenarios=job.scenarios.each, told=told)
+        evaluator = recorded_evaluator(
+            model,
+            filter_model,
+            horizon=job.problem.feasible.horizon,
+            engine=job.filter.engine,
+            estimations=(comparing_of(job), Settings.from_job(job).estimation),
+            clock=job.problem.clock.times if job.problem.has_clock else None,
+            weights=job.problem.weights,
+            others=[each.parameters for each in scenarios],
+            told=told,
+        )
+        return replace(evaluator, scenarios=scenarios, told=told) if scenarios else evaluator
     except ModelError as error:
+        if error.argument != "parameters":
+            raise
         raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
 
 
-def _check_sensors(job: Job, model: CarriedModel) -> None:
+def _check_sensors(job: Job, model: StateSpaceModel) -> None:
     """Raise a `JobError` unless the job names the sensors of the model, in their order."""
-    named, sensors = job.problem.clock.sensors, tuple(model.model.sensors)
+    named, sensors = job.problem.clock.sensors, tuple(model.sensors)
     if named != sensors:
         raise JobError(
             f"problem.sensors must name the sensors of the model {model.name}, in their order: "
@@ -161,7 +168,7 @@ def _check_sensors(job: Job, model: CarriedModel) -> None:
         )
 
 
-def _with_enough_particles(job: Job) -> Job:
+def _with_enough_particles(job: Job, run: Path | None) -> Job:
     """The job with a number in the place of ``filter.particles = "auto"``.
 
     The number is enough for the regular times and the filter's own model. The job is built with few
@@ -180,7 +187,7 @@ def _with_enough_particles(job: Job) -> Job:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EngineWarning)  # it comes again with the number
-        built = build(with_number(NUMBERS[0]))
+        built = build(with_number(NUMBERS[0]), run)
     evaluator, times = built.evaluator.self_consistent, job.problem.feasible.regular()
     must = "filter.particles must be a number, got 'auto'"
     if not has_particle_loss(evaluator):
@@ -198,82 +205,112 @@ def _with_enough_particles(job: Job) -> Job:
     return with_number(loss.particles)
 
 
-def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:
+def models_of(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The model of a job, and the model that its filter uses.
 
-    A model is the object that was handed over with the job, or has the name that the job gives.
+    A model is that of the run which keeps the job, the object that was handed over with the job, or
+    has the name that the job gives.
     """
-    folder, believed = folder_of_models(job), job.model.filter
-    model = _model_of(job, "model", job.model, folder)
-    if not believed.name:
-        try:
-            return model, model.with_parameters(believed.parameters)
-        except ModelError as error:
-            raise ModelError(f"model.filter: {error}") from error
-    return model, _model_of(job, "filter_model", believed, folder)
+    believed, kept = job.model.filter, _kept_models(job)
+    model = _model_of(job, "model", job.model, kept)
+    if believed.name:
+        return model, _model_of(job, "filter_model", believed, kept[1:])
+    try:
+        if kept and kept[1] is not kept[0]:  # it has other parameters than the truth
+            return model, kept[1].with_parameters(job.model.parameters | believed.parameters)
+        return model, model.with_parameters(believed.parameters)
+    except ModelError as error:
+        raise ModelError(f"model.filter: {error}") from error
 
 
-def _model_of(job: Job, part: str, section: Model | FilterModel, folder: Path) -> CarriedModel:
+def _model_of(
+    job: Job, part: str, section: Model | FilterModel, kept: Sequence[StateSpaceModel]
+) -> StateSpaceModel:
     given = job.origin.models.get(part)
     try:
-        if given is not None and given.name == section.name:
-            return given.with_parameters(section.parameters)
-        return carried_model(section.name, folder, section.parameters)
+        if kept:
+            model = kept[0]
+        elif given is not None and given.name == section.name:
+            model = given.model
+        else:
+            model = load_model(section.name, job.path.parent)
+        return model.with_parameters(section.parameters) if section.parameters else model
     except ModelError as error:
         key = "model" if part == "model" else "model.filter"
         raise ModelError(f"{key}.{error.argument or 'name'}: {error}") from error
 
 
-def folder_of_models(job: Job) -> Path:
-    """The folder to which the paths of a job's models are relative.
+def _kept_models(job: Job) -> tuple[StateSpaceModel, ...]:
+    """The models of the run that keeps a job; empty for another job."""
+    # Imported here, so that workers, which need no files, need no pyarrow.
+    from pfdist.store import check_entries, is_job_of_run, read_models, read_run  # noqa: PLC0415
 
-    This is the folder of the job file. If the file is the job.toml of a run, the paths are still
-    relative to the folder of the job file with which the run was started.
-    """
-    # Imported here, so that workers, which need no model file, need no pyarrow.
-    from pfdist.store import is_job_of_run, read_run  # noqa: PLC0415
-
-    folder = job.path.parent
+    folder, section = job.path.parent, job.model
     if not is_job_of_run(job.path):
-        return folder
-    return Path(folder, read_run(folder)[0].get("provenance", {}).get("folder", ""))
+        return ()
+    check_entries(folder)
+    own = read_run(folder)[1].get("model", {})
+    for key, got, name in (
+        ("model.name", section.name, own.get("name")),
+        ("model.filter.name", section.filter.name, own.get("filter", {}).get("name", "")),
+    ):
+        if got != name:
+            raise JobError(
+                f"{key} must be {shown(name)}, the model of the run in {folder}, got {shown(got)}"
+            )
+    models = read_models(folder)
+    if not job.problem.has_clock:
+        return models
+    truth, believed = map(_without_clock, models)  # the job has the clock
+    return (truth, truth) if models[0] is models[1] else (truth, believed)
+
+
+def _without_clock(model: StateSpaceModel) -> StateSpaceModel:
+    own = {name: value for name, value in model.parameters.items() if name not in CLOCK}
+    return replace(model, parameters=own)
+
+
+def _as_kept(evaluator: Evaluator, run: Path) -> Evaluator:
+    """The evaluator with the models of a run, if these are the same but for last digits."""
+    # Workers need no pyarrow.
+    from pfdist.store import check_entries, has_models, read_models  # noqa: PLC0415
+
+    if not has_models(run):
+        return evaluator
+    try:
+        check_entries(run)
+        truth, believed = read_models(run)
+    except StoreError:  # whoever opens the run reports what is damaged
+        return evaluator
+    if any(differences(truth, evaluator.model)) or any(differences(believed, evaluator.believed)):
+        return evaluator
+    kept = with_functions(truth, evaluator.model), with_functions(believed, evaluator.believed)
+    return replace(evaluator, model=kept[0], filter_model=kept[1])
 
 
 def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
     """Say which model files jobs name, before they are run."""
+    from pfdist.store import is_job_of_run  # noqa: PLC0415  workers need no pyarrow
+
     files = dict.fromkeys(
-        folder_of_models(job) / name.rpartition(":")[0]
+        job.path.parent / name.rpartition(":")[0]
         for job in jobs
         for name in (job.model.name, job.model.filter.name)
-        if ".py:" in name and not name.startswith(PYTHON)
+        if ".py:" in name and not name.startswith(PYTHON) and not is_job_of_run(job.path)
     )
     for file in files:
         say(f"runs the model file {file}, which your job names")
 
 
-def _check_formulas(evaluator: Evaluator) -> None:
-    """Raise a `ModelError` if formulas of a user's model are wrong, on a few draws."""
-    model, filter_model = evaluator.carried
-    if not _ships(model):
+def _check_draws(job: Job, evaluator: Evaluator) -> None:
+    """Raise a `ModelError` if a few draws of a user's model are not finite, or formulas fail."""
+    if not _ships(job.model.name):
         for part in reversed(evaluator.model.parts):
-            twin = twin_of(part.model, range(evaluator.horizon + 1))
-            check_formulas(twin, few_draws(twin, evaluator.horizon))
-    if filter_model.key != model.key and not _ships(filter_model):
-        instants = range(evaluator.horizon + 1)
-        sensors = [twin_of(part.model, instants) for part in evaluator.believed.parts]
-        try:
-            believed_draws = [few_draws(each, evaluator.horizon) for each in sensors]
-        except ModelError:  # its simulation may diverge: measurements guide the particles
-            return
-        try:
-            for each, some in zip(sensors, believed_draws, strict=True):
-                check_formulas(each, some)
-        except ModelError as error:
-            raise ModelError(f"model.filter: {error}") from error
+            few_draws(part.model, evaluator.horizon)
 
 
-def _ships(model: CarriedModel) -> bool:
-    home, _ = installed_models().get(model.name, ("", ""))
+def _ships(name: str) -> bool:
+    home, _ = installed_models().get(name, ("", ""))
     return home.startswith("pfdist.")
 
 
@@ -289,8 +326,8 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
         if evaluator.engine != AUTO:
             raise
         warnings.warn(
-            f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
-            f'(filter.engine = "{NUMPY.name}" says that you know)',
+            f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower, and "
+            f'workers get the code (filter.engine = "{NUMPY.name}" says that you know)',
             EngineWarning,
             stacklevel=4,
         )

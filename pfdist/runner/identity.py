@@ -14,6 +14,9 @@ from pfdist.common.dotted_keys import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Job, job_toml
+from pfdist.models.parameters import CLOCK
+from pfdist.models.recorded import differences
+from pfdist.models.written import text_of
 from pfdist.runner.build import Built
 from pfdist.runner.provenance import provenance
 from pfdist.store import (
@@ -21,16 +24,19 @@ from pfdist.store import (
     ClockColumns,
     Store,
     check_entries,
+    check_models,
     held,
     holds_run,
     key_of,
+    read_models,
+    read_run,
     record_pages,
     run_key,
     run_text,
     write_about,
 )
 from pfdist.store.about import check_version_of, recorded_key
-from pfdist.store.folder import ABOUT, FILES
+from pfdist.store.folder import ABOUT, FILES, MODELS
 from pfdist.store.listing import read_listing
 
 _HASH = re.compile("[0-9a-f]{16,64}")
@@ -66,6 +72,7 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
         store.recover()
         committed = _committed(store)
         if not lacks:
+            check_models(path)
             _check_same(path, built, identity, committed)
         elif built.job.comparison.draws < committed:
             raise _too_few(path, built.job, committed)
@@ -105,8 +112,10 @@ def _committed(store: Store) -> int:
 
 
 def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -> None:
-    """Write job.toml and run.json if they are missing, and job.toml if the job has more draws."""
+    """Write what is missing of job.toml, model.json and run.json; job.toml also with more draws."""
     job, texts = built.job.identity(), dict[str, str]()
+    if not (path / MODELS).exists():
+        texts[MODELS] = text_of(built.evaluator.model, built.evaluator.believed)
     if not holds_run(path):
         texts["run.json"] = run_text({**identity, "provenance": provenance(built)})
     if texts or not (path / "job.toml").exists() or read_recorded(path)[1] != job:
@@ -129,16 +138,9 @@ def _identity(built: Built) -> dict[str, Any]:
         "pfdist": version("pfdist"),
         "kernel": KERNEL_VERSION,
         "engine": built.evaluator.engine,
-        **fingerprints(built),
+        **dict(zip(("model", "filter_model"), built.evaluator.keys, strict=True)),
         "estimations": estimations(built),
     }
-
-
-def fingerprints(built: Built) -> dict[str, dict[str, Any]]:
-    """The fingerprint of the model, and the parts of the filter's model that differ from it."""
-    model, believed = (each.fingerprint for each in built.evaluator.carried)
-    differs = {name: value for name, value in believed.items() if model.get(name) != value}
-    return {"model": model, "filter_model": differs}
 
 
 def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
@@ -159,29 +161,34 @@ def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
 
 
 def check_same_models(path: Path, built: Built) -> None:
-    """Raise a `RunMismatchError` unless models mean the same as those of a run."""
-    changes = changed_fingerprints(read_recorded(path)[0], built)
+    """Raise a `RunMismatchError` unless the built models are those of a run."""
+    changes = changed_models(path, built)
     if changes:
-        message = f"{path} is of another model than is there now; in the run -> now"
+        message = f"the model has changed since {path} was computed; in the run -> now"
         raise RunMismatchError(message, tuple(f"{key}: {how}" for key, how in changes.items()))
 
 
-def changed_fingerprints(run: Mapping[str, Any], built: Built) -> dict[str, str]:
-    """How a run's models differ from the built models, by the name of the part that differs.
-
-    `run` is the content of the run's run.json.
-    """
-    now = fingerprints(built)
-    old, new = (
-        {"model": about["model"], "model.filter": about["filter_model"]} for about in (run, now)
+def changed_models(path: Path, built: Built) -> dict[str, str]:
+    """How the built models differ from those of a run, by the name of the part that differs."""
+    run, evaluator = read_run(path)[0], built.evaluator
+    if (run.get("model"), run.get("filter_model")) == evaluator.keys:
+        return {}
+    truth, believed = read_models(path)
+    clock = {f"parameters.{name}" for name in CLOCK if evaluator.clock is not None}  # the job's
+    of_truth, of_filter = (
+        {key: text for key, text in differences(*models) if key not in clock}
+        for models in ((truth, evaluator.model), (believed, evaluator.believed))
     )
-    return {key: f"{_short(was)} -> {_short(is_now)}" for key, was, is_now in _changes(old, new)}
+    return {f"model.{key}": text for key, text in of_truth.items()} | {
+        f"model.filter.{key}": text for key, text in of_filter.items() if of_truth.get(key) != text
+    }
 
 
 def _check_free(path: Path, key: str) -> None:
-    """Raise a `StoreError` if a folder lacks job.toml or run.json, and holds no run of this key.
+    """Raise a `StoreError` if a folder lacks one of `ABOUT`, and holds no run of this key.
 
-    A start that was killed before it wrote run.json leaves files.json, and perhaps its job.toml.
+    A start that was killed before it wrote run.json leaves files.json, and perhaps its
+    job.toml and model.json.
     """
     if path.exists() and not path.is_dir():
         raise StoreError(f"results must be a folder, got the file {path}", argument="results")
@@ -195,7 +202,7 @@ def _check_free(path: Path, key: str) -> None:
             return
         if listing is not None:
             is_left = listing.about.get("job.toml") and not any(path.glob("[pt]a*/*/*"))
-            strange -= {FILES, *(["job.toml", "parts", "tables"] if is_left else [])}
+            strange -= {FILES, *([*ABOUT, "parts", "tables"] if is_left else [])}
     if strange:
         raise StoreError(
             f"results must be a new folder, an empty one or a run's, got {path} "
@@ -206,10 +213,10 @@ def _check_free(path: Path, key: str) -> None:
 
 def _check_same(path: Path, built: Built, identity: dict[str, Any], committed: int) -> None:
     (run, old_job), job = read_recorded(path), built.job
-    models = fingerprints(built)
-    old = {"job": old_job, **{name: run.get(name) for name in identity if name not in models}}
-    new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
-    changes = changed_fingerprints(run, built)
+    others = identity.keys() - {"model", "filter_model"}
+    old = {"job": old_job, **{name: run.get(name) for name in sorted(others)}}
+    new = {"job": job.identity(), **{name: identity[name] for name in sorted(others)}}
+    changes = changed_models(path, built)
     for key, was, is_now in _changes(old, new):
         if _may_change(key, was, is_now, committed):
             continue

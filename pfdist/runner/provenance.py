@@ -19,7 +19,7 @@ from llvmlite import binding
 from pfdist.errors import StoreError
 from pfdist.filters.engines import COMPILED
 from pfdist.pools.cores import affinity
-from pfdist.runner.build import Built, folder_of_models
+from pfdist.runner.build import Built
 from pfdist.store import Store, add_to_provenance, read_run
 
 CONTINUED = "continued_on"
@@ -28,12 +28,12 @@ _LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "ray", "pandas", "pyarrow",
 
 def provenance(built: Built) -> dict[str, Any]:
     """Where, when and with which libraries a run is started; no result depends on it."""
-    job = built.job
+    job, model = built.job, built.evaluator.model
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
-        "name_of_model": built.evaluator.model.name,
-        "folder": str(folder_of_models(job).absolute()),  # paths of models are relative to it
+        "name_of_model": model.name,
+        "names": {"z": [*model.z_names], "y": [*model.y_names]},
         "python": platform.python_version(),
         "libraries": {name: version(name) for name in _LIBRARIES},
         "machine": {

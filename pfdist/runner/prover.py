@@ -15,7 +15,7 @@ from pfdist.bounds.likelihood import RankWork, wrong_likelihood
 from pfdist.bounds.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
 from pfdist.bounds.relaxation import Relaxation, relaxation_for
 from pfdist.checks.contract import looked
-from pfdist.checks.formulas import likelihood
+from pfdist.checks.likelihood import likelihood
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError

@@ -17,7 +17,6 @@ from pfdist.filters.plain import step
 from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
-from pfdist.models.mistakes import formulas_of
 from pfdist.models.twin import twin_of
 from pfdist.sequential.one_filter import OneFilter, log_likelihood
 
@@ -96,7 +95,7 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
     guides = at.t < t and at.settings.guides(model)
     cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
     own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         if guides:
             draws, seen = range(at.draw, at.draw + 1), tuple(np.full(len(own), v) for v in y)
             twin = twin_of(model, range(t - 1, t + 1))
@@ -112,7 +111,7 @@ def explained(at: OneFilter, t: int, y: Array) -> Explained:
 def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
     """Quantity of interest z of each particle, (q, P); angles at most half a turn from the mean."""
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         z = twin.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
     parts = [np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z]
     around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
@@ -151,7 +150,7 @@ def surprise_of_particles(
         states = states[:, chosen]
     x = tuple(np.tile(states, copies))
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in twin.parts)
         simulated = tuple(chain.from_iterable(by_sensor))
     measured = np.flatnonzero(~np.isnan(y))

@@ -18,7 +18,6 @@ from pfdist.filters.engines import COMPILED, ENGINES
 from pfdist.filters.plain import step
 from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.models.mistakes import formulas_of
 from pfdist.models.parameters import CLOCK, check_lengths
 from pfdist.models.twin import twin_of
 from pfdist.times.measurement_times import Times
@@ -125,7 +124,7 @@ class OneFilter:
             model, first, last = self.model, at.t + 1, cast(Cloud, at.settings.prior).x
             draws = range(self.draw, self.draw + 1)
             twin = twin_of(model, range(at.t, at.t + 2))
-            with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+            with np.errstate(all="ignore"):
                 x, _ = step(twin, tuple(last), None, at.t, last.shape[1], self.stream, draws)
                 z = twin.quantity_of_interest(x, first, model.p)
             is_finite = all(np.isfinite(each).all() for each in x)
@@ -140,7 +139,7 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
     x, measured = tuple(cloud.x), tuple(np.full(cloud.particles, value) for value in y)
     total = np.zeros(cloud.particles)
     twin = twin_of(model, range(cloud.t, cloud.t + 1))
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         for _, sensor, of_sensor, _ in twin.parts:
             if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
                 total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)

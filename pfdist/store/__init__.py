@@ -6,7 +6,10 @@ they mean for a search.
 
 from pfdist.store.about import (
     add_to_provenance,
+    check_models,
+    has_models,
     key_of,
+    read_models,
     read_run,
     run_key,
     run_text,

@@ -1,4 +1,4 @@
-"""The files that say what a run is, run.json and job.toml, and the key of the run.
+"""The files that say what a run is, job.toml, model.json and run.json, and the key of the run.
 
 Their hashes stand in files.json, so whatever is read is what pfdist wrote.
 """
@@ -9,16 +9,25 @@ import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pfdist.common.parsing import parse_json, parse_toml, read_text
+from pfdist.common.parsing import (
+    MOST_BYTES_OF_MODELS,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_text,
+)
 from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import ABOUT, FILES, no_run
+from pfdist.store.folder import FILES, MODELS, holds_run, no_run
 from pfdist.store.listing import change_listing, read_listing
 from pfdist.store.schema import check_schema_version
 from pfdist.store.tables import REMEDY
+
+if TYPE_CHECKING:
+    from pfdist.models import StateSpaceModel
 
 _GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that may change
 
@@ -40,17 +49,55 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
                 "command again, which makes it from the files that are there"
             )
         damaged = [
-            name for name in ABOUT if _hash_of(texts[name]) not in listing.about.get(name, ())
+            name for name in texts if _hash_of(texts[name]) not in listing.about.get(name, ())
         ]
         if not damaged:
             return parse_json(texts["run.json"]), parse_toml(texts["job.toml"])
-    name = FILES if len(damaged) == len(ABOUT) else damaged[0]  # a list of another run fits neither
+    name = FILES if len(damaged) == len(texts) else damaged[0]  # a list of another run fits neither
     raise unreadable(path, name, "its content has another hash")
 
 
+def has_models(path: Path) -> bool:
+    """Whether a folder holds a run that has its model.json, and the list of its files."""
+    return holds_run(path) and all((path / name).is_file() for name in (MODELS, FILES))
+
+
+def read_models(path: Path) -> tuple["StateSpaceModel", "StateSpaceModel"]:
+    """The truth and the filter's model of a run; the second may be the first.
+
+    Raises `StoreError` if model.json is missing, is not what was written, or is too large.
+    """
+    # Imported here, so that commands that only read need no Numba.
+    from pfdist.models.written import models_of  # noqa: PLC0415
+
+    try:
+        return models_of(check_models(path))
+    except ValueError as error:
+        raise unreadable(path, MODELS, str(error)) from error
+
+
+def check_models(path: Path) -> bytes:
+    """The content of a run's model.json, which is what was written.
+
+    Raises `StoreError` if it is missing, damaged or too large.
+    """
+    with files.reading(path / MODELS):
+        try:
+            content = read_bytes(path / MODELS, MOST_BYTES_OF_MODELS)
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise no_run(path, MODELS) from error
+        except ValueError as error:
+            raise unreadable(path, MODELS, str(error)) from error
+    listing = read_listing(path)
+    if listing is not None and _hash_of(content) not in listing.about.get(MODELS, ()):
+        raise unreadable(path, MODELS, "its content has another hash")
+    return content
+
+
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
-    """The error for a run whose run.json or job.toml is not what was written."""
-    return StoreError(f"{path / name} is damaged: {reason}; {REMEDY}")
+    """The error for a run whose job.toml, model.json or run.json is not what was written."""
+    remedy = "remove it, and resume the run by its job" if name == MODELS else REMEDY
+    return StoreError(f"{path / name} is damaged: {reason}; {remedy}")
 
 
 def _read(path: Path, name: str) -> str:
@@ -63,12 +110,13 @@ def _read(path: Path, name: str) -> str:
             raise unreadable(path, name, str(error)) from error
 
 
-def _hash_of(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def _hash_of(text: str | bytes) -> str:
+    content = text.encode() if isinstance(text, str) else text
+    return hashlib.sha256(content).hexdigest()
 
 
 def write_about(path: Path, key: str, texts: Mapping[str, str]) -> None:
-    """Write job.toml or run.json, or both; run.json, which makes the folder a run, comes last."""
+    """Write some of these files; run.json, which makes the folder a run, comes last."""
     change_listing(path, key, about={name: (_hash_of(text),) for name, text in texts.items()})
     for name in sorted(texts):
         files.write_file(path / name, partial(Path.write_text, data=texts[name], encoding="utf-8"))

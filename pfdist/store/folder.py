@@ -19,7 +19,8 @@ from pfdist.store.files import begins_with, check_replaceable, reading
 from pfdist.store.files import remove as remove_file
 from pfdist.store.schema import TABLES
 
-ABOUT = ("job.toml", "run.json")
+MODELS = "model.json"
+ABOUT = ("job.toml", "run.json", MODELS)
 FILES, FIGURES_FOLDER, REPORT = "files.json", "figures", "report.html"
 FORMATS = ("png", "svg")
 """Endings of the files of figures."""
@@ -31,7 +32,8 @@ _START = 1024  # bytes of a report in which the mark stands
 def holds_run(path: Path) -> bool:
     """Whether a folder holds a run, which has a run.json.
 
-    A start writes job.toml first, and run.json last. So a start that was cut short has no run.json.
+    A start writes job.toml and model.json first, and run.json last. So a start that was cut short
+    has no run.json.
     """
     with reading(path):
         return (path / "run.json").exists()

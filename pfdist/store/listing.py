@@ -1,8 +1,9 @@
 """files.json: which files a run must have, and whose run it is.
 
 It names every published file of a table; the name of such a file ends with the hash of its content.
-It has the hashes that job.toml and run.json may have, and those of the pages: the figures and the
-report. It is replaced as a whole, so a reader sees the list before a change or the list after it.
+It has the hashes that job.toml, model.json and run.json may have, and those of the pages: the
+figures and the report. It is replaced as a whole, so a reader sees the list before a change or the
+list after it.
 
 Only the process that holds the run's lock writes it. These are the orders, and what a kill between
 two steps costs:
@@ -11,8 +12,8 @@ two steps costs:
   listed any more are removed, and last the parts. A kill before the list costs nothing: the parts
   or the former files are still there, and the next start removes what is not listed. After a kill
   behind the list, parts may be left: their phase is published again, with the same bytes.
-- job.toml or run.json is replaced: files.json lists the hashes of the old and the new content, then
-  the file gets its name. The next list keeps only the hash of the file that is there.
+- job.toml, model.json or run.json is replaced: files.json lists the hashes of the old and the new
+  content, then the file gets its name. The next list keeps only the hash of the file that is there.
 """
 
 import contextlib
@@ -72,7 +73,7 @@ def read_listing(folder: Path) -> Listing | None:
 def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None:
     """Replace parts of files.json, which is made if there is none.
 
-    It keeps the hashes of the present job.toml and run.json, and forgets those before.
+    It keeps the hashes of the present job.toml, model.json and run.json, and forgets those before.
     """
     listing = read_listing(folder)
     there = {name: files.digest(folder / name) for name in ABOUT if (folder / name).exists()}

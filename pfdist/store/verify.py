@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.about import check_version_of, read_run
+from pfdist.store.about import check_models, check_version_of, read_run
 from pfdist.store.folder import REPORT, check_entries
 from pfdist.store.listing import read_listing
 from pfdist.store.lock import check_not_held
@@ -25,6 +25,7 @@ def verify_run(path: Path) -> Iterator[str]:
     try:
         check_entries(path)
         read_run(path)
+        check_models(path)
     except StoreError as error:
         if not (path / "run.json").exists():
             raise

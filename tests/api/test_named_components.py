@@ -204,16 +204,6 @@ def test_another_name_or_unit_is_another_run_and_the_error_names_it(
     )
 
 
-@pytest.mark.slow
-def test_a_fingerprint_without_names_has_no_entry_for_them(tmp_path: Path) -> None:
-    named, numbered = (
-        build(pfdist.load_job(_job(tmp_path / folder, names))).evaluator.carried[0].fingerprint
-        for folder, names in (("a", NAMES), ("b", ""))
-    )
-    assert named.keys() - numbered.keys() == {"x_names", "y_names", "z_names"}
-    assert numbered.items() <= named.items()
-
-
 def test_the_filters_model_takes_the_names_of_the_truth(tmp_path: Path) -> None:
     path = _job(tmp_path, NAMES)
     other = MODEL.format(names='z_names=("a", "b"), x_names=("c", "d")')

@@ -307,8 +307,10 @@ def test_a_folder_with_other_things_or_tables_of_nobody_is_left_alone(
 ) -> None:
     (small_run.path / "run.json").unlink()
     (small_run.path / "files.json").unlink()
-    for folder, what in ((small_run.path, "tables"), (small_job.path.parent, "small.toml")):
-        with pytest.raises(PfdistError, match=f"must be a new folder, .* or a run's, .*{what} in"):
+    for folder, what in ((small_run.path, "model.json"), (small_job.path.parent, "small.toml")):
+        with pytest.raises(
+            PfdistError, match=f"must be a new folder, .* or a run's, .*{what}.* in"
+        ):
             pfdist.run(small_job, folder, figures=False)
 
 

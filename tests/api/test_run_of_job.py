@@ -13,7 +13,6 @@ import pfdist
 from oracles.listed import rewrite
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.errors import ArgumentError, ModelError
 
 QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
 READERS = ["status", "table", "list", "report", "plot", "verify"]
@@ -22,11 +21,10 @@ COMPUTERS = {
     **ASK,
     "run": [],
     "plan": [],
-    "compare": [],
-    "online": [],
+    "compare": ["--times", "mine=0,3", "--times", "other=1,4"],
+    "online": ["--set", "online.draws=3"],
     "budget": ["--measurements", "2:3"],
     "evaluate": ["--times", "0,3"],
-    "sweep": ["--over", "seed=1:2"],
 }
 
 
@@ -106,24 +104,20 @@ def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None
         assert pfdist.open_run("results/small").state == "finished"
 
 
-def test_a_run_computes_if_this_process_has_made_it(there: Path) -> None:
+def test_a_run_computes_also_if_it_was_opened_from_its_folder(there: Path) -> None:
     made = pfdist.run("jobs/small.toml", changes=QUICK, figures=False)
     opened = pfdist.open_run(made.path)
-    pd.testing.assert_frame_equal(why(made, changes=()).worth, opened.table("worth"))
-    with pytest.raises(
-        ArgumentError, match=r"give the job, for instance 'results/small/job\.toml'"
-    ):
-        why(opened)
+    for each in (made, opened, made.path):
+        pd.testing.assert_frame_equal(why(each, changes=()).worth, opened.table("worth"))
 
 
-def test_a_command_that_computes_refuses_the_folder_of_a_run(
-    there: Path, error: Callable[..., str]
-) -> None:
-    for command, options in COMPUTERS.items():
-        assert error(command, "results/small", *options) == (
-            "a job must be a job file, got the folder results/small: name the job of its run, "
-            "which keeps it in results/small/job.toml"
-        )
+@pytest.mark.parametrize("command", COMPUTERS)
+@pytest.mark.usefixtures("no_figures")
+def test_a_command_that_computes_takes_the_folder_of_a_run(command: str, there: Path) -> None:
+    words = [command, "results/small", *COMPUTERS[command]]
+    if command not in (*ASK, "run", "evaluate"):
+        words += ["--results", "new"]
+    assert main(words) == 0
 
 
 def test_a_command_that_reads_refuses_a_job_file_and_names_its_run(
@@ -161,18 +155,16 @@ def test_a_run_that_is_compared_has_no_model_run(hostile: Path) -> None:
     assert not hostile.exists()
 
 
-def test_a_model_file_runs_if_the_user_names_the_job_that_names_it(hostile: Path) -> None:
-    said: list[tuple[str, bool]] = []
-    with pytest.raises(ModelError, match="SystemExit"):
-        why("results/small/job.toml", say=lambda line: said.append((line, hostile.exists())))
-    file = hostile.parent / "results" / "small" / "mine.py"
-    assert said == [(f"runs the model file {file}, which your job names", False)]
-    assert hostile.exists()
+@pytest.mark.parametrize("command", [*ASK, "evaluate"])
+@pytest.mark.usefixtures("no_figures")
+def test_a_question_about_a_folder_runs_no_model(command: str, hostile: Path) -> None:
+    """SECURITY.md: nothing in the folder of a run is run, also if its model file exists."""
+    main([command, "results/small", *COMPUTERS[command]])
+    assert not hostile.exists()
 
 
-def test_an_object_of_python_is_asked_for_in_python(there: Path, error: Callable[..., str]) -> None:
-    job = Path("results/small/job.toml")
-    rewrite(job, job.read_text().replace('name = "ungm"', 'name = "python:mine"'))
-    line = error("why", str(job))
-    assert line.startswith("model.name: the model 'python:mine' was given as an object in Python")
-    assert line.endswith("as in pfdist.run(problem)")
+def test_a_run_keeps_its_model_and_another_one_needs_a_job(
+    there: Path, error: Callable[..., str]
+) -> None:
+    line = error("evaluate", "results/small", "--times", "0,3", "--set", "model.name=robot")
+    assert line == ("model.name must be 'ungm', the model of the run in results/small, got 'robot'")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pfdist import StateSpaceModel, densities, load_model, where
-from pfdist.checks.formulas import Within, likelihood
+from pfdist.checks.likelihood import Within, likelihood
 from pfdist.filters.draws import Draws
 from pfdist.filters.plain import simulate
 from pfdist.models import installed_models

@@ -12,7 +12,7 @@ import pytest
 from oracles.clocked import with_clock
 from oracles.guided import echoes, growth, sharp_walk
 from pfdist import StateSpaceModel, load_model
-from pfdist.checks.formulas import Within
+from pfdist.checks.likelihood import Within
 from pfdist.checks.measured import missing_components, normalised, proposal
 from pfdist.checks.model import check_loaded, check_model
 from pfdist.filters import plain

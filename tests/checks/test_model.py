@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pfdist import load_model
-from pfdist.checks.formulas import likelihood
+from pfdist.checks.likelihood import likelihood
 from pfdist.checks.model import Check, check_loaded, check_model
 from pfdist.filters.plain import simulate
 
@@ -35,8 +35,6 @@ model = StateSpaceModel(
 """
 LOOKS = [
     "load",
-    "pure",
-    "elementwise",
     "compile",
     "simulate",
     "log_likelihood",

@@ -174,7 +174,7 @@ def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
     record_property: Record,
 ) -> None:
     # As if only workers could see it: the driver would refuse such a model before any task.
-    monkeypatch.setattr("pfdist.runner.build._check_formulas", lambda evaluator: None)
+    monkeypatch.setattr("pfdist.runner.build._check_draws", lambda job, evaluator: None)
     options = ["--set", f"execution.failures={failures}", "--pool", pool]
     assert main(command(RAISE, tmp_path / "run", *options, always=True)) == 1
     assert len(_failures(tmp_path / "run")) == failures + 1

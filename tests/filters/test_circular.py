@@ -23,8 +23,8 @@ from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
-from pfdist.models import carried
 from pfdist.models.base import within_half_turn
+from pfdist.models.recorded import differences, recorded
 
 HORIZON, TIMES = 8, (1, 4, 5)
 Array = NDArray[np.float64]
@@ -257,9 +257,9 @@ def test_a_linear_gaussian_model_has_no_angles() -> None:
 
 def test_angles_count_in_the_identity_of_a_model() -> None:
     plain_heading = replace(HEADING, circular=())
-    keys = {carried(model, "python:heading").key for model in (HEADING, plain_heading)}
-    assert len(keys) == 2
-    assert carried(HEADING, "python:heading").model.is_angle == (True,)
+    angular, plain = (recorded(model, range(5)) for model in (HEADING, plain_heading))
+    assert dict(differences(plain, angular)) == {"circular": "nothing -> heading"}
+    assert angular.is_angle == (True,)
 
 
 def test_a_filters_model_takes_the_angles_of_the_truth() -> None:

@@ -35,10 +35,12 @@ def test_a_block_has_the_values_of_the_plain_twin(name):
     y = rng.uniform(0.2, 1.5, size=(2, 8))
     for key, function, arguments in formulas_of(model):
         formula = Formula(function, key, arguments, model.parameters, name)
-        source = Source(trace(formula, range(20)), LAYOUT, model.parameters)
+        traced = trace(formula, range(20))
+        results = len(traced.programs[0].outputs)
+        source = Source(traced, LAYOUT, model.parameters, results)
         compiled = compile_blocks([source], range(20))
         for t in (0, 7, 19):
-            got = called(compiled.blocks, t, x, w, y, len(source.traced.programs[0].outputs))
+            got = called(compiled.blocks, t, x, w, y, results)
             groups = {"x": x, "w": w.astype(float), "y": y.T[:, :, None]}
             expected = source.traced.values(groups, t, model.parameters)
             for row, values in zip(got, expected, strict=True):
@@ -55,7 +57,7 @@ def test_a_program_of_single_instants_reads_its_constants():
         return (x[0] * table[t] if t % 2 else x[0] + table[t],)
 
     formula = Formula(transition, "transition", {"x": 1, "t": 0, "w": 1, "p": 0}, {}, "mine")
-    compiled = compile_blocks([Source(trace(formula, range(6)), LAYOUT, {})], range(6))
+    compiled = compile_blocks([Source(trace(formula, range(6)), LAYOUT, {}, 1)], range(6))
     x = np.arange(96.0).reshape(1, 2, 48)
     for t in range(6):
         (got,) = called(compiled.blocks, t, x, x.astype(np.float32), np.zeros((2, 1)), 1)
@@ -80,7 +82,7 @@ def test_what_all_particles_share_is_not_computed_for_each():
         formula = Formula(
             transition, "transition", {"x": 1, "t": 0, "w": 1, "p": 0}, {"tiny": tiny}, "mine"
         )
-        source = Source(trace(formula, range(1)), LAYOUT, {"tiny": tiny})
+        source = Source(trace(formula, range(1)), LAYOUT, {"tiny": tiny}, 1)
         x = np.full((1, 2, 48), 1.7e-300)
         blocks = compile_blocks([source], range(1)).blocks
         (got,) = called(blocks, 0, x, x.astype(np.float32), np.zeros((2, 1)), 1)
@@ -109,7 +111,7 @@ def test_a_long_program_has_the_same_bits_in_pieces(monkeypatch):
     arguments = {"x": 3, "t": 0, "v": 2, "p": 0}
     formula = Formula(model.measurement, "measurement", arguments, model.parameters, "robot")
     layout = {"x": ("slots", 0), "v": ("noise", 0)}
-    source, results = Source(trace(formula, range(1)), layout, model.parameters), []
+    source, results = Source(trace(formula, range(1)), layout, model.parameters, 2), []
     for most in (100_000, 300, 7):
         monkeypatch.setattr(lowering, "MOST_TOGETHER", most)
         lowering.machine_code.cache_clear()

@@ -106,7 +106,7 @@ def measured_with(noise):
         (lambda: changed(quantity_of_interest=fails), ["KeyError: 'nothing here'"]),
         (
             lambda: changed(transition=lambda x, t, w, p: x if x[0] > 0 else (0.0, 0.0)),
-            ["transition failed on arrays", "ValueError", "pfdist.where(condition, a, b)"],
+            ["transition failed: a condition on a value", "pfdist.where(condition, a, b)"],
         ),
         # The likelihood is a product over the measurements: their noises must be independent.
         (lambda: measured_with(COUPLED), ["diagonal, got 0.5 in row 1, column 0"]),

@@ -13,7 +13,8 @@ from oracles.model_text import MEASURED
 from oracles.satellite import Satellite, model_of
 from pfdist.errors import ModelError, RunMismatchError
 from pfdist.filters import particle_filter, plain, simulation
-from pfdist.models import StateSpaceModel, carried, carried_model
+from pfdist.models import StateSpaceModel, load_model
+from pfdist.models.recorded import differences, recorded
 from pfdist.models.tracing import MODES
 from pfdist.models.twin import traced, twin_of
 
@@ -92,7 +93,7 @@ def assert_same_filters(model: StateSpaceModel, horizon: int = 12) -> None:
 def test_a_formula_may_be_written_in_many_ways(way, tmp_path):
     before, body = WAYS[way]
     (tmp_path / "mine.py").write_text(MODEL.format(before=before, body=body))
-    assert_same_filters(carried_model("mine.py:model", tmp_path).model)
+    assert_same_filters(load_model("mine.py:model", tmp_path))
 
 
 @pytest.mark.usefixtures("as_written")
@@ -207,7 +208,7 @@ def test_a_model_of_objects_travels_and_is_known_by_its_programs(tmp_path):
     first, same = run(job, pool="threads"), run(job, pool="threads")  # it is resumed
     assert first.best == same.best
     other = pfdist.Problem(model_of(Satellite(pull=1.1)), horizon=8, measurement_budget=3)
-    with pytest.raises(RunMismatchError, match=r"model.formulas"):
+    with pytest.raises(RunMismatchError, match=r"model.transition: the constant "):
         run(other.with_changes(particles=50).job(**draws), pool="threads")
 
 
@@ -222,20 +223,15 @@ class Switched:
 
 
 def test_the_programs_of_scenarios_count_too():
-    def known(factor: float):
+    def known(factor: float, *scenarios):
         walk = pfdist.load_model("random_walk")
         given = {**walk.parameters, "a": 0.5}
         changes = {"transition": Switched(factor), "linear_gaussian": False}
-        model = replace(walk, parameters=given, **changes)
-        return carried(model, "mine"), model
+        return recorded(replace(walk, parameters=given, **changes), range(4), scenarios)
 
-    def keys(*scenarios):
-        return [each.at(model, 3, scenarios).key for each, model in (known(0.6), known(0.9))]
-
-    first, second = keys()
-    assert first == second
-    first, second = keys({"a": 2.0})
-    assert first != second
+    assert not [*differences(known(0.6), known(0.9))]
+    first, second = (known(factor, {"a": 2.0}) for factor in (0.6, 0.9))
+    assert dict(differences(first, second)) == {"transition": "the constant 0.6 -> 0.9"}
 
 
 def test_threads_may_trace_an_object_that_keeps_values_while_it_computes():
@@ -253,15 +249,6 @@ def test_threads_may_trace_an_object_that_keeps_values_while_it_computes():
             assert {each.mode for each in made} == {MODES[0]}
     finally:
         sys.setswitchinterval(before)
-
-
-def test_a_model_with_neither_a_fingerprint_nor_a_program_is_refused():
-    def transition(x, t, w, p):
-        return tuple(np.piecewise(each, [each > 0], [Position(1).components, -1.0]) for each in x)
-
-    model = replace(model_of(Satellite()), transition=transition)
-    with pytest.raises(ModelError, match="Position is the class"):
-        carried(model, "mine").at(model, 3)
 
 
 # --- the twin -------------------------------------------------------------------------------------

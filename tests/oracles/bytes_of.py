@@ -5,11 +5,15 @@ from pathlib import Path
 
 
 def hashes(run: Path) -> dict[str, str]:
-    """SHA-256 of job.toml, of every table's files but timings', and of the figures' SVG.
+    """SHA-256 of job.toml, model.json, tables but `timings`, and the SVG of figures.
 
     A file of a table must have the beginning of its hash in its name.
     """
-    about = [path for path in (run / "job.toml", *run.glob("figures/*.svg")) if path.exists()]
+    about = [
+        path
+        for path in (run / "job.toml", run / "model.json", *run.glob("figures/*.svg"))
+        if path.exists()
+    ]
     files = [path for path in run.glob("tables/*/*.parquet") if path.parent.name != "timings"]
     found = {
         path: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted([*about, *files])

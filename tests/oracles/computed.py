@@ -51,7 +51,7 @@ def formula(function):
 
 def _source(function, arguments):
     given = Formula(lambda x, p: function(*x), "a formula", {"x": arguments, "p": 0}, {}, "a model")
-    return Source(trace(given, range(1)), {"x": ("slots", 0)}, {})
+    return Source(trace(given, range(1)), {"x": ("slots", 0)}, {}, 1)
 
 
 def libraries_of(function, arguments):

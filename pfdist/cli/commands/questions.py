@@ -114,7 +114,7 @@ def _add_why_draws(parser: ArgumentParser) -> None:
     examples={
         "pfdist why jobs/plan.toml": "Show what each measurement of the plan is worth",
         "pfdist why jobs/plan.toml --draws 20000": "Show it more precisely",
-        "pfdist why results/plan/job.toml": "Ask about a run by the job that it keeps",
+        "pfdist why results/plan": "Ask about a run by its folder",
     },
 )
 def why_command(options: Namespace) -> None:

@@ -1,0 +1,109 @@
+"""Models as they travel from the process that has them to the workers.
+
+A recorded model is plain data. Only formulas that cannot be traced are code of the user, which a
+worker may be unable to import. So that code travels by value.
+"""
+
+import io
+import pickle
+import sys
+import sysconfig
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, ClassVar
+
+import cloudpickle
+
+from pfdist.errors import ModelError
+from pfdist.models.mistakes import error_line
+from pfdist.models.recorded import is_recorded, untraced
+
+_INSTALLED = {"site-packages", "dist-packages"}
+
+
+def by_value(models: Sequence[Any]) -> bytes:
+    """Models as bytes.
+
+    Raises
+    ------
+    ModelError
+        A formula that cannot be traced uses what cannot be sent.
+    """
+    if all(is_recorded(each) and not untraced(each) for each in models if each is not None):
+        return pickle.dumps(models)  # plain data
+    with _users_modules_by_value():
+        try:
+            written = io.BytesIO()
+            _Pickler(written).dump(models)
+        except Exception as error:  # an object of the user may raise any exception
+            raise ModelError(
+                f"model {models[0].name} cannot be sent to workers: {error_line(error)}"
+            ) from error
+    return written.getvalue()
+
+
+@lru_cache(maxsize=64)
+def made(content: bytes) -> tuple[Any, ...]:
+    """The models of some bytes; the same bytes give the same objects.
+
+    Raises
+    ------
+    ModelError
+        A model cannot be made here, for instance because a package is not installed.
+    """
+    try:
+        models: tuple[Any, ...] = pickle.loads(content)  # noqa: S301  the driver made it
+    except Exception as error:  # an object of the user may raise any exception
+        raise ModelError(f"a model cannot be made by a worker: {error_line(error)}") from error
+    return models
+
+
+def _reduced(code: CodeType) -> tuple[Any, ...]:
+    """How code is pickled: as cloudpickle does, with its file, which newer releases leave out.
+
+    Errors name it.
+    """
+    make, parts = cloudpickle.Pickler.dispatch_table[CodeType](code)
+    return _of_file, (make, parts, code.co_filename)
+
+
+def _of_file(make: Callable[..., CodeType], parts: tuple[Any, ...], file: str) -> CodeType:
+    return make(*parts).replace(co_filename=file)
+
+
+class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it ships no type hints
+    dispatch_table: ClassVar[Mapping[Any, Any]] = ChainMap(
+        {CodeType: _reduced}, cloudpickle.Pickler.dispatch_table
+    )
+
+
+@contextmanager
+def _users_modules_by_value() -> Iterator[None]:
+    """Have functions of the user's modules pickled by value, not by their names."""
+    registered = cloudpickle.list_registry_pickle_by_value()
+    modules = [
+        module
+        for name, module in [*sys.modules.items()]
+        if name not in registered and _is_users(module)
+    ]
+    for module in modules:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        yield
+    finally:
+        for module in modules:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def _is_users(module: ModuleType) -> bool:
+    file = getattr(module, "__file__", None)
+    if not isinstance(file, str) or module.__name__.partition(".")[0] in ("pfdist", "__main__"):
+        return False
+    return not (
+        _INSTALLED & set(Path(file).parts)
+        or Path(file).is_relative_to(sysconfig.get_path("stdlib"))
+    )

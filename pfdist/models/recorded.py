@@ -1,0 +1,273 @@
+"""Recorded models: each formula is its programs, plain data that needs no code of the user.
+
+A run computes with recorded models. They are written to its folder, and they travel to its workers.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pfdist.errors import ModelError, TraceError
+from pfdist.models.base import StateSpaceModel, squared_error
+from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
+from pfdist.models.mistakes import is_interrupt, place_of_function
+from pfdist.models.parameters import Parameter
+from pfdist.models.program import Array
+from pfdist.models.programs import Programs, Untraced
+from pfdist.models.tracing import MODES, Traced
+from pfdist.models.twin import formula_of, instants_of, results_of, traced
+
+_TRIED = 16  # instants at which a formula that cannot be traced is called
+_ENTRIES = (0, 21, 63)
+_NUMBERS = np.modf(np.outer(np.arange(1, 65), np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0])))[0] * 4.0 - 2.0
+
+
+def is_recorded(model: StateSpaceModel) -> bool:
+    """Whether every formula of a model is recorded."""
+    return all(
+        isinstance(formula, Programs | Untraced) or formula is squared_error
+        for formula in _own(model).values()
+    )
+
+
+def untraced(model: StateSpaceModel) -> list[str]:
+    """Names of the formulas of a recorded model that could not be traced."""
+    return [name for name, formula in _own(model).items() if isinstance(formula, Untraced)]
+
+
+def _own(model: StateSpaceModel) -> dict[str, Any]:
+    """The formulas of a model as they were given; those of sensors have the sensor before them."""
+    return {name: getattr(model, name) for name in own_formulas(model)} | {
+        f"{name}.{key}": getattr(sensor, key)
+        for name, sensor in model.sensors.items()
+        for key in MEASURING
+    }
+
+
+def recorded(
+    model: StateSpaceModel, instants: range, others: Iterable[Mapping[str, Parameter]] = ()
+) -> StateSpaceModel:
+    """The model whose formulas are recorded at instants.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    instants : range
+    others : iterable of mapping
+        Further values of parameters, for instance those of scenarios, for which the formulas are
+        recorded as well.
+
+    Raises
+    ------
+    ModelError
+        A formula fails, or the model was recorded for other instants.
+    """
+    if is_recorded(model):
+        for part in model.parts:
+            for name in own_formulas(part.model):
+                if isinstance(getattr(part.model, name), Programs):
+                    traced(part.model, name, instants)
+        return model
+    models = [model, *map(model.with_parameters, others)]
+    changes = {name: _recorded(models, name, instants) for name in own_formulas(model)}
+    sensors = {}
+    for part, *of_part in zip(*(each.parts for each in models), strict=True):
+        if model.sensors:
+            measuring = [part.model, *(each.model for each in of_part)]
+            formulas = {key: _recorded(measuring, key, instants) for key in MEASURING}
+            sensors[part.name] = replace(model.sensors[part.name], **formulas)
+    return dataclasses.replace(model, sensors=sensors, **changes)
+
+
+def with_functions(kept: StateSpaceModel, now: StateSpaceModel) -> StateSpaceModel:
+    """A model read from model.json, with the untraceable formulas of the model as it is now."""
+    changes = {key: _with_function(kept, now, key) for key in own_formulas(kept)}
+    sensors = {
+        name: replace(
+            each, **{key: _with_function(each, now.sensors[name], key) for key in MEASURING}
+        )
+        for name, each in kept.sensors.items()
+    }
+    return dataclasses.replace(kept, sensors=sensors, **changes) if untraced(kept) else kept
+
+
+def _with_function(kept: Any, now: Any, key: str) -> Any:
+    formula = getattr(kept, key)
+    if not isinstance(formula, Untraced):
+        return formula
+    present = getattr(now, key)
+    return Untraced(key, formula.model, formula.values, present.function, present.refused)
+
+
+def _recorded(models: Sequence[StateSpaceModel], name: str, instants: range) -> Any:
+    """A formula of a model, for the parameters of several."""
+    model, function = models[0], getattr(models[0], name)
+    if function is squared_error:
+        return function
+    try:
+        first = traced(model, name, instants)
+        variants = [traced(each, name, instants) for each in models[1:] if first.read]
+    except TraceError as error:
+        return _untraced(model, name, instants, error)
+    by_read = {tuple(each.read.items()): each for each in (*reversed(variants), first)}
+    kept = tuple(each for each in by_read.values() if each is not first)
+    return Programs(name, model.name, first, (first, *kept), place_of_function(function))
+
+
+def _untraced(model: StateSpaceModel, name: str, instants: range, refused: TraceError) -> Untraced:
+    """A formula without a program, with its values for some numbers at the first 16 instants.
+
+    A `ModelError` says that it gives other values when it is called again, or mixes particles.
+    """
+    function, tried = getattr(model, name), instants_of(name, instants)[:_TRIED]
+    try:
+        values, again = (
+            np.array([_values(model, name, t, slice(None)) for t in tried]) for _ in range(2)
+        )
+        entries = [_values(model, name, tried[0], slice(k, k + 1)) for k in _ENTRIES]
+    except BaseException as error:  # a formula may raise any exception
+        if is_interrupt(error):
+            raise
+        values = np.full((1, results_of(model, name), 1), np.nan)
+        return Untraced(name, model.name, values, function, refused)
+    place = place_of_function(function)
+    if not np.array_equal(values, again, equal_nan=True):
+        raise ModelError(
+            f"model {model.name}: {name} must be a pure function, got other values when called "
+            f"twice with the same arguments; take randomness from the noise it is given{place}"
+        )
+    together = values[0][:, [*_ENTRIES]]
+    if not np.allclose(together, np.hstack(entries), rtol=1e-9, atol=1e-12, equal_nan=True):
+        raise ModelError(
+            f"model {model.name}: {name} must treat each particle alone, got other values for an "
+            "array of particles than for its entries one by one (a mean, sum or norm over an "
+            f"array? write a + b instead of np.sum, np.hypot(a, b) of np.linalg.norm){place}"
+        )
+    return Untraced(name, model.name, values, function, refused)
+
+
+def _values(model: StateSpaceModel, name: str, t: int, entries: slice) -> Array:
+    """The values of a formula for some numbers, (components, numbers)."""
+    formula, column = formula_of(model, name), 0
+    given: dict[str, Any] = {"t": t, "p": model.p}
+    for argument, count in formula.arguments.items():
+        if argument not in given:
+            columns = _NUMBERS.T[np.arange(column, column + count) % _NUMBERS.shape[1]]
+            arrays = (np.roll(each, k)[entries] for k, each in enumerate(columns))
+            given[argument] = tuple(each.copy() for each in arrays)
+            column += count
+    with np.errstate(all="ignore"):
+        value = formula.function(*(given[each] for each in formula.arguments))
+    parts = value if isinstance(value, tuple) else np.atleast_2d(value)
+    size = len(_NUMBERS[entries])
+    return np.array([np.broadcast_to(np.asarray(each, float), size) for each in parts])
+
+
+# --- what differs ---------------------------------------------------------------------------------
+
+_CLOSE = 1e-12
+PLAIN = tuple(
+    each.name
+    for each in dataclasses.fields(StateSpaceModel)
+    if each.name not in (*ARGUMENTS, "parameters", "sensors")
+)
+"""The fields of a model that are plain data."""
+
+
+def differences(kept: StateSpaceModel, now: StateSpaceModel) -> Iterator[tuple[str, str]]:
+    """The parts in which two recorded models differ: the name, and a text ``was -> is``.
+
+    Constants are equal within 1e-12 of the largest finite one of their column: NumPy's functions,
+    with which Python computed them, differ in the last bit between processors.
+    """
+    for name in PLAIN:
+        was, is_now = getattr(kept, name), getattr(now, name)
+        if was != is_now:
+            yield name, f"{_shown(was)} -> {_shown(is_now)}"
+    before, after = kept.parameters, now.parameters
+    for name in sorted(before.keys() | after.keys()):
+        values: Any = (before.get(name), after.get(name))
+        if None in values or not _close(np.atleast_1d(values[0]), np.atleast_1d(values[1])):
+            are_rows = all(isinstance(each, tuple) for each in values)
+            text = (
+                _constants(*map(np.array, values)) if are_rows else " -> ".join(map(_shown, values))
+            )
+            yield f"parameters.{name}", text
+    if [*kept.sensors] != [*now.sensors]:
+        yield "sensors", f"{_shown((*kept.sensors,))} -> {_shown((*now.sensors,))}"
+    for name in sorted(kept.sensors.keys() & now.sensors.keys()):
+        noises = [model.sensors[name].measurement_noise for model in (kept, now)]
+        if noises[0] != noises[1]:
+            yield f"sensors.{name}", " -> ".join(map(_shown, noises))
+    formulas = _own(kept), _own(now)
+    for name in sorted(formulas[0].keys() | formulas[1].keys()):
+        text = _difference(*(each.get(name) for each in formulas))
+        if text:
+            yield name, text
+
+
+def _shown(value: Any) -> str:
+    """A field of a model as an error shows it."""
+    if value is None or (isinstance(value, tuple) and not value):
+        return "nothing"
+    if isinstance(value, tuple):
+        numbers = any(isinstance(each, float) for each in value)
+        return f"{len(value)} values" if numbers else ", ".join(map(str, value))
+    return repr(value)
+
+
+def _difference(kept: Any, now: Any) -> str:
+    """How a formula differs; empty if it is the same."""
+    if isinstance(kept, Untraced) and isinstance(now, Untraced):
+        return "" if _close(kept.values, now.values) else "it gives other values"
+    if not (isinstance(kept, Programs) and isinstance(now, Programs)):
+        return "" if kept is now else "it is another formula"
+    if [*map(_structure, kept.variants)] != [*map(_structure, now.variants)]:
+        return "it computes something else"
+    for was, is_now in zip(_columns(kept), _columns(now), strict=True):
+        if not _close(was, is_now):
+            return _constants(was, is_now)
+    return ""
+
+
+def _structure(traced: Traced) -> Any:
+    """All but the constants of a traced formula, as a value that can be compared."""
+    at = traced.mode if traced.mode == MODES[0] else (traced.instants, traced.which.tolist())
+    programs = [
+        (each.operations, each.outputs, each.constants.shape, len(each.tables))
+        for each in traced.programs
+    ]
+    return at, programs
+
+
+def _columns(formula: Programs) -> Iterator[Array]:
+    """The columns of constants, and the tables."""
+    for variant in formula.variants:
+        for program in variant.programs:
+            yield from program.constants.T
+            yield from program.tables
+
+
+def _close(was: Array, is_now: Array) -> bool:
+    """Whether the numbers of a column are the same, but for the last bits."""
+    was, is_now = np.asarray(was), np.asarray(is_now)
+    if was.shape != is_now.shape:
+        return False
+    finite = np.isfinite(was)
+    size = np.abs(was[finite]).max(initial=0.0)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(was - is_now) <= _CLOSE * size
+    same = (was == is_now) | (np.isnan(was) & np.isnan(is_now)) | (finite & near)
+    return bool(same.all())
+
+
+def _constants(was: Array, is_now: Array) -> str:
+    """The first numbers of two columns that differ."""
+    if was.shape != is_now.shape:
+        return f"{was.size} -> {is_now.size} numbers"
+    place = next(k for k in range(was.size) if not _close(was[k : k + 1], is_now[k : k + 1]))
+    numbers = (repr(float(each[place])).removesuffix(".0") for each in (was, is_now))
+    return f"the constant {' -> '.join(numbers)}"

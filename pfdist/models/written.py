@@ -1,0 +1,334 @@
+"""Models as text: what a run's model.json holds.
+
+Somebody may have changed the text. Reading it runs nothing: every operation is known, takes earlier
+results of the right kind, and stays within the limits of tracing.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from pfdist.common.parsing import MOST_BYTES_OF_MODELS
+from pfdist.errors import ModelError
+from pfdist.models.base import Sensor, StateSpaceModel
+from pfdist.models.checks import MEASURING, own_formulas
+from pfdist.models.program import GROUPS, MASKS, TAKES, Array, Operation, Program
+from pfdist.models.programs import Programs, Untraced
+from pfdist.models.recorded import PLAIN
+from pfdist.models.symbols import MOST_OPERATIONS
+from pfdist.models.tracing import MODES, MOST_CONSTANTS, MOST_STRUCTURES, Traced
+from pfdist.models.twin import formula_of, results_of
+
+MOST_LISTS: Final = 4_000_000  # an operation has two, and an instant of a formula one
+MOST_INSTANTS: Final = 100_000
+MOST_COMPONENTS: Final = 1000
+_KINDS: Mapping[str, type] = {
+    "name": str, "parameter_ranges": dict,
+    **dict.fromkeys(("linear_gaussian", "normalised", "missing_components"), bool),
+}  # fmt: skip
+_WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
+
+
+# --- writing --------------------------------------------------------------------------------------
+
+
+def data_of(model: StateSpaceModel) -> dict[str, Any]:
+    """A recorded model as data for JSON."""
+    data = {name: _plain(getattr(model, name)) for name in PLAIN}
+    formulas = {name: getattr(model, name) for name in own_formulas(model)}
+    return data | {
+        "parameters": _parameters(model.parameters),
+        "formulas": {name: _formula(formula) for name, formula in formulas.items()},
+        "sensors": {
+            name: {
+                "measurement_noise": [*sensor.measurement_noise],
+                **{key: _formula(getattr(sensor, key)) for key in MEASURING},
+            }
+            for name, sensor in model.sensors.items()
+        },
+    }
+
+
+def text_of(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
+    """The text of the truth and of the filter's model, both recorded."""
+    data = {"truth": data_of(truth), "filter": None if believed == truth else data_of(believed)}
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False) + "\n"
+    lists = text.count("[")
+    if lists > MOST_LISTS or len(text) > MOST_BYTES_OF_MODELS:
+        raise ModelError(
+            f"model {truth.name}: the text of its programs must have at most {MOST_LISTS:,} lists "
+            f"and {MOST_BYTES_OF_MODELS:,} bytes, got {lists:,} and {len(text):,}: a smaller "
+            "horizon helps"
+        )
+    return text
+
+
+def key_of_model(model: StateSpaceModel) -> str:
+    """A hash of all that a recorded model computes."""
+
+    def make() -> str:
+        text = text_of(model, model)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    key: str = model.kept("key", make)
+    return key
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(each) for each in value]
+    return _number(value) if isinstance(value, float) else value
+
+
+def _number(value: float) -> float | str:
+    return float(value) if math.isfinite(value) else str(float(value))
+
+
+def _numbers(values: Iterable[float]) -> list[float | str]:
+    return [_number(each) for each in values]
+
+
+def _parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: _numbers(value) if isinstance(value, tuple) else float(value)
+        for name, value in parameters.items()
+    }
+
+
+def _formula(formula: Any) -> Any:
+    """A recorded formula; None for the squared error."""
+    if isinstance(formula, Untraced):
+        return {"values": [[_numbers(row) for row in rows] for rows in formula.values.tolist()]}
+    return [*map(_traced, formula.variants)] if isinstance(formula, Programs) else None
+
+
+def _traced(traced: Traced) -> dict[str, Any]:
+    programs = [
+        {
+            "operations": [[name, [*taken], which] for name, taken, which in each.operations],
+            "outputs": [*each.outputs],
+            "constants": [_numbers(row) for row in each.constants.tolist()],
+            "tables": [_numbers(table) for table in each.tables],
+        }
+        for each in traced.programs
+    ]
+    if traced.mode == MODES[0]:
+        return {"programs": programs}
+    return {
+        "programs": programs,
+        "first": traced.instants[0],
+        "which": traced.which.tolist(),
+        "read": {key: _plain(value) for key, value in traced.read.items()},
+    }
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+class _WrongError(ValueError):
+    """A text holds something wrong; the message says what."""
+
+
+def models_of(content: bytes) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The truth and the filter's model of a text; the second may be the first.
+
+    Raises
+    ------
+    ValueError
+        The text is not what `text_of` writes, or is too large.
+    """
+    lists = content.count(b"[")
+    _need(lists <= MOST_LISTS, f"at most {MOST_LISTS:,} lists are read, got {lists:,}")
+    try:
+        data = json.loads(content, parse_constant=_refused)
+    except RecursionError as error:
+        raise ValueError("it nests too deeply") from error
+    _need(isinstance(data, dict) and {*data} == {"truth", "filter"}, "it must have two models")
+    try:
+        truth = _model(data["truth"])
+        return truth, truth if data["filter"] is None else _model(data["filter"])
+    except ModelError as error:
+        raise ValueError(str(error)) from error
+    except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
+        raise ValueError(f"a part is missing, or of a wrong kind ({error})") from error
+
+
+def _refused(word: str) -> Any:
+    raise ValueError(f"{word} must be written as a text in quotes")
+
+
+def _need(is_right: bool, what: str) -> None:
+    if not is_right:
+        raise _WrongError(what)
+
+
+def _model(data: Mapping[str, Any]) -> StateSpaceModel:
+    _need(
+        {*data} == {*PLAIN, "parameters", "formulas", "sensors"},
+        "unexpected or missing keys of a model",
+    )
+    fields: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in data.items()
+        if name in PLAIN
+    }
+    name = fields["name"]
+    for key, value in fields.items():
+        kind = _KINDS.get(key, tuple)
+        _need(isinstance(value, kind), f"{key} must be of the kind {kind.__name__}")
+        if kind is tuple:
+            texts = all(isinstance(each, str | int) for each in value)
+            _need(texts and len(value) <= MOST_COMPONENTS, f"{key} must be short, and of texts")
+    fields["parameter_ranges"] = {
+        key: tuple(_read_number(each) for each in limits)
+        for key, limits in data["parameter_ranges"].items()
+    }
+    fields["parameters"] = {key: _read_parameter(each) for key, each in data["parameters"].items()}
+    for key, formula in data["formulas"].items():
+        if formula is not None:
+            fields[key] = _read_formula(key, name, formula)
+    fields["sensors"] = {
+        key: Sensor(
+            _read_formula("measurement", name, sensor["measurement"]),
+            _read_formula("log_likelihood", name, sensor["log_likelihood"]),
+            measurement_noise=tuple(sensor["measurement_noise"]),
+        )
+        for key, sensor in data["sensors"].items()
+    }
+    model = StateSpaceModel(**fields)
+    _need({*data["formulas"]} == {*own_formulas(model)}, "a model has other formulas")
+    for part in model.parts:
+        for key in own_formulas(part.model):
+            formula = getattr(part.model, key)
+            if isinstance(formula, Programs):
+                counts = formula_of(part.model, key).arguments
+                results = results_of(part.model, key)
+                for traced in formula.variants:
+                    for program in traced.programs:
+                        _check_leaves(program, counts, model)
+                        _need(len(program.outputs) == results, f"{key} has other results")
+                    _need(traced.read.keys() <= model.parameters.keys(), f"{key} reads a number")
+    return model
+
+
+def _read_number(value: Any) -> float:
+    if isinstance(value, str):
+        return _WORDS[value]
+    _need(type(value) in (int, float), f"a number is expected, got {str(value)[:40]!r}")
+    return float(value)
+
+
+def _read_parameter(value: Any) -> Any:
+    return tuple(map(_read_number, value)) if isinstance(value, list) else _read_number(value)
+
+
+def _read_array(rows: Any, columns: int | None = None) -> Array:
+    """An array of numbers; with a number of columns, of rows of so many."""
+    if columns is None:
+        return np.array([_read_number(each) for each in rows], np.float64)
+    _need(all(len(row) == columns for row in rows), "rows of constants must have equal lengths")
+    numbers = [[_read_number(each) for each in row] for row in rows]
+    return np.array(numbers, np.float64).reshape(len(rows), columns)
+
+
+def _read_formula(name: str, model: str, data: Any) -> Programs | Untraced:
+    if isinstance(data, dict):
+        rows = [[[_read_number(each) for each in row] for row in rows] for rows in data["values"]]
+        values = np.array(rows, np.float64)
+        _need(values.ndim == 3 and values.size > 0, f"{name} has no values")
+        return Untraced(name, model, values)
+    variants = tuple(map(_read_traced, data))
+    _need(bool(variants), f"{name} has no program")
+    return Programs(name, model, variants[0], variants)
+
+
+def _read_traced(data: Mapping[str, Any]) -> Traced:
+    programs = tuple(map(_read_program, data["programs"]))
+    _need(0 < len(programs) <= MOST_STRUCTURES, "a formula has too many programs, or none")
+    size = sum(each.constants.size for each in programs)
+    _need(size <= MOST_CONSTANTS, f"a formula has {size:,} constants")
+    if "first" not in data:
+        _need(len(programs) == 1 and len(programs[0].constants) == 1, "a program has rows")
+        return Traced.symbolic(programs[0], range(1))
+    which, first = np.array(data["which"], np.int64), data["first"]
+    count = which.size
+    _need(which.shape == (count,) and count > 0, "which must have an entry for each instant")
+    _need(type(first) is int and first >= 0 and count <= MOST_INSTANTS, "instants are wrong")
+    _need(bool(((which >= 0) & (which < len(programs))).all()), "a program is missing")
+    rows = [len(each.constants) for each in programs]
+    counts = np.bincount(which, minlength=len(programs)).tolist()
+    _need(rows == counts, "a program must have a row of constants for each of its instants")
+    read = {key: _read_parameter(each) for key, each in data["read"].items()}
+    mode = MODES[2] if read else MODES[1]
+    return Traced(range(first, first + count), programs, which, mode, read)
+
+
+def _read_program(data: Mapping[str, Any]) -> Program:
+    operations = data["operations"]
+    _need(len(operations) <= MOST_OPERATIONS, f"a formula has {len(operations):,} operations")
+    tables = tuple(_read_array(each) for each in data["tables"])
+    size = sum(each.size for each in tables)
+    _need(size <= MOST_CONSTANTS, f"tables have {size:,} numbers")
+    rows = data["constants"]
+    constants = _read_array(rows, len(rows[0]) if rows else 0)
+    _need(len(constants) > 0, "a program has no row of constants")
+    _need(all(isinstance(taken, list) for _, taken, _ in operations), "arguments must be lists")
+    read = [Operation(name, tuple(taken), which) for name, taken, which in operations]
+    for number, operation in enumerate(read):
+        _check_operation(read, number, operation)
+        if operation.name == "constant":
+            _need(operation.which < constants.shape[1], "a constant is missing")
+        elif operation.name == "take":
+            _need(operation.which < len(tables), "a table is missing")
+            _need(tables[operation.which].size > 0, "a table is empty")
+    outputs = tuple(data["outputs"])
+    _need(0 < len(outputs) <= MOST_COMPONENTS, f"a formula has {len(outputs):,} results")
+    for each in outputs:
+        _need(type(each) is int and 0 <= each < len(read), "a result is missing")
+    return Program(tuple(read), outputs, constants, tables)
+
+
+def _check_operation(operations: Sequence[Operation], number: int, operation: Operation) -> None:
+    name, taken, which = operation
+    kinds = TAKES.get(name) if isinstance(name, str) else None
+    _need(kinds is not None, f"unknown operation {str(name)[:40]!r}")
+    _need(len(taken) == len(kinds or ""), f"{name} has {len(taken)} arguments")
+    for each, kind in zip(taken, kinds or "", strict=True):
+        _need(type(each) is int and 0 <= each < number, f"an argument of {name} comes later")
+        is_mask = operations[each].name in MASKS
+        _need(is_mask == (kind == "m"), f"an argument of {name} is of a wrong kind")
+    if name in ("constant", "take") or name in GROUPS:
+        _need(type(which) is int and which >= 0, f"{name} of a wrong entry")
+    elif name in ("parameter", "covariate"):
+        _need(isinstance(which, str), f"{name} of a wrong name")
+    else:
+        _need(which is None, f"{name} of something")
+    if name == "covariate":
+        index = operations[taken[0]].name
+        _need(index in ("t", "constant"), "an entry of a parameter at a computed instant")
+
+
+def _check_leaves(program: Program, counts: Mapping[str, int], model: StateSpaceModel) -> None:
+    """Check that components and parameters exist, and entries of parameters within the horizon."""
+    for name, taken, which in program.operations:
+        if name in GROUPS:
+            _need(which < counts.get(name, 0), f"{name} has no component {which}")
+        elif name == "t":
+            _need("t" in counts, "t is no argument")
+        elif name in ("parameter", "covariate"):
+            value = model.parameters.get(which)
+            _need(value is not None, f"there is no parameter {which[:40]!r}")
+            is_covariate = isinstance(value, tuple)
+            _need(
+                is_covariate == (name == "covariate"), f"the parameter {which} is of a wrong kind"
+            )
+            if isinstance(value, tuple) and program.operations[taken[0]].name == "constant":
+                column = program.constants[:, program.operations[taken[0]].which]
+                inside = (column >= 0) & (column < len(value)) & (column == np.floor(column))
+                _need(bool(inside.all()), f"the parameter {which} has no such entry")
