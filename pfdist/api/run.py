@@ -76,7 +76,7 @@ def run(
     others = paths_argument("reuse", reuse)
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([job], tell)
-        built = build(job, path)
+        built = build(job, path, *others)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
         return run_built(built, path, chosen, show, tell, settings, others)

@@ -97,21 +97,20 @@ class Built:
         return self.study.unsearched if self.searches else self.study.references
 
 
-def build(job: Job, run: Path | None = None) -> Built:
+def build(job: Job, *runs: Path) -> Built:
     """Make the objects of a job, and check that they fit each other.
 
-    The constants of recorded models are those of a run in a folder, if it has the same models. A
-    job that a run keeps takes its models from there, and imports nothing.
+    The constants of recorded models are those of the first of some runs, by their folders, that has
+    the same models. A job that a run keeps takes its models from there, and imports nothing.
 
     Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
     range, or if an estimator or a resampling scheme does not fit. Raises `JobError` if the job
     wants a number of particles that is enough, and none is.
     """
     if job.filter.is_automatic:
-        return build(_with_enough_particles(job, run), run)
+        return build(_with_enough_particles(job, runs), *runs)
     evaluator = evaluator_of(job, *models_of(job))
-    if run is not None:
-        evaluator = _as_kept(evaluator, run)
+    evaluator = next(filter(None, (_as_kept(evaluator, run) for run in runs)), evaluator)
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible = job.problem.feasible
     is_wrong = evaluator.believed != evaluator.model or evaluator.truth.told != evaluator.told
@@ -168,7 +167,7 @@ def _check_sensors(job: Job, model: StateSpaceModel) -> None:
         )
 
 
-def _with_enough_particles(job: Job, run: Path | None) -> Job:
+def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
     """The job with a number in the place of ``filter.particles = "auto"``.
 
     The number is enough for the regular times and the filter's own model. The job is built with few
@@ -187,7 +186,7 @@ def _with_enough_particles(job: Job, run: Path | None) -> Job:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", EngineWarning)  # it comes again with the number
-        built = build(with_number(NUMBERS[0]), run)
+        built = build(with_number(NUMBERS[0]), *runs)
     evaluator, times = built.evaluator.self_consistent, job.problem.feasible.regular()
     must = "filter.particles must be a number, got 'auto'"
     if not has_particle_loss(evaluator):
@@ -270,20 +269,20 @@ def _without_clock(model: StateSpaceModel) -> StateSpaceModel:
     return replace(model, parameters=own)
 
 
-def _as_kept(evaluator: Evaluator, run: Path) -> Evaluator:
-    """The evaluator with the models of a run, if these are the same but for last digits."""
+def _as_kept(evaluator: Evaluator, run: Path) -> Evaluator | None:
+    """The evaluator with the models of a run; None if more than last digits differs."""
     # Workers need no pyarrow.
     from pfdist.store import check_entries, has_models, read_models  # noqa: PLC0415
 
     if not has_models(run):
-        return evaluator
+        return None
     try:
         check_entries(run)
         truth, believed = read_models(run)
     except StoreError:  # whoever opens the run reports what is damaged
-        return evaluator
+        return None
     if any(differences(truth, evaluator.model)) or any(differences(believed, evaluator.believed)):
-        return evaluator
+        return None
     kept = with_functions(truth, evaluator.model), with_functions(believed, evaluator.believed)
     return replace(evaluator, model=kept[0], filter_model=kept[1])
 

@@ -63,6 +63,8 @@ def test_a_run_resumes_with_its_own_constants_on_another_processor(
     assert not [*differences(own, here)]
     pfdist.run(job, tmp_path / "run")
     assert hashes(tmp_path / "run") == hashes(whole)
+    lent = pfdist.run(job, tmp_path / "lent", reuse=[whole])  # its ids need the same constants
+    assert hashes(lent.path) == hashes(whole)
     with pytest.raises(RunMismatchError, match=r"model\.transition: the constant 0\.\d+ -> 0\.\d+"):
         pfdist.run(written(small_job, "(lambda c: c * (1 + 1e-11))"), tmp_path / "run")
 
