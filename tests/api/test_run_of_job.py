@@ -168,3 +168,13 @@ def test_a_run_keeps_its_model_and_another_one_needs_a_job(
 ) -> None:
     line = error("evaluate", "results/small", "--times", "0,3", "--set", "model.name=robot")
     assert line == ("model.name must be 'ungm', the model of the run in results/small, got 'robot'")
+
+
+@pytest.mark.parametrize("name", ["model.json", "job.toml", "files.json"])
+def test_no_question_follows_a_link(name: str, there: Path, error: Callable[..., str]) -> None:
+    """SECURITY.md: nothing in the folder of a run is opened through a link."""
+    file = Path("results/small") / name
+    file.rename(f"{name}-elsewhere")
+    file.symlink_to(Path(f"{name}-elsewhere").absolute())
+    line = error("evaluate", "results/small", "--times", "0,3")
+    assert line.startswith(f"results/small/{name} must be a plain file, got a link")
