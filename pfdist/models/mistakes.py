@@ -3,9 +3,8 @@
 import functools
 import inspect
 import sysconfig
-from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType, FrameType
+from types import CodeType
 from typing import Any
 
 import numba
@@ -46,19 +45,15 @@ def text_of(error: BaseException) -> str:
     return f"{text[:_LONGEST]} ..." if len(text) > _LONGEST else text
 
 
-def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:
-    """Frames and lines of an error's traceback in a model's source, the outermost first."""
-    trace = error.__traceback__
-    while trace is not None:
-        if is_a_models(trace.tb_frame.f_code.co_filename):
-            yield trace.tb_frame, trace.tb_lineno
-        trace = trace.tb_next
-
-
 def place_of(error: BaseException) -> str:
     """An error's innermost place in a model as `` (file:line)``; empty if there is none."""
-    places = [f" ({frame.f_code.co_filename}:{line})" for frame, line in frames_of(error)]
-    return places[-1] if places else ""
+    place, trace = "", error.__traceback__
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if is_a_models(file):
+            place = f" ({file}:{trace.tb_lineno})"
+        trace = trace.tb_next
+    return place
 
 
 def code_of(function: Any) -> CodeType | None:

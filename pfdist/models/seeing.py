@@ -46,10 +46,8 @@ def names_in(code: types.CodeType) -> set[str]:
     return {name for each in _codes_in(code) for name in each.co_names}
 
 
-def seeing(
-    function: types.FunctionType, instead: Callable[[Any], Any], name: str = ""
-) -> types.FunctionType:
-    """A function with the same code that sees other objects, under another name if there is one.
+def seeing(function: types.FunctionType, instead: Callable[[Any], Any]) -> types.FunctionType:
+    """A function with the same code that sees other objects.
 
     `instead` gives what the function sees in the place of a global variable, a variable of its
     closure or a default. In the place of a module of the user it sees a copy with the variables
@@ -74,13 +72,13 @@ def seeing(
     same = types.FunctionType(
         function.__code__,
         scope | {key: seen(scope[key]) for key in names & scope.keys()},
-        name or function.__name__,
+        function.__name__,
         function.__defaults__ and tuple(map(seen, function.__defaults__)),
         tuple(cells),
     )
     keywords = function.__kwdefaults__
     same.__kwdefaults__ = keywords and {key: seen(value) for key, value in keywords.items()}
-    same.__qualname__ = name or function.__qualname__
+    same.__qualname__ = function.__qualname__
     return same
 
 

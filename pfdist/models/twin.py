@@ -32,7 +32,7 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
     """
     instants, formula = instants_of(name, instants), model.formulas[name]
     if isinstance(formula, Untraced) and formula.refused is not None:
-        raise formula.refused
+        raise formula.refused.with_traceback(None)  # else it grows each time
     if isinstance(formula, Programs):
         try:
             return formula.traced.at(instants)

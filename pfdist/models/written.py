@@ -7,7 +7,7 @@ results of the right kind, and stays within the limits of tracing.
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -36,12 +36,12 @@ _WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 # --- writing --------------------------------------------------------------------------------------
 
 
-def data_of(model: StateSpaceModel) -> dict[str, Any]:
+def _data_of(model: StateSpaceModel) -> dict[str, Any]:
     """A recorded model as data for JSON."""
     data = {name: _plain(getattr(model, name)) for name in PLAIN}
     formulas = {name: getattr(model, name) for name in own_formulas(model)}
     return data | {
-        "parameters": _parameters(model.parameters),
+        "parameters": _plain(model.parameters),
         "formulas": {name: _formula(formula) for name, formula in formulas.items()},
         "sensors": {
             name: {
@@ -55,7 +55,7 @@ def data_of(model: StateSpaceModel) -> dict[str, Any]:
 
 def text_of(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
     """The text of the truth and of the filter's model, both recorded."""
-    data = {"truth": data_of(truth), "filter": None if believed == truth else data_of(believed)}
+    data = {"truth": _data_of(truth), "filter": None if believed == truth else _data_of(believed)}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False) + "\n"
     lists = text.count("[")
     if lists > MOST_LISTS or len(text) > MOST_BYTES_OF_MODELS:
@@ -83,28 +83,13 @@ def _plain(value: Any) -> Any:
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, tuple | list):
         return [_plain(each) for each in value]
-    return _number(value) if isinstance(value, float) else value
-
-
-def _number(value: float) -> float | str:
-    return float(value) if math.isfinite(value) else str(float(value))
-
-
-def _numbers(values: Iterable[float]) -> list[float | str]:
-    return [_number(each) for each in values]
-
-
-def _parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: _numbers(value) if isinstance(value, tuple) else float(value)
-        for name, value in parameters.items()
-    }
+    return str(float(value)) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _formula(formula: Any) -> Any:
     """A recorded formula; None for the squared error."""
     if isinstance(formula, Untraced):
-        return {"values": [[_numbers(row) for row in rows] for rows in formula.values.tolist()]}
+        return {"values": _plain(formula.values.tolist())}
     return [*map(_traced, formula.variants)] if isinstance(formula, Programs) else None
 
 
@@ -113,8 +98,8 @@ def _traced(traced: Traced) -> dict[str, Any]:
         {
             "operations": [[name, [*taken], which] for name, taken, which in each.operations],
             "outputs": [*each.outputs],
-            "constants": [_numbers(row) for row in each.constants.tolist()],
-            "tables": [_numbers(table) for table in each.tables],
+            "constants": _plain(each.constants.tolist()),
+            "tables": [_plain(table.tolist()) for table in each.tables],
         }
         for each in traced.programs
     ]
@@ -124,15 +109,11 @@ def _traced(traced: Traced) -> dict[str, Any]:
         "programs": programs,
         "first": traced.instants[0],
         "which": traced.which.tolist(),
-        "read": {key: _plain(value) for key, value in traced.read.items()},
+        "read": _plain(traced.read),
     }
 
 
 # --- reading --------------------------------------------------------------------------------------
-
-
-class _WrongError(ValueError):
-    """A text holds something wrong; the message says what."""
 
 
 def models_of(content: bytes) -> tuple[StateSpaceModel, StateSpaceModel]:
@@ -165,7 +146,7 @@ def _refused(word: str) -> Any:
 
 def _need(is_right: bool, what: str) -> None:
     if not is_right:
-        raise _WrongError(what)
+        raise ValueError(what)
 
 
 def _model(data: Mapping[str, Any]) -> StateSpaceModel:
