@@ -11,25 +11,11 @@ from typing import Any
 
 import pytest
 
-from oracles.model_text import MEASURED
+from oracles.model_text import WALK
 from pfdist.errors import ModelError
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.by_value import by_value
 
-MODEL = (
-    """
-{before}
-from pfdist import StateSpaceModel
-
-model = StateSpaceModel(
-    name="mine",
-    initial=lambda w, p: (w[0],),
-    transition=lambda x, t, w, p: ({formula},),
-"""
-    + MEASURED
-    + """)
-"""
-)
 FILES = {
     "helper.py": "from inner.deep import three\ndef triple(x): return three() * x\n",
     "inner/__init__.py": "",
@@ -47,7 +33,7 @@ def write(tmp_path: Path) -> Write:
 
     def found(before: str, formula: str = "x[0]", name: str = "a", **more: str) -> StateSpaceModel:
         files = {**FILES, **{f"{key}.py": text for key, text in more.items()}}
-        files["mine.py"] = MODEL.format(before=before, formula=formula)
+        files["mine.py"] = WALK.format(before=before, formula=formula, after="")
         for file, text in files.items():
             path = tmp_path / name / file
             path.parent.mkdir(parents=True, exist_ok=True)

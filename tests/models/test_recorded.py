@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oracles.model_text import MEASURED
+from oracles.model_text import WALK
 from pfdist.errors import ModelError
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
@@ -17,25 +17,13 @@ from pfdist.models.recorded import differences, recorded, untraced
 from pfdist.models.written import key_of_model, models_of, text_of
 
 INSTANTS = range(13)
-MODEL = (
-    """
+IMPORTS = """
 import collections, dataclasses, functools, types
 import numpy as np
 import numba
 import pandas as pd
-from pfdist import StateSpaceModel, clip
-{before}
-
-model = StateSpaceModel(
-    name="mine",
-    initial=lambda w, p: (w[0],),
-    transition=lambda x, t, w, p: ({formula},),
 """
-    + MEASURED
-    + """    parameters={{"sigma": 0.9}},
-)
-"""
-)
+PARAMETERS = '    parameters={"sigma": 0.9},\n'
 _folders = itertools.count()
 Write = Callable[..., StateSpaceModel]
 
@@ -46,7 +34,7 @@ def write(tmp_path: Path) -> Write:
 
     def written(before: str, formula: str, **files: str) -> StateSpaceModel:
         folder = tmp_path / f"{next(_folders)}"
-        files["mine"] = MODEL.format(before=before, formula=formula)
+        files["mine"] = WALK.format(before=IMPORTS + before, formula=formula, after=PARAMETERS)
         for name, text in files.items():
             file = folder / f"{name}.py"
             file.parent.mkdir(parents=True, exist_ok=True)

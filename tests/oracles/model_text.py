@@ -7,3 +7,19 @@ MEASURED = """    measurement=lambda x, t, v, p: (x[0] + v[0],),
     process_noise=("normal",),
     measurement_noise=("normal",),
 """
+
+WALK = (
+    """
+{before}
+from pfdist import StateSpaceModel
+
+model = StateSpaceModel(
+    name="mine",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: ({formula},),
+"""
+    + MEASURED
+    + """{after})
+"""
+)
+"""A model with lines before it, what a step gives, and further fields."""
