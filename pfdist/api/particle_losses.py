@@ -6,7 +6,6 @@ from dataclasses import replace
 import pandas as pd
 
 from pfdist.api.evaluate import UNNAMED, instants_of
-from pfdist.checks.likelihood import ENDLESS
 from pfdist.checks.particles import (
     has_particle_loss,
     mean_effective_sizes,
@@ -94,7 +93,7 @@ def particle_losses(
                 "expected_mse": mse.mean,
                 "standard_error": mse.standard_error,
                 **loss.columns(),
-                "effective_sample_size": mean_effective_sizes(evaluator, work, ENDLESS).mean(),
+                "effective_sample_size": mean_effective_sizes(evaluator, work).mean(),
             }
         )
     return pd.DataFrame(rows)

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pfdist.analysis import Run, finite, open_run
 from pfdist.analysis.stored_run import check_one_number, found_sets
@@ -25,15 +23,13 @@ from pfdist.documents.parts import Page
 from pfdist.errors import JobError
 from pfdist.job.sections import Execution
 from pfdist.job.source import JobSource
-from pfdist.models import StateSpaceModel
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.progress import Say, Show, silent
 from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
-from pfdist.sequential.work import seen_at_instants
 from pfdist.store import WHY_PHASE, frame_of, schema
-from pfdist.store.schema import components_in, with_sensors
+from pfdist.store.schema import with_sensors
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times, validated
 
@@ -197,8 +193,7 @@ def _examine(
         clock = built.job.problem.clock
         numbers = clock.measurements(clock_times)
         times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
-        measured = _measured(run, times, built.evaluator.believed)
-        result = yield from worth_of(session, name, times, draws, measured)
+        result = yield from worth_of(session, name, times, draws)
         windows = yield from sampling_windows(session, name, times, draws)
         by_percent = windows_by_percent(windows, times)
         jittered = yield from jitter(session, name, times, by_percent, draws)
@@ -221,15 +216,6 @@ def _by_sensor(row: dict[str, Any], part: str, clock: Clock) -> dict[str, Any]:
     instant, sensor = divmod(row["t"], len(sensors))
     moved = {key: row[key] // len(sensors) for key in row if key.startswith("moved_to")}
     return row | moved | {"t": instant, "sensor": sensors[sensor]}
-
-
-def _measured(run: Run, times: Times, model: StateSpaceModel) -> list[NDArray[np.float64]]:
-    """The measurements at N instants of each draw that has a trajectory, (N, m) each."""
-    rows = run.table("trajectories")
-    columns = [f"y_{component.suffix}" for component in components_in(rows, "y_")]
-    return [
-        seen_at_instants(model, draw[columns].to_numpy(), times) for _, draw in rows.groupby("draw")
-    ]
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:

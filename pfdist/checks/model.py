@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.checks.contract import few_draws, looked
 from pfdist.checks.likelihood import Within, likelihood
@@ -19,7 +20,7 @@ from pfdist.checks.particles import (
     mean_effective_sizes,
     measured_loss,
 )
-from pfdist.common.estimate import Estimate
+from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
@@ -27,7 +28,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import FLOAT64, Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.models.checks import own_formulas
@@ -42,6 +43,7 @@ EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
 _FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
+_LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
 
 
@@ -223,19 +225,30 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     """State and text: how many particles count after the measurements of regular times."""
-    (times,), within = work.measurement_times, Within(_LONGEST)
-    sizes = mean_effective_sizes(evaluator, work, within)
+    (times,) = work.measurement_times
+    sizes = mean_effective_sizes(evaluator, work)
     if sizes.isna().all():
         return "note", "all filters fail by their first measurement"
     least = sizes.min()
     at = formatted_instant(evaluator.model, times[int(np.nanargmin(sizes))])
     text = (
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
-        f"{work.estimation.particles} particles after {len(sizes)} measurements{within.text}"
+        f"{work.estimation.particles} particles after {len(sizes)} measurements"
     )
     if least < _FEW_EFFECTIVE:
         return "note", f"{text}: so few count that estimates are uncertain"
     return "ok", text
+
+
+def _digits(evaluator: Evaluator, work: Work, mse: NDArray[np.float64]) -> tuple[str, str]:
+    """State and text: how much the errors of draws differ from those of float64 states."""
+    with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
+    usual = with_all.mse[:, 0]
+    change = Estimate.of_mean(mse - usual).times(100 / usual.mean())
+    text = f"{change.text} % more error than with {FLOAT64}, the same draws and the same noise"
+    if abs(change.value) < max(_LITTLE, CLEAR_ERRORS * change.standard_error):
+        return "ok", text
+    return "note", f"{text}: digits are lost, as where states are far from 0 beside what moves them"
 
 
 def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
@@ -313,6 +326,8 @@ def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Ite
         yield Check("expected MSE", "ok", text)
     else:
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
+    if work.estimation.dtype != FLOAT64:
+        yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
     believed = evaluator.self_consistent
     if not evaluator.exact:
         yield Check("effective sample size", *_effective_sizes(believed, work))

@@ -13,15 +13,11 @@ import pandas as pd
 
 from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
-from pfdist.checks.likelihood import Within
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import squared_error
-from pfdist.sequential.filter import effective_sample_sizes
-from pfdist.sequential.one_filter import OneFilter
-from pfdist.sequential.work import seen_at_instants
 from pfdist.times.measurement_times import Times
 
 NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
@@ -29,7 +25,7 @@ NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
-_SIZE_DRAWS = 20  # behind a mean effective sample size
+_SIZE_DRAWS = 100  # behind a mean effective sample size
 
 
 def work_of_loss(
@@ -68,21 +64,17 @@ def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Momen
     return particle_loss(particles, whole, squared, distance, variance), whole
 
 
-def mean_effective_sizes(evaluator: Evaluator, work: Work, within: Within) -> "pd.Series[float]":
+def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]":
     """Mean effective sample size after each measurement of a work of one set, by its instant.
 
-    A draw counts up to the measurement at which its filter fails. NaN if no draw counts.
+    It is a mean over the first draws, without those of which no particle explains the measurement;
+    NaN if none is left.
     """
-    (times,), (stream,) = work.measurement_times, work.filter_streams
-    draws = evaluator.draws(range(_SIZE_DRAWS), work.draws_stream)
-    settings, engine = evaluator.settings(work.estimation), evaluator.computed_by.name
-    first = OneFilter(evaluator.believed, settings, stream, engine=engine)
-    at, model = sorted({time // work.sensors for time in times}), evaluator.model
-    sizes = [
-        effective_sample_sizes(replace(first, draw=draw), at, seen_at_instants(model, y, times))
-        for draw, y in within(zip(draws.index, draws.y, strict=True))
-    ]
-    return pd.DataFrame(sizes, columns=at, dtype=np.float64).mean()
+    (times,), (first, last) = work.measurement_times, work.draws
+    few = replace(work, draws=(first, min(last, first + _SIZE_DRAWS)), trajectories=True)
+    (sizes,) = evaluator.filtered(few).sizes
+    at = sorted({time // work.sensors for time in times})
+    return pd.DataFrame(sizes[:, np.subtract(at, evaluator.start)], columns=at).mean()
 
 
 def enough_particles(

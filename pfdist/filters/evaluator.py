@@ -27,7 +27,7 @@ from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter, check_fits
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import Estimation, Result, Work, columns, cut, joined
+from pfdist.filters.work import FLOAT64, Estimation, Result, Work, columns, cut, joined
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
 from pfdist.models import StateSpaceModel
 from pfdist.models.by_value import by_value, made
@@ -339,6 +339,12 @@ class Evaluator:
         """
         for each in self.of_scenarios:
             each.check(estimation)
+        engine = self.computed_by.name
+        if estimation.dtype != FLOAT64 and engine != COMPILED.name:
+            raise ModelError(
+                f"filter.dtype = {estimation.dtype!r} needs the engine {COMPILED.name!r}, got "
+                f"{engine!r}: filter.dtype = {FLOAT64!r} is for every engine"
+            )
         if not self.exact:
             check_filter(self.believed, self.model, estimation)
 
@@ -423,7 +429,8 @@ class Evaluator:
             mse = np.stack([each.mse for each in filtered], axis=1)
             degenerate = np.stack([each.degenerate for each in filtered], axis=1)
             estimates = np.stack([each.estimate for each in filtered])
-            return Result(mse, draws.z, draws.y, estimates, degenerate=degenerate)
+            sizes = np.empty(0) if self.exact else np.stack([each.sizes for each in filtered])
+            return Result(mse, draws.z, draws.y, estimates, sizes, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
         degenerate = np.zeros(values.shape, np.bool_)
         for stream, same_noise in columns(work.filter_streams).items():

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.filters.work import Estimation
+from pfdist.filters.work import FLOAT32, Estimation
 from pfdist.kernels import filter as rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
+from pfdist.kernels.lowering import Precision
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
 from pfdist.models.parameters import check_lengths
@@ -30,14 +31,14 @@ def filter_blocks(
     guided = settings.guides(model)
     result: tuple[Compiled, tuple[int, ...]]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
-        ("filter", instants, guided, id(truth)),
-        lambda: (_filter_blocks(model, truth, guided, instants), truth),
+        ("filter", instants, guided, id(truth), settings.dtype),
+        lambda: (_filter_blocks(model, truth, guided, instants, settings.dtype), truth),
     )
     return result
 
 
 def _filter_blocks(
-    model: StateSpaceModel, truth: StateSpaceModel, guided: bool, instants: range
+    model: StateSpaceModel, truth: StateSpaceModel, guided: bool, instants: range, dtype: str
 ) -> tuple[Compiled, tuple[int, ...]]:
     check_lengths(model.parameters, instants.stop)
     check_lengths(truth.parameters, instants.stop)
@@ -68,8 +69,18 @@ def _filter_blocks(
     if guided:
         given = {**x, "y": model.components[1], "t": 0, **u}
         sources[rows.GUIDED] = source(states + 1, "proposal", own.guided, given, instants[:-1])
+    if dtype == FLOAT32:
+        sources |= {row: _of_singles(row, source) for row, source in sources.items()}
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
     return blocks, _components_of_state(sources[rows.QUANTITY])
+
+
+def _of_singles(row: Any, source: Source | None) -> Source | None:
+    """The source for particles with float32 states; estimates and errors remain float64."""
+    computes = row in (rows.INITIAL, rows.TRANSITION, rows.GUIDED) or row >= rows.SENSORS
+    reads = computes or row in (rows.QUANTITY, rows.DEVIATIONS)
+    kinds = Precision("f4" if reads else "f8", "f4" if computes else "f8")
+    return source and source._replace(precision=kinds)
 
 
 def _components_of_state(quantity: Source | None) -> tuple[int, ...]:

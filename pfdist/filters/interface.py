@@ -72,6 +72,9 @@ class Filtered:
     # measured instants, see `pfdist.kernels.filter.Results`; NaN elsewhere, and if the truth
     # is not among them
     ranks: NDArray[np.float64] | None = None
+    # (D, T+1), if trajectories were wanted of particles: the effective sample size after the last
+    # measurement of an instant; NaN if there is none, or if no particle explains it
+    sizes: NDArray[np.float64] | None = None
 
 
 def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:

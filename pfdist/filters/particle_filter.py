@@ -36,6 +36,7 @@ class _Wanted(NamedTuple):
     """Arrays that the filter fills besides the mse; see `pfdist.kernels.filter.Results`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
+    sizes: NDArray[np.float64] = np.empty((0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
     ranks: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     cloud: NDArray[np.float64] = np.empty((0, 0, 0))
@@ -65,6 +66,7 @@ def filter_checked_draws(
     count, particles = len(draws.index), settings.particles
     wanted = _Wanted(
         moments=np.full((2, *draws.z.shape), np.nan),
+        sizes=np.full(draws.z.shape[:2], np.nan),
         ranks=np.full((2, *draws.z.shape), np.nan),
         cloud=np.full((count, model.components[0], particles), np.nan),
         weight=np.ones((count, particles)),
@@ -74,7 +76,7 @@ def filter_checked_draws(
     for array in (estimate, variance, wanted.cloud):
         array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
     weights = wanted.weight if settings.carries else None
-    given = estimate, variance, tuple(wanted.cloud), weights, wanted.ranks
+    given = estimate, variance, tuple(wanted.cloud), weights, wanted.ranks, wanted.sizes
     return Filtered(mse[:, 0], degenerate[:, 0], *given)
 
 
@@ -183,7 +185,7 @@ def _filter(
     )
     estimate, variance = wanted.moments
     results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
-    filter_all(blocks.blocks, request, planned, results, scheme.name)
+    filter_all(blocks.blocks, request, planned, results, scheme.name, settings.dtype)
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate

@@ -89,14 +89,14 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
-    mse, degenerate, estimate, variance, last, weight, ranks = (
+    mse, degenerate, estimate, variance, last, weight, ranks, sizes = (
         np.concatenate(parts) for parts in zip(*blocks, strict=True)
     )
     if not trajectories:
         return Filtered(mse, degenerate)
     carried = weight if settings.carries else None
     moments = estimate, variance, tuple(last), carried
-    return Filtered(mse, degenerate, *moments, np.moveaxis(ranks, 1, 0))
+    return Filtered(mse, degenerate, *moments, np.moveaxis(ranks, 1, 0), sizes)
 
 
 def _filter(
@@ -108,14 +108,15 @@ def _filter(
 ) -> tuple[NDArray[Any], ...]:
     """Filter D draws; their MSE (D,), which are degenerate, mean and variance of z (D, T+1, q).
 
-    Then follow the last x, (D, n, P), the weights of the last particles, (D, P), and the ranks,
-    (D, 2, T+1, q).
+    Then follow the last x, (D, n, P), the weights of the last particles, (D, P), the ranks,
+    (D, 2, T+1, q), and the effective sample sizes, (D, T+1).
     """
     particles, scheme = settings.particles, ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     ranks = np.full((count, 2, *draws.z.shape[1:]), np.nan)
+    sizes = np.full((count, instants), np.nan)
     true_error = twin_of(draws.model, draws.instants).error
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     degenerate = np.zeros(count, np.bool_)
@@ -154,13 +155,14 @@ def _filter(
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
+        sizes[weighs & alive, k] = _effective_sizes(weight)[weighs & alive]
         key = (t + 1) * len(model.parts) - 1
         x, carried = _resampled(x, weight, settings, stream, draws.index, key, weighs)
     last = np.stack(x, axis=1)
     last[~alive] = np.nan
     if scheme.holds_truth:
         total[degenerate] = np.nan
-    return total / instants, degenerate, mean, variance, last, carried, ranks
+    return total / instants, degenerate, mean, variance, last, carried, ranks, sizes
 
 
 def _first(
@@ -258,11 +260,16 @@ def _resampled(
     if not weighs.any():
         return x, weight
     ancestors = ancestors_of(settings.resampling, weight, stream, index, key)
-    effective_sizes = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
-    uneven = (weighs & (effective_sizes < settings.threshold * particles))[:, None]
+    uneven = (weighs & (_effective_sizes(weight) < settings.threshold * particles))[:, None]
     ancestors = np.where(uneven, ancestors, np.arange(particles))
     x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return x, np.where(uneven, 1.0, weight)
+
+
+def _effective_sizes(weight: Array) -> Array:
+    """Effective sample size of each draw (Kong, Liu, Wong 1994)."""
+    sizes: Array = weight.sum(axis=1) ** 2 / np.sum(weight**2, axis=1)
+    return sizes
 
 
 def _order_by_state(state: Array, weight: Array) -> NDArray[np.intp]:

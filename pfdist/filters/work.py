@@ -19,6 +19,9 @@ from pfdist.times.measurement_times import Times
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
 
+FLOAT64, FLOAT32 = DTYPES = "float64", "float32"
+"""Types of the particles' states."""
+
 BLOCK = 24
 """Draws over which errors are added up.
 
@@ -35,6 +38,7 @@ class Estimation:
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
+    dtype: str = FLOAT64  # of the particles' states
 
     @property
     def carries(self) -> bool:
@@ -47,11 +51,13 @@ class Estimation:
 
     @property
     def recorded(self) -> dict[str, int | float | str]:
-        """The fields by their names, without the prior and a threshold that is not used."""
+        """The fields by their names, without the prior and what is not used or usual."""
         recorded = {**vars(self)}
         del recorded["prior"]
         if not self.carries:
             del recorded["threshold"]
+        if self.dtype == FLOAT64:
+            del recorded["dtype"]
         return recorded
 
     @property
@@ -172,6 +178,8 @@ class Result:
     y: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (S, D, T+1, q), with trajectories; else empty
     estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (S, D, T+1), with trajectories of particles; else empty. See `pfdist.filters.interface`.
+    sizes: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     # (E,): Sums of the errors over the draws, set by set, if they are wanted; then everything else
     # is empty. NaN for each set with which a draw is infinite, or degenerate beside the truth.
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
@@ -189,8 +197,9 @@ def joined(results: Sequence[Result]) -> Result:
         return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
 
     sums = np.sum([result.sums for result in results], axis=0)
-    of_draws = all_of("mse"), all_of("z"), all_of("y"), all_of("estimates", 1)
-    return Result(*of_draws, sums, degenerate=all_of("degenerate"))
+    mse, z, y, degenerate = map(all_of, ("mse", "z", "y", "degenerate"))
+    estimates, sizes = all_of("estimates", 1), all_of("sizes", 1)
+    return Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate)
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

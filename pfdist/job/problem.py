@@ -72,7 +72,7 @@ class Problem(Shown):
         measurements (most) and their minimum_spacing. By default the costs that the model gives.
     particles : int or "auto"
         "auto": a number that is enough is found when something is computed.
-    resampling, resample, engine : str
+    resampling, resample, engine, dtype : str
         The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises

@@ -169,6 +169,9 @@ class Filter(Section):
         "always" (by default), or "below 0.5": only if fewer than this share of the particles count.
     engine : str
         The engine, which computes the filter.
+    dtype : str
+        "float32" computes states and log-likelihoods with half the digits, in less time. Errors and
+        sums of weights are float64. It is for the engines "auto" and "compiled".
     """
 
     particles: Annotated[
@@ -180,6 +183,7 @@ class Filter(Section):
     resampling: Resampling = "multinomial"
     resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
+    dtype: Literal["float64", "float32"] = "float64"
 
     @property
     def is_automatic(self) -> bool:

@@ -48,13 +48,13 @@ from pfdist.kernels.vectors import (
     LANES,
     Array,
     Vector,
+    constant,
     iota,
     splat,
     vectorised,
 )
 
 _BEHIND = 4 * LANES  # entries behind the last of a draw that whole vectors may overwrite
-_IMPOSSIBLE = -np.finfo(np.float64).max
 _LEAST_TOTAL = 1e-100  # prevents a division by 0 if all weights are 0
 _SHARES = 2.0**31 - 2.0**8  # the whole weight, in units that fit into 31 bits
 _POINTS = 2.0**31 - 2.0**10  # points lie below the last share
@@ -135,7 +135,13 @@ def _numbers(value: Vector) -> Vector:
     return splat(value, LANES)
 
 
-@vectorised("16 f8")
+@vectorised("16 *")
+def _lowest(log_weight: Array) -> Vector:
+    """Minus infinity in all lanes."""
+    return constant(log_weight.builder, log_weight.kind, LANES, -math.inf)
+
+
+@vectorised("16 *")
 def _larger(highest: Vector, log_weight: Array, i: Vector) -> Vector:
     """The larger of each lane and of a log-weight that is finite."""
     value = log_weight.load(i, LANES)
@@ -144,15 +150,15 @@ def _larger(highest: Vector, log_weight: Array, i: Vector) -> Vector:
 
 @vectorised()
 def _leave_out(log_weight: Array, i: Vector, left: Vector) -> None:
-    """Make all but the first of some log-weights `_IMPOSSIBLE`."""
+    """Let all but the first of some log-weights be those of weight 0."""
     value = log_weight.load(i, LANES)
-    log_weight.store(i, _first_lanes(left).select(value, value.number(_IMPOSSIBLE)))
+    log_weight.store(i, _first_lanes(left).select(value, value.number(-math.inf)))
 
 
 @vectorised("f8")
 def _largest(values: Vector) -> Vector:
     """The largest of all lanes."""
-    return values.reduced(lambda a, b: (a > b).select(a, b))
+    return values.reduced(lambda a, b: (a > b).select(a, b)).to("f8")
 
 
 @vectorised("f8")
@@ -178,7 +184,8 @@ def _weigh(
     carry: Vector, log_weight: Array, i: Vector, highest: Vector, weight: Array, cumulative: Array
 ) -> Vector:
     """Weights of some particles, and cumulative sums from those before."""
-    excess = (log_weight.load(i, LANES) - highest).to("f4") * 1.4426950408889634
+    value = log_weight.load(i, LANES)
+    excess = (value - highest.to(value.kind)).to("f4") * 1.4426950408889634
     possible, zeros = (excess > -125.0) & (excess <= 0.0), excess.number(0.0)
     weights = possible.select(_exp2(possible.select(excess, zeros)), zeros)
     weight.store(i, weights)
@@ -196,11 +203,11 @@ def weigh(log_weight, origin, width, particles, weight, cumulative):
     """
     if particles < width:
         _leave_out(log_weight, origin + width - LANES, particles - width + LANES)
-    highest = _numbers(_IMPOSSIBLE)
+    highest = _lowest(log_weight)
     for i in range(origin, origin + width, np.int64(LANES)):
         highest = _larger(highest, log_weight, i)
     largest = _largest(highest)
-    if largest == _IMPOSSIBLE:
+    if largest == -np.inf:
         return 0.0
     carry = _numbers(0.0)
     for i in range(origin, origin + width, np.int64(LANES)):
@@ -241,8 +248,12 @@ def cumulate(weight, origin, width, cumulative):
 @vectorised("16 f8")
 def _add_weighted(total: Vector, weight: Array, values: Array, i: Vector) -> Vector:
     """Add weighted values; a value of weight 0 does not count, even if it is infinite."""
-    weights, numbers = weight.load(i, LANES).to("f8"), values.load(i, LANES)
-    return weights.fma((weights > 0.0).select(numbers, numbers.number(0.0)), total)
+    numbers = values.load(i, LANES)
+    weights = weight.load(i, LANES).to(numbers.kind)
+    counted = (weights > 0.0).select(numbers, numbers.number(0.0))
+    if numbers.kind == "f4":
+        return total + (weights * counted).to("f8")
+    return weights.fma(counted, total)
 
 
 @compiled
@@ -257,7 +268,7 @@ def weighted_sum(weight, values, origin, width):
 @vectorised("16 f8")
 def _add_first(total: Vector, values: Array, i: Vector, left: Vector) -> Vector:
     """Add so many of some values."""
-    numbers = values.load(i, LANES)
+    numbers = values.load(i, LANES).to("f8")
     return total + _first_lanes(left).select(numbers, numbers.number(0.0))
 
 

@@ -11,11 +11,22 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from pfdist.kernels.lowering import ARGUMENTS, FUNCTION, POINTERS, Code, Layout, machine_code, split
+from pfdist.kernels.lowering import (
+    ARGUMENTS,
+    DOUBLES,
+    FUNCTION,
+    POINTERS,
+    Code,
+    Layout,
+    Precision,
+    machine_code,
+    split,
+)
 from pfdist.kernels.vectors import LANES
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array, evaluate, merged
@@ -39,6 +50,7 @@ class Source(NamedTuple):
     layout: Layout
     parameters: Mapping[str, Parameter]
     results: int  # rows that its block writes
+    precision: Precision = DOUBLES
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,12 @@ class _Program:
         self._source, self.which = source, which
         self.program = merged(source.traced.programs[which])
         self._instants = np.array(source.traced.instants)[source.traced.which == which]
-        self.split = split(self.program, source.layout, exact=self._divides_by_extremes())
+        self.split = split(
+            self.program,
+            source.layout,
+            exact=self._divides_by_extremes(),
+            precision=source.precision,
+        )
 
     def _divides_by_extremes(self) -> bool:
         """Whether the reciprocal of a number for all particles may have fewer digits."""
@@ -148,7 +165,11 @@ def call_block(context, address, out, slots, noise, given, shared, size):
             count = len(kind) if isinstance(kind, types.BaseTuple) else 0
             numbers += [builder.extract_value(value, k) for k in range(count)] or [value]
         function = builder.inttoptr(numbers[0], FUNCTION.as_pointer())
-        builder.call(function, numbers[1:])
+        given = [
+            builder.bitcast(number, kind) if isinstance(kind, ir.PointerType) else number
+            for number, kind in zip(numbers[1:], FUNCTION.args, strict=True)
+        ]
+        builder.call(function, given)
         return context.get_dummy_value()
 
     return types.none(*arguments), generate

@@ -31,7 +31,7 @@ from pfdist.kernels.ancestors import (
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import Entry, compiled, entry
 from pfdist.kernels.estimators import ErrorWeights
-from pfdist.kernels.memory import ahead, call, read, readers, zeros
+from pfdist.kernels.memory import States, ahead, call, read, readers, zeros
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import FILTER_INITIAL, FILTER_PROCESS, SPARE, Key, Row, number_of_words
@@ -115,6 +115,8 @@ class Results(NamedTuple):
     degenerate: NDArray[np.uint8]
     estimate: NDArray[np.float64]  # (D, T+1, q): of a single set
     variance: NDArray[np.float64]  # (D, T+1, q): of a single set
+    # (D, T+1): of a single set, the effective sample size at measured instants
+    sizes: NDArray[np.float64]
     # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
     # those of its shared prefix. The caller fills them with 0.
     errors: NDArray[np.float64]
@@ -144,9 +146,10 @@ class Batch(NamedTuple):
     half: NDArray[np.int64]  # (1,): which half of the cloud counts
     # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
     # step reads one half and writes the other
-    cloud: NDArray[np.float64]
+    cloud: States
+    again: States  # n rows, for filters with a proposal
     quantity: NDArray[np.float64]  # z, with cosines and sines of angles; squared deviations
-    log_weight: NDArray[np.float64]
+    log_weight: States
     log_carried: NDArray[np.float64]
     cumulative: NDArray[np.float64]
     noise: NDArray[np.float32]
@@ -168,7 +171,7 @@ class Batch(NamedTuple):
 class Saved(NamedTuple):
     """Batches from which later sets resume, one for each slot of the plan."""
 
-    cloud: NDArray[np.float64]  # (slots, n * stride)
+    cloud: States  # (slots, n * stride)
     weight: NDArray[np.float32]  # (slots, stride)
     numbers: NDArray[np.float64]  # (slots, 2, row): `total` and `error`
     flags: NDArray[np.uint8]  # (slots, 2, row): `weighted` and `degenerate`
@@ -553,12 +556,12 @@ def _move_again(instant):
         return
     source, cloud = _other(at), _present(at)
     _fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
-    _of_particles(at, TRANSITION, t - 1, source, batch.quantity)
+    _of_particles(at, TRANSITION, t - 1, source, batch.again)
     for d in range(at.draws):
         if not batch.weighs[d]:
             for c in range(request.states):
                 place = c * batch.stride + d * batch.width
-                _copy(ahead(batch.quantity, place), ahead(cloud, place), batch.width)
+                _copy(ahead(batch.again, place), ahead(cloud, place), batch.width)
 
 
 @compiled
@@ -605,11 +608,7 @@ def _sort(instant):
 
 @compiled
 def _is_uneven(request, batch, d):
-    """Whether the effective sample size of a draw lies below the threshold.
-
-    Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
-    the American Statistical Association 89, 1994.
-    """
+    """Whether the effective sample size of a draw lies below the threshold."""
     if request.threshold == np.inf:
         return True
     squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
@@ -652,7 +651,8 @@ def _resample(instant):
 @entry(Instant)
 def _estimate(instant):
     """Estimate z(t) of each draw, and add the errors."""
-    at, s, t, _, _ = read(instant)
+    instant = read(instant)
+    at, s, t, _, _ = instant
     request, steps, batch = _request(at.work), _steps(at.work), _batch(at.work)
     quantities, weights = request.quantities, request.weights
     cloud, mean = _present(at), ahead(batch.moments, quantities * batch.row)
@@ -665,7 +665,7 @@ def _estimate(instant):
         _fill_means(at, batch.means, request.means)
     _of_draws(at, ESTIMATE, t, batch.means, mean)
     if steps.estimate_variance != 0:
-        call(steps.estimate_variance, Instant(at, s, t, 0, 0))
+        call(steps.estimate_variance, instant)
     if weights.squared_error != 0.0:
         for d in range(at.draws):
             z = ahead(request.z, ((at.first + d) * request.instants + t) * quantities)
@@ -709,7 +709,7 @@ def _estimate_variance(instant):
     Each filter contributes its variance, by the estimator's weights. The first of two filters
     stores its mean, and the second adds the distance to it, as `pfdist.filters.interface` does.
     """
-    at, s, t, _, _ = read(instant)
+    at, s, t, sensors, _ = read(instant)
     request, wanted, batch = _request(at.work), _wanted(at.work), _batch(at.work)
     quantities, row = request.quantities, batch.row
     mean = ahead(batch.moments, quantities * row)
@@ -718,6 +718,8 @@ def _estimate_variance(instant):
     _fill_means(at, variance, quantities)
     if wanted.moments:
         _record(at, t, mean, variance)
+        if sensors > 0:
+            _record_sizes(at, t)
     has_distance = request.filters > 1
     if has_distance:
         _measure_distance(at, t, s, mean)
@@ -741,6 +743,21 @@ def _record(at, t, mean, variance):
             for c in range(request.quantities):
                 results.estimate[first + c] = mean[c * batch.row + d]
                 results.variance[first + c] = variance[c * batch.row + d]
+
+
+@compiled
+def _record_sizes(at, t):
+    """Record the effective sample sizes of draws that the instant's last measurement weighed.
+
+    Source: Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of
+    the American Statistical Association 89, 1994.
+    """
+    request, results, batch = _request(at.work), _results(at.work), _batch(at.work)
+    for d in range(at.draws):
+        if batch.weighs[d] and batch.error[d] < np.inf:
+            squares = sum_of_squares(batch.weight, d * batch.width, batch.width)
+            place = (at.first + d) * request.instants + t
+            results.sizes[place] = batch.total[d] * batch.total[d] / squares
 
 
 @compiled
@@ -836,24 +853,30 @@ _TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
 _MOST_SAVED = 2**22  # numbers of all saved batches, about
 
 
-def filter_all(blocks: Blocks, request: Request, plan: Plan, results: Results, scheme: str) -> None:
-    """Filter all draws, in arrays that each call makes for itself: threads filter together."""
+def filter_all(
+    blocks: Blocks, request: Request, plan: Plan, results: Results, scheme: str, states: str
+) -> None:
+    """Filter all draws, in arrays that each call makes for itself: threads filter together.
+
+    `states` is the type of the particles' states, "float64" or "float32", as in the blocks.
+    """
     width = -(-request.particles // LANES) * LANES
     numbers = (request.states + 1) * width * max(1, plan.clouds)
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
-    batch, saved, _memory = _arrays(request, plan, width, draws)
+    batch, saved, _memory = _arrays(request, plan, width, draws, states)
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0)
-    scratch, steps = resampling_scratch(draws, width), _needed(request, plan, results, scheme)
-    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
+    scratch = resampling_scratch(draws, width)
+    steps = _needed(request, plan, results, scheme, states)
+    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps), states)
 
 
-def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Steps:
+def _needed(request: Request, plan: Plan, results: Results, scheme: str, states: str) -> Steps:
     """The steps that this filter needs."""
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
 
     def address(function: Entry, is_needed: bool = True) -> int:
-        return function.address if is_needed else 0
+        return function.address_for(states) if is_needed else 0
 
     return Steps(
         begin=address(_take_prior if request.has_prior else _draw_prior),
@@ -866,7 +889,7 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Step
         move_again=address(_move_again, request.guided),
         sort=address(_sort, ALL_SCHEMES[scheme].sorts),
         resample=address(_resample),
-        scheme=address(ENTRIES[scheme]),
+        scheme=ENTRIES[scheme].address,
         estimate=address(_estimate),
         estimate_variance=address(_estimate_variance, has_variance),
         rank=address(_rank_truth, results.ranks.size > 0),
@@ -876,17 +899,19 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Step
 
 
 def _arrays(
-    request: Request, plan: Plan, width: int, draws: int
+    request: Request, plan: Plan, width: int, draws: int, states: str
 ) -> tuple[Batch, Saved, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
-    states, quantities, spacious = request.states, request.quantities, stride + SPARE
+    rows, quantities, spacious = request.states, request.quantities, stride + SPARE
     sets = request.sets if request.filters > 1 else 0
     memory, arrays = zeros(
         Batch,
+        states,
         half=1,
-        cloud=2 * (states + 1) * stride,
-        quantity=max(request.means, states, quantities) * stride,
+        cloud=2 * (rows + 1) * stride,
+        again=rows * stride if request.guided else 0,
+        quantity=max(request.means, quantities) * stride,
         log_weight=stride,
         log_carried=stride,
         cumulative=stride,
@@ -906,7 +931,8 @@ def _arrays(
     )
     kept, places = zeros(
         Saved,
-        cloud=slots * states * stride,
+        states,
+        cloud=slots * rows * stride,
         weight=slots * stride,
         numbers=slots * 2 * row,
         flags=slots * 2 * row,

@@ -8,7 +8,7 @@ import math
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -18,16 +18,27 @@ import numba
 import numpy as np
 from llvmlite import ir
 
-from pfdist.kernels.functions import FUNCTIONS
+from pfdist.kernels.singles import function_of
 from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, entries, outlined, splat
 from pfdist.models.program import GROUPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
 """Where a function finds the arguments of a formula: for each group, an array and the first row.
 
-The arrays are "slots" (a float64 for each particle), "noise" (a float32 for each particle) and
+The arrays are "slots" (a number for each particle), "noise" (a float32 for each particle) and
 "given" (a float64 for each draw).
 """
+
+
+class Precision(NamedTuple):
+    """The kinds of numbers of a block: "f8" is float64, and "f4" float32."""
+
+    slots: str = "f8"
+    computed: str = "f8"  # and that of results
+
+
+DOUBLES = Precision()
+
 
 _SHARED = ("t", "parameter", "covariate", "constant")  # leaves with one value for all particles
 _INDEX, _DOUBLE, _FLOAT = ir.IntType(64), ir.DoubleType(), ir.FloatType()
@@ -50,6 +61,7 @@ class Half(NamedTuple):
     operations: tuple[Operation, ...]
     outputs: tuple[int, ...]
     tables: tuple[tuple[int, bytes], ...]  # lengths and contents of the arrays that `take` reads
+    precision: Precision = DOUBLES
 
 
 class Split(NamedTuple):
@@ -85,8 +97,10 @@ def _value(operation: Operation) -> float:
     return value
 
 
-def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
-    """Separate what is the same for all particles.
+def split(
+    program: Program, layout: Layout, *, exact: bool = False, precision: Precision = DOUBLES
+) -> Split:
+    """Separate what is the same for all particles; that is always computed in float64.
 
     A division by such a number becomes a multiplication by its reciprocal, with an error of at most
     1.5 units in the last place. Only `exact` divides: it is for denominators so large or so small
@@ -139,7 +153,7 @@ def split(program: Program, layout: Layout, *, exact: bool = False) -> Split:
     return Split(
         Half((*shared.operations,), (*table,), tables),
         (*leaves,),
-        Half((*particles.operations,), outputs, tables),
+        Half((*particles.operations,), outputs, tables, precision),
     )
 
 
@@ -234,6 +248,7 @@ class _Function:
         self._given["out"].add_attribute("noalias")
         self._builder = ir.IRBuilder(function.append_basic_block("entry"))
         self._half, self._values, self._often = half, dict[int, Vector](), _often(half)
+        self._precision = half.precision
         self._computed = [
             number for number, each in enumerate(half.operations) if each.name not in _LEAVES
         ]
@@ -243,7 +258,7 @@ class _Function:
         builder, given = self._builder, self._given
         for number, operation in enumerate(self._half.operations):
             if operation.name == "number":
-                self._values[number] = constant(builder, "f8", LANES, _value(operation))
+                self._values[number] = _numeral(builder, self._half, number)
             elif operation.name == "shared":
                 self._values[number] = self._spread("shared", _index(operation.which))
         with _loop(builder, given["draws"], 1) as draw:
@@ -259,10 +274,12 @@ class _Function:
 
     def _spread(self, array: str, place: Any) -> Vector:
         number = self._array(array).load(Vector(self._builder, place, "i8"), 0)
-        return splat(number, LANES)
+        return splat(number.to(self._precision.computed), LANES)
 
     def _array(self, name: str) -> Array:
-        return Array(self._builder, self._given[name], "f4" if name == "noise" else "f8")
+        kinds = {"noise": "f4", "slots": self._precision.slots, "out": self._precision.computed}
+        kind, address = kinds.get(name, "f8"), self._given[name]
+        return Array(self._builder, self._builder.bitcast(address, KINDS[kind].as_pointer()), kind)
 
     def _row(self, array: str, row: int, position: Any) -> Vector:
         """The place of a vector in a row."""
@@ -275,7 +292,7 @@ class _Function:
         for number, (name, _, which) in enumerate(self._half.operations):
             if name in ("slots", "noise"):
                 vector = self._array(name).load(self._row(name, which, position), LANES)
-                self._values[number] = vector.to("f8")
+                self._values[number] = vector.to(self._precision.computed)
         if len(self._computed) <= MOST_TOGETHER:
             for number in self._computed:
                 self._values[number] = _applied(self._half, number, self._values, self._often)
@@ -283,7 +300,9 @@ class _Function:
             self._compute_in_pieces()
         for row, output in enumerate(self._half.outputs):
             value = self._values[output]
-            self._array("out").store(self._row("out", row, position), value.to("f8"))
+            self._array("out").store(
+                self._row("out", row, position), value.to(self._precision.computed)
+            )
 
     def _compute_in_pieces(self) -> None:
         """Compute by several functions: LLVM takes a time that grows faster than a function does.
@@ -313,7 +332,7 @@ class _Function:
         for number in self._half.outputs:
             if number in piece_of:
                 self._values[number] = _load(
-                    self._builder, memory, places[number], operations, number
+                    self._builder, memory, places[number], self._half, number
                 )
 
     def _piece(self, name: str, piece: list[int], places: Mapping[int, int]) -> ir.Function:
@@ -327,9 +346,9 @@ class _Function:
         for number in piece:
             for each in operations[number].arguments:
                 if each not in values and operations[each].name == "number":
-                    values[each] = constant(builder, "f8", LANES, _value(operations[each]))
+                    values[each] = _numeral(builder, self._half, each)
                 elif each not in values:
-                    values[each] = _load(builder, memory, places[each], operations, each)
+                    values[each] = _load(builder, memory, places[each], self._half, each)
             values[number] = _applied(self._half, number, values, self._often)
             if number in places:
                 _store(memory, places[number], values[number])
@@ -351,7 +370,8 @@ def _applied(
     given = [values[each] for each in arguments]
     if name == "take":
         return _take(half, given[0], which)
-    return _called(name, given) if name in often else FUNCTIONS[name](*given)
+    function, kind = function_of(name, half.precision.computed), half.precision.computed
+    return outlined(f"vector_{name}_{kind}", function, given) if name in often else function(*given)
 
 
 _LONG = frozenset(
@@ -366,9 +386,9 @@ _LONG = frozenset(
 """Operations of many instructions, which are functions of their own where they are used often."""
 
 
-def _called(name: str, given: Sequence[Vector]) -> Vector:
-    """The value of a long operation, by a function that is written once in a module."""
-    return outlined(f"vector_{name}", FUNCTIONS[name], given)
+def _numeral(builder: ir.IRBuilder, half: Half, number: int) -> Vector:
+    """A number that is the same for all particles and at all instants."""
+    return constant(builder, half.precision.computed, LANES, _value(half.operations[number]))
 
 
 def _store(memory: Any, place: int, value: Vector) -> None:
@@ -377,11 +397,12 @@ def _store(memory: Any, place: int, value: Vector) -> None:
     Array(value.builder, memory, "f8").store(index, value.to("f8"))
 
 
-def _load(builder: ir.IRBuilder, memory: Any, place: int, operations: Any, number: int) -> Vector:
+def _load(builder: ir.IRBuilder, memory: Any, place: int, half: Half, number: int) -> Vector:
     """Load a value from memory."""
     index = Vector(builder, _index(place * LANES), "i8")
     value = Array(builder, memory, "f8").load(index, LANES)
-    return value.differs(0.0) if operations[number].name in MASKS else value
+    is_mask = half.operations[number].name in MASKS
+    return value.differs(0.0) if is_mask else value.to(half.precision.computed)
 
 
 def _take(half: Half, index: Vector, which: int) -> Vector:
@@ -390,7 +411,7 @@ def _take(half: Half, index: Vector, which: int) -> Vector:
     name = f"table{hash((size, content)) & (2**63 - 1)}"
     inside = (index >= 0.0) & (index < float(size))
     safe = inside.select(index, index.number(0.0)).to("i8")
-    found = entries(name, np.frombuffer(content).tolist(), safe)
+    found = entries(name, np.frombuffer(content).tolist(), safe).to(index.kind)
     return inside.select(found, index.number(math.nan))
 
 

@@ -20,26 +20,33 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 _CACHE_LINE = 64  # bytes
+States = NDArray[np.floating]
+"""The type of arrays of states, which are float64 or float32."""
+
 _NUMBERS = {int: types.int64, bool: types.int64, np.uint64: types.uint64, float: types.float64}
 _FORMATS = {types.int64: "q", types.uint64: "Q", types.float64: "d"}
 
 
 @cache
-def tuple_type(kind: type) -> Any:
-    """The type of a named tuple in compiled code, from its annotations; arrays are pointers."""
+def tuple_type(kind: type, states: str = "float64") -> Any:
+    """The type of a named tuple in compiled code, from its annotations; arrays are pointers.
+
+    `states` is the type of the entries of an array that is annotated by `States`.
+    """
     hints = get_type_hints(kind, include_extras=True)
-    return types.BaseTuple.from_types([_type_of(hint) for hint in hints.values()], kind)
+    return types.BaseTuple.from_types([_type_of(hint, states) for hint in hints.values()], kind)
 
 
-def _type_of(hint: Any) -> Any:
+def _type_of(hint: Any, states: str) -> Any:
     if get_origin(hint) is np.ndarray:
         (number,) = get_args(get_args(hint)[1])
-        return types.CPointer(numba.from_dtype(np.dtype(number)))
+        dtype = np.dtype(states if number is np.floating else number)
+        return types.CPointer(numba.from_dtype(dtype))
     if get_origin(hint) is Annotated:
-        return types.CPointer(tuple_type(get_args(hint)[1]))
+        return types.CPointer(tuple_type(get_args(hint)[1], states))
     if isinstance(hint, UnionType):  # of integers of Python and of NumPy
         hint = get_args(hint)[0]
-    return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint)
+    return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint, states)
 
 
 def in_memory(values: Any) -> NDArray[np.int64]:
@@ -61,13 +68,15 @@ def in_memory(values: Any) -> NDArray[np.int64]:
     return np.frombuffer(struct.pack(layout, *numbers), np.int64).copy()
 
 
-def zeros(kind: type, **counts: int) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+def zeros(
+    kind: type, states: str = "float64", **counts: int
+) -> tuple[NDArray[np.uint8], dict[str, Any]]:
     """Memory with zeros for the arrays of a named tuple, and the address of each by its name.
 
     This is faster than an array for each. Each begins where a line of the processor's cache begins.
     The caller must keep the memory.
     """
-    sizes, addresses, end = _sizes(kind), {}, 0
+    sizes, addresses, end = _sizes(kind, states), {}, 0
     for name, count in counts.items():
         addresses[name] = end
         end += -(-count * sizes[name] // _CACHE_LINE) * _CACHE_LINE
@@ -77,9 +86,9 @@ def zeros(kind: type, **counts: int) -> tuple[NDArray[np.uint8], dict[str, Any]]
 
 
 @cache
-def _sizes(kind: Any) -> dict[str, int]:
+def _sizes(kind: Any, states: str) -> dict[str, int]:
     """Bytes of an entry of each array of a named tuple."""
-    fields = zip(kind._fields, tuple_type(kind), strict=True)
+    fields = zip(kind._fields, tuple_type(kind, states), strict=True)
     return {
         name: field.dtype.bitwidth // 8
         for name, field in fields
@@ -172,6 +181,8 @@ def call(context: Any, address: Any, values: Any) -> Any:
 
 def _cast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
     """A named tuple with fields of the wanted types."""
+    if isinstance(wanted, types.CPointer):  # the function that is called knows what lies there
+        return builder.bitcast(value, context.get_value_type(wanted))
     if not isinstance(wanted, types.BaseTuple):
         return context.cast(builder, value, given, wanted)
     fields = [

@@ -5,11 +5,11 @@ is compiled, and writes an instruction for each operation. Nothing depends on ho
 no operation may be reordered or fused, so all processors give the same bits.
 """
 
+import ctypes
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, models, register_model
@@ -244,7 +244,7 @@ def constant(builder: ir.IRBuilder, kind: str, lanes: int, value: Number) -> Vec
     """The same number in all lanes; a single number if there are 0 lanes."""
     element = KINDS[kind]
     if kind == "f4":
-        number: Any = float(np.float32(value))
+        number: Any = ctypes.c_float(value).value  # infinite if it is too large
     else:
         number = float(value) if kind == "f8" else int(value) & ((1 << element.width) - 1)
     if lanes:
@@ -402,11 +402,16 @@ _KIND_OF = {
 _NUMBER_OF = {kind: number for number, kind in _KIND_OF.items()}
 
 
-def _result_type(result: str | None) -> Any:
-    """The type of a result such as "f8" (a number), "16 f4" (a vector) or None."""
+def _result_type(result: str | None, arguments: Sequence[Any]) -> Any:
+    """The type of a result such as "f8" (a number), "16 f4" (a vector) or None.
+
+    The kind "*" is that of the entries of the first array.
+    """
     if result is None:
         return types.none
     lanes, _, kind = result.rpartition(" ")
+    if kind == "*":
+        kind = next(_KIND_OF[each.dtype] for each in arguments if isinstance(each, types.CPointer))
     return VectorType(kind, int(lanes)) if lanes else _NUMBER_OF[kind]
 
 
@@ -417,14 +422,13 @@ def vectorised(result: str | None = None) -> Callable[[Callable[..., Any]], Any]
     """Decorator of a function of vectors, which functions that Numba compiles can call.
 
     The function receives a `Vector` for each number or vector, and an `Array` for each array. Its
-    result is described by, for instance, "f8" for a number, "16 f4" for a vector, or None.
+    result is described by, for instance, "f8" for a number, "16 f4" for a vector, or None;
+    "16 *" is a vector of the kind of the first array.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        returned = _result_type(result)
-
         def typed(context: Any, *arguments: Any) -> tuple[Any, Callable[..., Any]]:
-            return returned(*arguments), generate
+            return _result_type(result, arguments)(*arguments), generate
 
         def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
             operands = [

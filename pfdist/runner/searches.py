@@ -155,6 +155,7 @@ class Settings:
                 own.resampling or job.filter.resampling,
                 guide if estimator == AUTO else estimator,
                 job.filter.threshold,
+                dtype=job.filter.dtype,
             ),
         )
 
@@ -232,7 +233,7 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
 def comparing_of(job: Job) -> Estimation:
     """The estimation of the comparison: the squared error of the job's own filter."""
     own = job.filter
-    return Estimation(own.particles, own.resampling, threshold=own.threshold)
+    return Estimation(own.particles, own.resampling, threshold=own.threshold, dtype=own.dtype)
 
 
 def _with_settings(

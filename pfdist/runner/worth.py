@@ -4,22 +4,19 @@ Everything is computed on new draws, which neither chose the times nor compared 
 """
 
 import math
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
+from pfdist.checks.particles import mean_effective_sizes
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Result, Work
-from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.sequential.filter import effective_sample_sizes
-from pfdist.sequential.one_filter import OneFilter
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.moves import moved
@@ -42,14 +39,13 @@ class Worth:
 
 
 def worth_of(
-    session: Session, name: str, times: Times, draws: int, measured: list[Array]
+    session: Session, name: str, times: Times, draws: int
 ) -> Generator[Batch, None, Worth]:
     """The error of a set over time, and the worth of each measurement.
 
     The set up to every instant and all its changes share draws and noise. So common prefixes are
-    filtered once, and differences are paired. The name of the set keys the noise. `measured` has
-    the measurements at these times for each of some other draws, (N, m) each. The effective sample
-    size is a mean over these draws.
+    filtered once, and differences are paired. The name of the set keys the noise. The effective
+    sample size is a mean over the first draws.
     """
     built = session.built
     evaluator, seed, instants = built.evaluator, built.job.seed, built.evaluator.horizon + 1
@@ -62,8 +58,9 @@ def worth_of(
     of_draws = stream_of("why", seed, "draws")
     work = evaluator.work(sets, stream, of_draws, (0, draws), built.comparing, ends=ends)
     (cost, *estimates), degenerate = yield from _means(session, work)
-    at = sorted({t // sensors for t in times})
-    sizes = dict(zip(at, _effective_sizes(built, stream, at, measured), strict=True))
+    at = {t // sensors for t in times}
+    alone = evaluator.work((times,), stream, of_draws, (0, draws), built.comparing)
+    sizes: Any = {} if evaluator.exact or not times else mean_effective_sizes(evaluator, alone)
     weights = built.job.problem.weights or (1.0,) * instants
     profile = [
         {
@@ -82,22 +79,6 @@ def worth_of(
         worth[t] |= {change: mean, f"{change}_error": error}
     summary = {"expected_mse": cost[0], "standard_error": cost[1]}
     return Worth(summary | {"degenerate_draws": degenerate[-1]}, profile, list(worth.values()))
-
-
-def _effective_sizes(
-    built: Built, stream: int, times: Sequence[int], measured: list[Array]
-) -> list[float]:
-    """Mean effective sample size after each measurement; NaN for exact engines."""
-    if built.evaluator.exact or not times:
-        return [math.nan] * len(times)
-    first = OneFilter(built.evaluator.believed, built.comparing, stream, 0, built.evaluator.engine)
-    sizes = pd.DataFrame(
-        [
-            effective_sample_sizes(replace(first, draw=draw), times, y)
-            for draw, y in enumerate(measured)
-        ]
-    )
-    return sizes.mean().to_list()
 
 
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:

@@ -1,7 +1,6 @@
 """A filter of real measurements, one after another."""
 
 import contextlib
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -339,23 +338,3 @@ class Filter:
 
 def _prior(at: OneFilter) -> Prior:
     return cast(Prior, at.settings.prior)  # every filter has one after its first instant
-
-
-def effective_sample_sizes(filtering: OneFilter, times: Sequence[int], y: Array) -> list[float]:
-    """Effective sample size after each measurement, (N,), before the particles are resampled.
-
-    The filter has particles and stands before the first of N times; y, (N, m), has the measurement
-    at each. The sizes are NaN from the first measurement at which the filter fails: no particle
-    explains it, or a state is not finite. (Kong, Liu, Wong, "Sequential imputations and Bayesian
-    missing data problems", Journal of the American Statistical Association 89, 1994.)
-    """
-    sizes = [math.nan] * len(times)
-    for number, (t, measured) in enumerate(zip(times, y, strict=True)):
-        try:
-            after, *_ = filtering.at(t, measured)
-            weighted = explained(filtering, t, measured)
-        except MeasurementsError:
-            return sizes  # from here on the filter has no belief
-        sizes[number] = Particles(weighted.cloud.x, weighted.share).effective_sample_size()
-        filtering = after
-    return sizes

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,14 +90,6 @@ def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArra
         if number not in sensors:
             measured[part.y] = np.nan
     return measured
-
-
-def seen_at_instants(
-    model: StateSpaceModel, y: NDArray[np.float64], times: Times
-) -> NDArray[np.float64]:
-    """The measurements of a set at each of its N instants, (N, m), from y at all instants."""
-    by_instant = groupby(times, lambda time: time // len(model.parts))
-    return np.array([seen(model, y[t], tuple(here)) for t, here in by_instant])
 
 
 @lru_cache(maxsize=4)

@@ -169,6 +169,22 @@ def test_a_job_that_finds_its_number_of_particles_is_checked_with_the_usual_numb
     assert checks["particles"][1].startswith("500 particles lose ")
 
 
+@pytest.mark.parametrize(("origin", "state"), [(0.0, "ok"), (1e8, "note")])
+def test_float32_states_far_from_the_origin_lose_digits(origin: float, state: str) -> None:
+    """Near 1e8 neighbours are 8 apart, and a step of the walk is about 1."""
+    model = replace(
+        WALK,
+        initial=lambda w, p: (origin + w[0],),
+        linear_gaussian=False,
+    )
+    keys: dict[str, Any] = {"horizon": 12, "measurement_budget": 4, "particles": 100}
+    found, text = by_name(Problem(model, dtype="float32", **keys))["float32"]
+    change, error = map(float, re.findall(r"-?[\d.]+", text)[:2])
+    assert found == state
+    assert (change > 4 * error) == (state == "note")
+    assert "float32" not in by_name(Problem(model, **keys))
+
+
 def test_a_job_with_the_kalman_filter_has_no_particles() -> None:
     problem = Problem(WALK, horizon=12, measurement_budget=4, engine="kalman")
     checks = by_name(problem)

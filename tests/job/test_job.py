@@ -107,7 +107,7 @@ MISTAKES = [
     ("search.genetic=3", r"search\.genetic=3: .* search\.NAME\.KEY=value"),
     ("sed=3", r"unknown key 'sed', allowed: seed, model, problem.*mine\.toml with sed=3\)"),
     ("filter.particle=9", r"'particle' in \[filter\], allowed: particles, res"),
-    ("filter.dtype='float32'", r"unknown key 'dtype' in \[filter\], .* particles, resamp"),
+    ("filter.dtype='float16'", r"filter\.dtype must be 'float64' or 'float32', got 'float16'"),
     ("search.genetic.pop=9", r"'pop' in \[search\.genetic\], allowed: .*, population,"),
     (
         "search.genetic.evaluation.drawz=5",

@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.blocks import Source, call_block, compile_blocks, run
 from pfdist.kernels.cached import entry
-from pfdist.kernels.lowering import Half, machine_code, module_of, split
+from pfdist.kernels.lowering import Half, Precision, machine_code, module_of, split
 from pfdist.kernels.memory import ahead, read
 from pfdist.kernels.vectors import LANES
 from pfdist.models.program import MASKS, Operation, merged
 from pfdist.models.tracing import Formula, trace
 
 
-def computed(name, *arguments):
-    """The values of an operation for arrays of numbers; masks are 1 and 0."""
-    size = max(np.size(each) for each in arguments)
-    slots = np.ones((len(arguments), -(-size // LANES) * LANES))
+def computed(name, *arguments, dtype=np.float64):
+    """The values of an operation for arrays of numbers of a type; masks are 1 and 0."""
+    size, kind = max(np.size(each) for each in arguments), np.dtype(dtype).str[1:]
+    slots = np.ones((len(arguments), -(-size // LANES) * LANES), dtype)
     for row, values in zip(slots, arguments, strict=True):
         row[:size] = values
     leaves = [Operation("slots", (), row) for row in range(len(arguments))]
     operations = [*leaves, Operation(name, tuple(range(len(leaves))))]
     if name in MASKS:
         operations.append(Operation("float", (len(leaves),)))
-    half = Half(tuple(operations), (len(operations) - 1,), ())
-    out = np.empty((1, slots.shape[1]))
+    half = Half(tuple(operations), (len(operations) - 1,), (), Precision(kind, kind))
+    out = np.empty((1, slots.shape[1]), dtype)
     run(machine_code((half,)).addresses[half], out, slots)
     return out[0, :size]
 

@@ -122,7 +122,7 @@ def test_losses_of_particles_are_the_exact_losses_within_their_errors(small_job:
 
 def test_moves_by_one_instant_lose_what_the_worth_says(small_job: Job) -> None:
     built, times = build(small_job.with_changes(COMPILED)), (0, 4, 8, 12)
-    worth = answered(built, worth_of, "mine", times, 60, [np.zeros((4, 1))])
+    worth = answered(built, worth_of, "mine", times, 60)
     rows = {(row["t"], row["moved_to"]): row for row in _windows(built, times, 60)}
     for row in worth.worth:
         for change, step in (("earlier", -1), ("later", 1)):
