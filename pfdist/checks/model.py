@@ -225,12 +225,11 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     """State and text: how many particles count after the measurements of regular times."""
-    (times,) = work.measurement_times
     sizes = mean_effective_sizes(evaluator, work)
     if sizes.isna().all():
         return "note", "all filters fail by their first measurement"
     least = sizes.min()
-    at = formatted_instant(evaluator.model, times[int(np.nanargmin(sizes))])
+    at = formatted_instant(evaluator.model, int(sizes.index[sizes.argmin()]))
     text = (
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
         f"{work.estimation.particles} particles after {len(sizes)} measurements"
@@ -242,13 +241,17 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
 
 def _digits(evaluator: Evaluator, work: Work, mse: NDArray[np.float64]) -> tuple[str, str]:
     """State and text: how much the errors of draws differ from those of float64 states."""
-    with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
     usual = with_all.mse[:, 0]
-    change = Estimate.of_mean(mse - usual).times(100 / usual.mean())
+    change = Estimate.of_mean(mse - usual).times(100 / (usual.mean() or 1.0))
     text = f"{change.text} % more error than with {FLOAT64}, the same draws and the same noise"
-    if abs(change.value) < max(_LITTLE, CLEAR_ERRORS * change.standard_error):
+    if abs(change.value) <= max(_LITTLE, CLEAR_ERRORS * change.standard_error):
         return "ok", text
-    return "note", f"{text}: digits are lost, as where states are far from 0 beside what moves them"
+    return "note", (
+        f"{text}: digits are lost, as where states are far from 0 beside what moves them, or "
+        "numbers lie beyond 1e-38 and 1e38"
+    )
 
 
 def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
@@ -326,7 +329,7 @@ def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Ite
         yield Check("expected MSE", "ok", text)
     else:
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
-    if work.estimation.dtype != FLOAT64:
+    if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
         yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
     believed = evaluator.self_consistent
     if not evaluator.exact:

@@ -15,7 +15,7 @@ from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Work, with_truth
+from pfdist.filters.work import Estimation, Work, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import squared_error
 from pfdist.times.measurement_times import Times
@@ -26,6 +26,7 @@ _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
 _SIZE_DRAWS = 100  # behind a mean effective sample size
+_PARTICLES = 1_000_000  # of draws whose last particles are in memory at once
 
 
 def work_of_loss(
@@ -71,10 +72,14 @@ def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]"
     NaN if none is left.
     """
     (times,), (first, last) = work.measurement_times, work.draws
-    few = replace(work, draws=(first, min(last, first + _SIZE_DRAWS)), trajectories=True)
-    (sizes,) = evaluator.filtered(few).sizes
-    at = sorted({time // work.sensors for time in times})
-    return pd.DataFrame(sizes[:, np.subtract(at, evaluator.start)], columns=at).mean()
+    at_once = max(1, _PARTICLES // work.estimation.particles)
+    pieces = [
+        replace(work, draws=draws, trajectories=True)
+        for draws in cut(range(first, min(last, first + _SIZE_DRAWS)), at_once)
+    ]
+    sizes = np.concatenate([evaluator.filtered(piece).sizes[0] for piece in pieces])
+    at = sorted({time // work.sensors - evaluator.start for time in times})
+    return pd.DataFrame(sizes).mean()[at].rename(lambda k: k + evaluator.start)
 
 
 def enough_particles(

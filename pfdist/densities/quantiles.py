@@ -31,7 +31,8 @@ _NODES = [
 ]
 _STEPS = 16  # a shape is raised by so much, and the difference is a sum of so many terms
 _DEEP = 40.0  # exp(-40) is 4e-18
-_SMALLEST = -700.0  # of logarithms: exp(-700) has all its digits
+_TINY = 1e-30  # not 0 in float32
+_SMALLEST = -80.0  # of logarithms: exp(-80) has all its digits, in float32, too
 
 
 def _integral(arguments: str, integrand: str) -> Callable[..., Any]:
@@ -143,7 +144,7 @@ def _next_to_this(k, mean, n):
     """P(Y = k + 1) / P(Y = k)."""
     if n is None:
         return mean / (k + 1.0)
-    return (n - k) / (k + 1.0) * mean / np.maximum(n - mean, 1e-300)
+    return (n - k) / (k + 1.0) * mean / np.maximum(n - mean, _TINY)
 
 
 def count_quantile(u, mean, variance, skewness, n):
@@ -151,13 +152,13 @@ def count_quantile(u, mean, variance, skewness, n):
     low, high = tails(u)
     is_low, log_low, log_high = low < high, log_tail(low, high), log_tail(high, low)
     largest = math.inf if n is None else n
-    mean = np.where(mean == 0.0, 1e-300, mean)  # so that no probability is 0 / 0
+    mean = np.where(mean == 0.0, _TINY, mean)  # so that no probability is 0 / 0
     z = _normal_quantile(low, high)
     k = mean + z * np.sqrt(variance) + skewness * (z * z - 1.0) / 6.0
     k = np.floor(np.minimum(np.maximum(k, 0.0), largest))
     for _ in range(2):  # both tails fall nearly as geometric series
         below, above, here = _count_tails(k, mean, n)
-        above = np.maximum(above, 1e-300)
+        above = np.maximum(above, _TINY)
         up = (log_low - np.log(below)) / np.log1p(here * _next_to_this(k, mean, n) / below)
         step = np.where(is_low, up, (np.log(above) - log_high) / np.log1p(here / above))
         k = np.floor(np.minimum(np.maximum(k + step, 0.0), largest))
@@ -176,7 +177,7 @@ def count_quantile(u, mean, variance, skewness, n):
 
 def von_mises_quantile(tail, concentration):
     """The angle in 0..pi beyond which a von Mises variable of mean 0 has this probability."""
-    z = -_normal_quantile(tail, 1.0 - tail) / np.sqrt(concentration + 1e-300)
+    z = -_normal_quantile(tail, 1.0 - tail) / np.sqrt(concentration + _TINY)
     rest = np.maximum(math.pi - 2.0 * np.arcsin(np.minimum(0.5 * z, 1.0)), 2.0 * math.pi * tail)
     rest = np.minimum(rest, math.pi)
     rest = _closer_angle(_closer_angle(rest, tail, concentration), tail, concentration)
@@ -198,4 +199,5 @@ def _reach_of_angle(reach, angle, twice):
     """A smaller reach: up to this one, D rises at least as a share of angle y + y^2 / 2."""
     middle = angle + 0.5 * reach
     share = twice * np.sin(0.5 * reach) * np.sin(middle) / (reach * middle)
+    share = np.maximum(share, 0.0)  # pi may be rounded up
     return np.minimum(reach, _reach(share * angle, share))

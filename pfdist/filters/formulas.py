@@ -70,17 +70,17 @@ def _filter_blocks(
         given = {**x, "y": model.components[1], "t": 0, **u}
         sources[rows.GUIDED] = source(states + 1, "proposal", own.guided, given, instants[:-1])
     if dtype == FLOAT32:
-        sources |= {row: _of_singles(row, source) for row, source in sources.items()}
+        sources |= {row: _of_singles(row, each) for row, each in sources.items() if each}
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
     return blocks, _components_of_state(sources[rows.QUANTITY])
 
 
-def _of_singles(row: Any, source: Source | None) -> Source | None:
+def _of_singles(row: Any, source: Source) -> Source:
     """The source for particles with float32 states; estimates and errors remain float64."""
     computes = row in (rows.INITIAL, rows.TRANSITION, rows.GUIDED) or row >= rows.SENSORS
     reads = computes or row in (rows.QUANTITY, rows.DEVIATIONS)
     kinds = Precision("f4" if reads else "f8", "f4" if computes else "f8")
-    return source and source._replace(precision=kinds)
+    return source._replace(precision=kinds)
 
 
 def _components_of_state(quantity: Source | None) -> tuple[int, ...]:

@@ -153,9 +153,9 @@ def _filter(
         error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
+        sizes[weighs & alive, k] = _effective_sizes(weight)[weighs & alive]
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
-        sizes[weighs & alive, k] = _effective_sizes(weight)[weighs & alive]
         key = (t + 1) * len(model.parts) - 1
         x, carried = _resampled(x, weight, settings, stream, draws.index, key, weighs)
     last = np.stack(x, axis=1)

@@ -19,7 +19,7 @@ from pfdist.times.measurement_times import Times
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
 
-FLOAT64, FLOAT32 = DTYPES = "float64", "float32"
+FLOAT64, FLOAT32 = "float64", "float32"
 """Types of the particles' states."""
 
 BLOCK = 24

@@ -911,7 +911,7 @@ def _arrays(
         half=1,
         cloud=2 * (rows + 1) * stride,
         again=rows * stride if request.guided else 0,
-        quantity=max(request.means, quantities) * stride,
+        quantity=request.means * stride,
         log_weight=stride,
         log_carried=stride,
         cumulative=stride,

@@ -181,7 +181,8 @@ def call(context: Any, address: Any, values: Any) -> Any:
 
 def _cast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
     """A named tuple with fields of the wanted types."""
-    if isinstance(wanted, types.CPointer):  # the function that is called knows what lies there
+    if isinstance(wanted, types.CPointer) and isinstance(wanted.dtype, types.BaseTuple):
+        # The function that is called knows the type of states.
         return builder.bitcast(value, context.get_value_type(wanted))
     if not isinstance(wanted, types.BaseTuple):
         return context.cast(builder, value, given, wanted)

@@ -15,7 +15,7 @@ from pfdist.common.component_names import Component
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, TraceError, shown
 from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.work import Estimation
+from pfdist.filters.work import FLOAT32, FLOAT64, Estimation
 from pfdist.job.job import ONLINE, Job
 from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.kernels.lowering import has_fused_multiply_add
@@ -324,6 +324,10 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
     except TraceError as error:
         if evaluator.engine != AUTO:
             raise
+        if any(each.dtype != FLOAT64 for each in evaluator.estimations):
+            raise ModelError(
+                f"filter.dtype = {FLOAT32!r} needs traced formulas: {error}"
+            ) from error
         warnings.warn(
             f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower, and "
             f'workers get the code (filter.engine = "{NUMPY.name}" says that you know)',

@@ -60,7 +60,7 @@ def worth_of(
     (cost, *estimates), degenerate = yield from _means(session, work)
     at = {t // sensors for t in times}
     alone = evaluator.work((times,), stream, of_draws, (0, draws), built.comparing)
-    sizes: Any = {} if evaluator.exact or not times else mean_effective_sizes(evaluator, alone)
+    sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
     weights = built.job.problem.weights or (1.0,) * instants
     profile = [
         {

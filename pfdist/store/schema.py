@@ -203,7 +203,7 @@ _SCHEMAS = {
             "effective_sample_size",
             pa.float64(),
             "",
-            "mean over the draws in trajectories, after the measurement at t; null: not measured",
+            "mean over the first draws, after the measurement at t; null: not measured",
         ),
     ],
     "worth": [

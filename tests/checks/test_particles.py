@@ -109,6 +109,12 @@ def test_where_no_number_is_enough_the_job_is_refused_with_both_losses(
         build(walk(small_job, "filter.engine=kalman"))
 
 
+def test_without_a_measurement_there_is_no_effective_sample_size() -> None:
+    problem = pfdist.Problem("ungm", horizon=12, measurement_budget=3)
+    losses = pfdist.particle_losses(problem, (50,), draws=50, measurement_times=[])
+    assert losses["effective_sample_size"].isna().all()
+
+
 def test_no_loss_is_given_for_an_exact_engine(small_job: Job) -> None:
     job = walk(small_job, "filter.engine=kalman")
     with pytest.raises(JobError, match=r"needs an engine with particles.* got the engine 'kalman'"):

@@ -32,6 +32,18 @@ def computed(name, *arguments, dtype=np.float64):
     return out[0, :size]
 
 
+def in_singles(function, *arguments):
+    """The values of a function of numbers for arrays, which machine code computes in float32."""
+    size = len(arguments[0])
+    slots = np.ones((len(arguments), -(-size // LANES) * LANES), np.float32)
+    slots[:, :size] = arguments
+    source = _source(function, len(arguments))._replace(precision=Precision("f4", "f4"))
+    compiled = compile_blocks([source], range(1))
+    blocks, out = compiled.blocks, np.empty_like(slots[:1])
+    run(int(blocks.addresses[0, 0]), out, slots, blocks.table[blocks.places[0, 0] :].copy())
+    return out[0, :size]
+
+
 def formula(function):
     """A function of numbers as one of arrays of these, which machine code computes."""
 
