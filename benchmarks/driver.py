@@ -9,10 +9,11 @@ itself takes part of the driver's time, too; `ray_costs` measures it.
 import contextlib
 import heapq
 import itertools
+import pickle
 import tempfile
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from queue import Empty
@@ -30,7 +31,6 @@ from pfdist import load_job
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, RED
 from pfdist.pools import ray_pool
 from pfdist.pools.base import SerialPool
-from pfdist.pools.ray_cluster import about, ray
 from pfdist.pools.ray_pool import RayPool
 from pfdist.runner import door
 from pfdist.runner.build import build
@@ -45,7 +45,6 @@ TABLES: tuple[str, ...] = ("driver", "searches")
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 CORES = (10, 100, 1_000, 10_000)
-NODE = 64  # cores of a simulated node
 SECONDS = (0.3, 1.0, 10.0)  # of a task
 TASKS = 50_000  # at most; and 20 for each core
 AS_CHOSEN = "chosen"  # by the driver, for the number of cores
@@ -102,9 +101,7 @@ class Nodes:
 
     def __init__(self, cores: int, seconds_a_step: float) -> None:
         self.clock, self.seconds_a_step = Clock(), seconds_a_step
-        full, rest = divmod(cores, NODE)
-        self.cores = {f"node-{place}": NODE for place in range(full)}
-        self.cores |= {"rest": rest} if rest else {}
+        self.cores = cores
         self.busy, self.tasks, self.last = 0.0, 0, 0.0
         self._count = itertools.count()
         self._finishing: list[tuple[float, int, Future[Any], Any]] = []
@@ -131,71 +128,44 @@ class Nodes:
         return self._answers.popleft()
 
 
-class _Actor:
-    """A simulated worker, with a thread for each core of its node."""
+class _Remote:
+    """Does tasks on simulated cores, in the place of Ray's remote function."""
 
-    def __init__(self, nodes: Nodes, node: str, cores: int) -> None:
-        self._nodes, self._node = nodes, node
-        self._free = [0.0] * cores  # when each core is free
-        self._functions: dict[int, Callable[[Any], Any]] = {}
-        for name in ("about", "load", "do"):
-            setattr(self, name, SimpleNamespace(remote=getattr(self, f"_{name}")))
+    def __init__(self, nodes: Nodes) -> None:
+        self._nodes, self._free = nodes, [0.0] * nodes.cores  # when each core is free
 
-    def _about(self) -> Any:
-        return self._nodes.finish(0.0, about())
-
-    def _load(self, key: int, function: Callable[[Any], Any]) -> Any:
-        self._functions[key] = function
-        return self._nodes.finish(0.0, None)
-
-    def _do(self, key: int, work: Any) -> Any:
-        nodes = self._nodes
+    def remote(self, _: str, content: list[Any], work: bytes, __: float) -> Any:
+        """The call of a task."""
+        nodes, (function,) = self._nodes, content
         with nodes.clock.standing_still():
-            value = self._functions[key](work)
-            seconds = sum(part.steps for part in work) * nodes.seconds_a_step
+            works = pickle.loads(work)  # noqa: S301
+            value = function(works)
+            seconds = sum(part.steps for part in works) * nodes.seconds_a_step
             end = max(heapq.heappop(self._free), nodes.clock.now()) + seconds
             heapq.heappush(self._free, end)
             nodes.busy, nodes.tasks = nodes.busy + seconds, nodes.tasks + 1
             nodes.last = max(nodes.last, end)
-        return nodes.finish(end, (value, seconds, "worker", self._node, None, False))
+        return nodes.finish(end, (value, seconds, "worker", "node", None, False))
 
 
 @contextlib.contextmanager
 def simulated(nodes: Nodes) -> Iterator[RayPool]:
     """A `RayPool` whose nodes are simulated."""
-    taken = Counter[str]()
-
-    def free_cores(most: int) -> dict[str, int]:
-        free = {node: cores for node, cores in nodes.cores.items() if not taken[node]}
-        return free if sum(free.values()) <= most else {}
-
-    def options(num_cpus: int, max_concurrency: int, scheduling_strategy: str) -> Any:
-        def remote() -> _Actor:
-            taken[scheduling_strategy] += num_cpus
-            return _Actor(nodes, scheduling_strategy, num_cpus)
-
-        return SimpleNamespace(remote=remote)
-
-    cores = sum(nodes.cores.values())
-    pause = SimpleNamespace(monotonic=nodes.clock.now, sleep=lambda _: None, time=time.time)
+    cores = SimpleNamespace(number=nodes.cores, look=lambda: nodes.cores)
+    clock = SimpleNamespace(monotonic=nodes.clock.now, time=time.time)
     replaced = {
         "connected": lambda *_: contextlib.nullcontext(),
-        "all_cores": lambda: cores,
-        "idle_cores": lambda: cores - taken.total(),
-        "free_cores": free_cores,
-        "NodeAffinitySchedulingStrategy": lambda node, soft: node,
-        "_RemoteActor": SimpleNamespace(options=options),
-        "_send": lambda function: (id(function), function),
-        "time": pause,
-        "ray": SimpleNamespace(is_initialized=lambda: False, exceptions=ray.exceptions),
+        "_Cores": lambda: cores,
+        "_stored": lambda function: ("", [function]),
+        "_remote": lambda: _Remote(nodes),
+        "SimpleQueue": lambda: nodes,
+        "time": clock,
     }
     with contextlib.ExitStack() as stack:
         for name, value in replaced.items():
             stack.enter_context(patch.object(ray_pool, name, value))
-        stack.enter_context(patch.object(door, "time", pause))
-        pool = RayPool()
-        pool._answers = nodes  # type: ignore[assignment]
-        yield stack.enter_context(pool)
+        stack.enter_context(patch.object(door, "time", clock))
+        yield stack.enter_context(RayPool())
 
 
 def measure(quick: bool, say: Say) -> Tables:

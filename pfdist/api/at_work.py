@@ -19,7 +19,7 @@ _BEGUN = ".begun"
 _SAYS = "A process computes here, or has ended without a word.\n"
 _CRASHED = (
     "the last process that computed here ended without a word: it was killed, or the model crashed "
-    "it (--pool ray isolates the model)"
+    "it (--pool processes isolates the model)"
 )
 
 
@@ -42,13 +42,13 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
     start, threaded = perf_counter(), _release_the_lock(engines)
     execution, reason = chosen_pool(execution, threaded=threaded)
     kind, why = POOLS[execution.pool], f" ({reason})" if reason else ""
-    with make_pool(execution, threaded=threaded) as pool:
+    with make_pool(execution) as pool:
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
         say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s{why}")
         try:
             yield pool
         except SilenceError as error:
-            isolate = "" if kind.isolated else "; --pool ray isolates the model"
+            isolate = "" if kind.isolated else "; --pool processes isolates the model"
             raise SilenceError(
                 f"{error}; run the same command again to go on from what is committed{isolate}"
             ) from error

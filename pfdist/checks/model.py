@@ -229,7 +229,7 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     if sizes.isna().all():
         return "note", "all filters fail by their first measurement"
     least = sizes.min()
-    at = formatted_instant(evaluator.model, int(sizes.index[sizes.argmin()]))
+    at = formatted_instant(evaluator.model, sizes.index.to_numpy()[sizes.argmin()])
     text = (
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
         f"{work.estimation.particles} particles after {len(sizes)} measurements"

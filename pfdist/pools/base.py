@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, Self
 
 from pfdist.common.stopping import check
+from pfdist.errors import SilenceError
 
 Function = Callable[[Any], Any]
 
-# A worker counts as lost when it is silent for so many seconds, and for so many times the expected
-# duration of its task:
+# A task may take so many seconds, and so many times its expected duration:
 PATIENCE_SECONDS = 15.0
 PATIENCE_TIMES = 20
 LOOK_SECONDS = 1.0  # between two looks for silent workers
@@ -24,7 +24,7 @@ STILL_SECONDS = 5.0  # between two looks: after longer, this process itself was 
 
 
 def patience(seconds: float) -> float:
-    """Seconds for which a worker may be silent whose task should take so many seconds."""
+    """Seconds that a task may take which should take so many seconds."""
     return max(PATIENCE_SECONDS, PATIENCE_TIMES * seconds)
 
 
@@ -51,6 +51,30 @@ class Outcome:
     node: str  # host name
     error: str | None = None  # the traceback, if the function failed
     refused: bool = False  # whether no worker can make the function; `error` says why
+
+
+def pause(task: object) -> float:
+    """Seconds to wait for an answer before the pool asks for tasks again; None was no task."""
+    return PAUSE_SECONDS if task is None else WAIT_SECONDS
+
+
+class Silence:
+    """The seconds for which nobody was heard, without those in which this process stood still."""
+
+    def __init__(self) -> None:
+        self.seconds, self._looked = 0.0, time.monotonic()
+
+    def end(self) -> None:
+        """Begin anew, because somebody was heard."""
+        self.seconds = 0.0
+
+    def check(self, most: float, who: str = "any worker") -> None:
+        """Raise a `SilenceError` after more than so many seconds."""
+        now = time.monotonic()
+        passed, self._looked = now - self._looked, now
+        self.seconds += passed if passed < STILL_SECONDS else 0.0
+        if self.seconds > most:
+            raise SilenceError(f"no answer from {who} for {self.seconds:.0f} s")
 
 
 class Pool(AbstractContextManager["Pool"], Protocol):

@@ -20,16 +20,15 @@ class PoolKind:
     description: str  # where the tasks are computed, as a phrase for help
     factory: str  # ``module:object``, which gives a `Pool` when it is called with its settings
     # ``workers`` if a pool can have several workers, ``address`` and ``wait_for_cores`` if it can
-    # join a cluster, and ``threaded`` if its workers can be processes with threads or without.
+    # join a cluster
     takes: tuple[str, ...] = ()
     # Whether a formula that crashes ends only a worker. If not, it ends the process of the driver.
     isolated: bool = False
 
-    def make(self, **settings: int | str | bool) -> Pool:
+    def make(self, **settings: int | str) -> Pool:
         """The pool, which starts when it is entered; it ignores the settings that it does not take.
 
-        0 leaves the number of workers to the pool. `threaded` says whether tasks release Python's
-        lock, so that threads of a process can work together.
+        0 leaves the number of workers to the pool.
         """
         taken = {name: settings[name] for name in self.takes if name in settings}
         pool: Pool = pkgutil.resolve_name(self.factory)(**taken)
@@ -42,7 +41,14 @@ POOLS = {
         "Ray",
         "on Ray workers",
         "pfdist.pools.ray_pool:RayPool",
-        takes=("workers", "address", "wait_for_cores", "threaded"),
+        takes=("workers", "address", "wait_for_cores"),
+        isolated=True,
+    ),
+    "processes": PoolKind(
+        "Process pool",
+        "in processes on this machine",
+        "pfdist.pools.processes:ProcessPool",
+        takes=("workers",),
         isolated=True,
     ),
     "serial": PoolKind("Serial pool", "in this process", "pfdist.pools.base:SerialPool"),

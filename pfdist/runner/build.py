@@ -347,7 +347,7 @@ def check_pool(execution: Execution) -> None:
     """Raise a `JobError` if [execution] has settings that its pool does not take."""
     pool, cores = execution.pool, execution.wait_for_cores
     is_here = execution.address == "local" or not cluster_at_hand(execution.address)
-    if execution.workers > MOST_WORKERS and (is_here or pool == "threads"):
+    if execution.workers > MOST_WORKERS and (is_here or pool in ("threads", "processes")):
         raise JobError(
             f"execution.workers must be at most {MOST_WORKERS:,} on one machine, got "
             f"{execution.workers:,}: 0 is one for each core"
@@ -383,15 +383,12 @@ def chosen_pool(execution: Execution, *, threaded: bool) -> tuple[Execution, str
     if threaded:
         return execution.model_copy(update={"pool": "threads"}), "no cluster is given"
     reason = "formulas in NumPy keep Python's lock"
-    return execution.model_copy(update={"pool": "ray"}), reason
+    return execution.model_copy(update={"pool": "processes"}), reason
 
 
-def make_pool(execution: Execution, *, threaded: bool = True) -> Pool:
-    """The pool that [execution] names; the pool starts when the caller enters it.
-
-    `threaded` is as of `chosen_pool`.
-    """
-    return POOLS[execution.pool].make(**execution.model_dump(), threaded=threaded)
+def make_pool(execution: Execution) -> Pool:
+    """The pool that [execution] names; the pool starts when the caller enters it."""
+    return POOLS[execution.pool].make(**execution.model_dump())
 
 
 def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:

@@ -8,19 +8,17 @@ These things happen to a batch, in this order; a kill at each point costs:
 
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
    Nothing is computed yet, so a kill costs nothing.
-2. If another run computes an evaluation at this moment, the batch waits for it. The id of the
-   evaluation says so.
-3. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; a slow model
+2. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; a slow model
    has longer tasks at first, and a block of sums is never cut. A worker holds a task or two: these
    are lost with it.
-4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
+3. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait.
-5. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
-   run of minutes), at the end of a batch unless more follows, and when another run of the loop
-   needs them. A commit writes a file under a temporary name, flushes it and gives it its name: a
-   kill before the last step leaves a temporary file, which the next start removes. The timings of
-   the tasks follow in a file of their own: a kill between the two costs these timings.
-6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
+4. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
+   run of minutes), and at the end of a batch unless more follows. A commit writes a file under a
+   temporary name, flushes it and gives it its name: a kill before the last step leaves a temporary
+   file, which the next start removes. The timings of the tasks follow in a file of their own: a
+   kill between the two costs these timings.
+5. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
    `Session.later` are written after the next commit, when the workers have their next tasks. A kill
    before costs nothing: the driver finds all rows committed, and publishes them again.
 
@@ -42,7 +40,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import pyarrow as pa
 
@@ -65,7 +63,6 @@ EVALUATIONS = "evaluations"
 StoredResults = Iterator[tuple[Work, Result]]
 Learn = Callable[[Work, Result], object]
 Say = Callable[[str], Any]
-Owner = TypeVar("Owner")
 
 
 class RowFormat(Protocol):
@@ -110,7 +107,6 @@ class Batch:
     ) -> None:
         self.session, self.phase, self.works = session, phase, list(works)
         self.row_format = row_format
-        self.waiting: list[Work] = []  # works that other batches compute
         self._learn, self._more_follows = learn, more_follows
         # Tasks are cut one at a time, so each is as long as the speed that was learnt so far
         # allows. One is cut ahead: so the batch knows whether a task is left.
@@ -121,14 +117,9 @@ class Batch:
 
     @property
     def is_computed(self) -> bool:
-        """Whether no task is left; the batch may still wait for results of other batches."""
+        """Whether no task is left."""
         left = self._next is not None or self._again or self._in_flight
         return self._enough or not left
-
-    @property
-    def lacks_results(self) -> bool:
-        """Whether the driver must wait."""
-        return not self._enough and (bool(self.waiting) or not self.is_computed)
 
     def learn(self, work: Work, result: Result) -> None:
         """Hand a result to the driver, and note whether it has had enough."""
@@ -338,10 +329,8 @@ class Loop:
         self._batches: dict[Driver, Batch] = {}  # the first driver first
         self._sent: dict[str, tuple[Driver, Batch, _Cut]] = {}  # tasks of the pool, by their keys
         self._count = 0
-        self._computing: dict[str, Batch] = {}  # the batch that computes an evaluation, by its id
         # The store that has an evaluation, by its id; the first lender goes first.
         self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
-        self._lending: dict[Store, tuple[Driver, Session]] = {}  # runs of the loop that have ids
         self._ready: dict[Driver, Exception | None] = {}  # drivers that go on next
         self._values: list[Any] = []
 
@@ -393,12 +382,10 @@ class Loop:
             while True:
                 check()
                 if batch is not None:
-                    error = error or _error_of(batch.end)
+                    error = error or _error_of(partial(self._end, batch))
                 batch = next(driver) if error is None else driver.throw(error)
-                error = _error_of(partial(self._look_up, batch, batch.works))
-                if error is not None:
-                    self._forget(batch)
-                elif batch.lacks_results:
+                error = _error_of(partial(self._look_up, batch))
+                if error is None and not batch.is_computed:
                     # The driver gets its old place back: tasks of the first driver go first.
                     rank = self._ranks.setdefault(driver, len(self._ranks))
                     before = [each for each in self._batches if self._ranks[each] < rank]
@@ -434,87 +421,42 @@ class Loop:
         error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
         if error is None and not batch.is_computed:
             return
-        # This batch has computed its part, and other runs find it in its store. If it failed, its
-        # ids have no store, and a batch that waits computes them itself.
-        ids = self._forget(batch)
-        if ids and error is None:
-            self._stores.update(dict.fromkeys(ids, batch.session.store))
-            self._lending[batch.session.store] = driver, batch.session
-        if error is not None or not batch.lacks_results:
-            self._ready[driver] = error
-        if ids:
-            self._serve_the_waiting()
+        self._ready[driver] = error
 
-    def _look_up(self, batch: Batch, works: list[Work]) -> None:
-        """Let a batch learn the stored results of works, and cut the other works into tasks."""
-        row_format, session = batch.row_format, batch.session
+    def _look_up(self, batch: Batch) -> None:
+        """Let a batch learn the stored results of its works, and cut the other works into tasks."""
+        works, row_format, session = batch.works, batch.row_format, batch.session
         if row_format is not None:
             if session.held(row_format.table):
                 works = _learnt(batch, session.store, works)
-            if row_format.is_shared and (self._stores or self._at_once > 1):
-                works = self._own(batch, works)
+            if row_format.is_shared:
+                works = self._borrowed(batch, works)
         if works:
             batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
 
-    def _own(self, batch: Batch, works: list[Work]) -> list[Work]:
-        """The works that this batch computes; the others are in tables, or it waits for them."""
+    def _borrowed(self, batch: Batch, works: list[Work]) -> list[Work]:
+        """The works that no other run has.
+
+        Rows of another run are committed in this run, too: so its files do not depend on others.
+        """
         by_store = defaultdict[Store | None, list[Work]](list)
         for work in works:
-            for store, part in _by(work, self._stores.get):
-                by_store[store].append(part)
+            stores = [self._stores.get(id_) for id_ in work.ids[: 1 if work.summed else None]]
+            for store in dict.fromkeys(stores):
+                sets = [place for place, each in enumerate(stores) if each is store]
+                by_store[store].append(work if work.summed else work.part(work.draws, sets))
         # A race asks for more draws of its own evaluations: its run does not have them.
         lacking = [*by_store.pop(None, []), *by_store.pop(batch.session.store, [])]
-        # Rows of another run are committed in this run, too: so its files do not depend on others.
         for store, parts in by_store.items():
-            if store is not None and self._has_committed(store):
-                lacking += _learnt(batch, store, parts, keep=True)
-            else:
-                lacking += parts
-        own = list[Work]()
-        for work in lacking:
-            for computing, part in _by(work, self._computing.get):
-                (own if computing is None else batch.waiting).append(part)
-        if self._at_once > 1:
-            for work in own:
-                self._computing.update(dict.fromkeys(work.ids, batch))
-        return own
+            lacking += parts if store is None else _learnt(batch, store, parts, keep=True)
+        return lacking
 
-    def _has_committed(self, store: Store) -> bool:
-        """Whether a store has all its rows: those that wait are committed before others read them.
-
-        If that fails, the driver of the store gets the error, and its rows are computed again.
-        """
-        driver, lender = self._lending.get(store, (None, None))
-        if driver is None or lender is None or not lender.rows:
-            return True
-        error = _error_of(lender.commit)
-        if error is not None:
-            self._ready[driver] = error
-            self._forget(self._batches[driver])
-            self._stores = {id_: other for id_, other in self._stores.items() if other is not store}
-        return error is None
-
-    def _forget(self, batch: Batch) -> list[str]:
-        """Ids of the evaluations that a batch computed; it is no longer noted for them."""
-        ids = [id_ for id_, computing in self._computing.items() if computing is batch]
-        for id_ in ids:
-            del self._computing[id_]
-        return ids
-
-    def _serve_the_waiting(self) -> None:
-        """Let waiting batches take committed evaluations, or compute those that nobody has."""
-        waits = True
-        while waits:
-            waits = False
-            for driver, batch in self._batches.items():
-                if batch.waiting and driver not in self._ready:
-                    works, batch.waiting = batch.waiting, []
-                    error = _error_of(partial(self._look_up, batch, works))
-                    if error is not None:
-                        # This batch will not compute its ids: a batch before it may wait for them.
-                        waits = bool(self._forget(batch)) or waits
-                    if error is not None or not batch.lacks_results:
-                        self._ready[driver] = error
+    def _end(self, batch: Batch) -> None:
+        """Let a batch commit its rows; other runs find its evaluations from now on."""
+        batch.end()
+        if self._at_once > 1 and batch.row_format is not None and batch.row_format.is_shared:
+            ids = (id_ for work in batch.works for id_ in work.ids)
+            self._stores |= dict.fromkeys(ids, batch.session.store)
 
 
 def _error_of(function: Callable[[], object]) -> PfdistError | None:
@@ -541,19 +483,6 @@ def _learnt(batch: Batch, store: Store, works: list[Work], *, keep: bool = False
             batch.keep(work, result)
         batch.learn(work, result)
     return lacking
-
-
-def _by(work: Work, of_id: Callable[[str], Owner | None]) -> Iterator[tuple[Owner | None, Work]]:
-    """Yield the parts of a work whose sets have ids of the same owner, with the owner or None."""
-    if work.summed:
-        yield of_id(work.ids[0]), work
-        return
-    owners = [of_id(id_) for id_ in work.ids]
-    for owner in dict.fromkeys(owners):
-        yield (
-            owner,
-            work.part(work.draws, [place for place, each in enumerate(owners) if each is owner]),
-        )
 
 
 def complete(

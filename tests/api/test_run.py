@@ -315,7 +315,7 @@ def test_a_folder_with_other_things_or_tables_of_nobody_is_left_alone(
 
 
 def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
-    words = "in this process, takes no workers, got 4; pools that do: 'ray', 'threads'"
+    words = "in this process, takes no workers, got 4; pools that do: 'ray', 'processes', 'threads'"
     with pytest.raises(PfdistError, match=words):
         pfdist.run(small_job, tmp_path / "run", workers=4, figures=False)
 

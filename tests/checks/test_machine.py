@@ -117,8 +117,9 @@ def test_what_is_wrong_is_one_line_and_exit_code_1(capsys: pytest.CaptureFixture
 def test_every_node_of_a_cluster_is_asked_and_the_session_stays(
     ray_cluster: None, tmp_path: Path
 ) -> None:
-    from pfdist.pools.ray_pool import ray
+    from pfdist.pools.ray_cluster import load_ray
 
+    ray = load_ray()
     address = ray.get_runtime_context().gcs_address
     nodes = {name: check for name, check in found(tmp_path, address).items() if name not in LOOKS}
     assert [check.state for check in nodes.values()] == ["ok"] * len(ray.nodes())
@@ -144,4 +145,4 @@ def test_a_node_with_another_python_is_named(
 def test_a_cluster_that_does_not_answer_is_wrong(tmp_path: Path) -> None:
     check = found(tmp_path, "127.0.0.1:1")["cluster"]
     assert check.state == "wrong"
-    assert "nobody can be reached at '127.0.0.1:1': Connection refused" in check.text
+    assert "no Ray cluster at '127.0.0.1:1': Connection refused" in check.text

@@ -5,14 +5,12 @@ which part has gone, and which file uses it.
 """
 
 import ast
-import tomllib
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
 
 PROJECT = Path(__file__).parents[2]
 LIBRARIES = ("llvmlite", "numba", "ray")
@@ -129,13 +127,5 @@ def is_public(part: str) -> bool:
 
 
 def test_no_private_parts_are_used() -> None:
-    private = {USED[part] for part in USED if not part.startswith("ray") and not is_public(part)}
+    private = {USED[part] for part in USED if not is_public(part)}
     assert private == set()
-
-
-def test_a_library_whose_inner_parts_are_used_has_an_upper_bound() -> None:
-    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    found = {Requirement(text).name: Requirement(text) for text in project["dependencies"]}
-    bounds = [bound for bound in found["ray"].specifier if bound.operator == "<"]
-    assert len(bounds) == 1
-    assert version("ray") in found["ray"].specifier

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import psutil
 
-from crash.runs import family, until
-from pfdist.pools.guard import end
+from crash.runs import end, family, until
 
 Node = subprocess.Popen[bytes]
 

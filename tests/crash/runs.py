@@ -14,9 +14,8 @@ import psutil
 from psutil import Process
 
 from oracles.bytes_of import hashes
-from pfdist.pools.guard import end
 
-WORKER = "ray::_Actor"  # begins the title of a worker's process
+WORKER = "ray::pfdist"  # begins the title of a worker's process while it has a task
 PATIENCE_SECONDS = 180.0
 # As a terminal starts it: a shell's background jobs, as CI may be, have SIGINT ignored.
 PROGRAM = """
@@ -53,7 +52,7 @@ class Running:
         return family(self.process.pid, word)
 
     def workers(self) -> list[Process]:
-        """Its Ray workers that have a task in their hands or wait for one."""
+        """Its Ray workers that have a task in their hands."""
         return [process for process in self.family("raylet") if WORKER in command_of(process)]
 
     def wait_for(self, reached: Callable[[], object]) -> None:
@@ -145,6 +144,23 @@ def listening(processes: Iterable[int]) -> Iterator[IPv4Address | IPv6Address]:
                 words = range(0, len(address), 4)  # each in the machine's own order
                 found = ip_address(b"".join(address[k : k + 4][::-1] for k in words))
                 yield getattr(found, "ipv4_mapped", None) or found
+
+
+def marked(name: str, value: str) -> list[Process]:
+    """The processes that began with a variable of this value, and all processes below them."""
+    found, mark = list[Process](), f"{name}={value}".encode()
+    for process in psutil.process_iter():
+        with suppress(OSError, psutil.NoSuchProcess):
+            if mark in Path(f"/proc/{process.pid}/environ").read_bytes().split(b"\0"):
+                found += [process, *process.children(recursive=True)]
+    return [process for process in {*found} if command_of(process)]
+
+
+def end(processes: Iterable[Process]) -> None:
+    """Kill the processes that still live."""
+    for process in processes:
+        with suppress(psutil.NoSuchProcess):
+            process.kill()
 
 
 def all_gone(processes: list[Process]) -> bool:

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from crash.runs import family, until
-from pfdist.pools.guard import end
+from crash.runs import end, family, until
 
 START_SECONDS, END_SECONDS = 60.0, 600.0
 SCRIPTS = Path(__file__).parents[2] / "jobs" / "slurm"

@@ -71,6 +71,7 @@ model = dataclasses.replace(ungm.model, measurement=measurement)
 RAISE = 'raise RuntimeError("no such state")'
 RAISE_ONCE = 'if not Path(FLAG).exists(): Path(FLAG).touch(); raise RuntimeError("no such state")'
 LOOP = "Path(FLAG).touch()\n        while True: pass"
+CRASH = "os.kill(os.getpid(), signal.SIGSEGV)"
 CRASH_ONCE = "if not Path(FLAG).exists(): Path(FLAG).touch(); os.kill(os.getpid(), signal.SIGSEGV)"
 
 Record = Callable[[str, object], None]
@@ -96,7 +97,7 @@ def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return make
 
 
-@pytest.fixture(params=["serial", "threads", "ray"])
+@pytest.fixture(params=["serial", "threads", "processes", "ray"])
 def pool(request: pytest.FixtureRequest) -> str:
     if request.param == "ray":
         request.getfixturevalue("ray_cluster")
@@ -182,23 +183,28 @@ def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
 
 
 @pytest.mark.crash
-def test_a_draw_that_never_ends_fails(
+@pytest.mark.parametrize("fault", [LOOP, CRASH])
+@pytest.mark.parametrize("pool", ["processes", "ray"])
+def test_a_draw_that_never_ends_or_crashes_fails(
+    fault: str,
+    pool: str,
     ray_cluster: None,
     command: Make,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
     record_property: Record,
 ) -> None:
-    from pfdist.pools import base, ray_pool
-
-    monkeypatch.setattr(base, "PATIENCE_SECONDS", 3.0)
-    options = ["--set", "execution.failures=1", "--pool", "ray"]
-    assert main(command(LOOP, tmp_path / "run", *options)) == 1
+    monkeypatch.setattr("pfdist.pools.base.PATIENCE_SECONDS", 3.0)
+    options = ["--set", "execution.failures=1", "--pool", pool]
+    assert main(command(fault, tmp_path / "run", *options)) == 1
     errors = _failures(tmp_path / "run")
     assert len(errors) == 2
-    assert all("no answer in" in error for error in errors)
+    says = "its worker ended: it crashed, ran out of memory, or took longer than"
+    assert all(error.startswith(says) for error in errors)
+    assert says in capsys.readouterr().err.splitlines()[-1]
     assert DRAW not in _compared(tmp_path / "run")
-    record_property("faults", f"{FAILS}: {len(errors) * ray_pool.SILENCES}")
+    record_property("faults", f"{FAILS}: {len(errors)}")
 
 
 @pytest.mark.fault
@@ -218,7 +224,7 @@ def test_a_thread_that_never_ends_ends_the_run_after_a_commit_and_the_command_so
         else:
             assert driver.wait() == 75
             assert "a thread has not answered for" in driver.said[-1]
-            assert "--pool ray isolates the model" in driver.said[-1]
+            assert "--pool processes isolates the model" in driver.said[-1]
     assert "comparison" in set(pfdist.open_run(run).table("timings")["phase"])
     assert not (run / ".begun").exists()
     record_property("faults", f"{HANGS}: 1")
@@ -238,7 +244,7 @@ def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
     with running(job, run, *options) as driver:
         assert driver.wait() == 0, driver.said[-3:]
         (said,) = (line for line in driver.said if "ended without a word" in line)
-        assert "--pool ray isolates the model" in said
+        assert "--pool processes isolates the model" in said
     assert hashes(run) == finish(job, tmp_path / "whole", *options)
     record_property("faults", f"{FAILS}: 1")
 

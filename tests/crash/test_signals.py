@@ -13,10 +13,9 @@ from pathlib import Path
 import pytest
 
 import pfdist
-from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, running, until
+from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, marked, running, until
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.pools.guard import marked
 
 ASKED = "Ctrl-C"
 CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
@@ -192,7 +191,8 @@ def test_a_signal_in_a_callback_ends_the_run_which_then_resumes(
 
 
 SENDS = """
-from pfdist.pools.ray_cluster import ray
+from pfdist.pools.ray_cluster import load_ray
+ray = load_ray(own=True)
 original = ray.{what}
 def patched(*arguments, **options):
     threading.Timer({after}, os.kill, [os.getpid(), signal.{number}]).start()

@@ -58,8 +58,7 @@ program.make_pool = make_pool_without_the_file
 
 def say(line):
     if line.startswith("Ray is ready"):
-        actors = ray._private.state.actors().values()
-        nodes.update(actor["Address"]["NodeID"] for actor in actors if actor["State"] == "ALIVE")
+        nodes.update(node["NodeID"] for node in ray.nodes() if node["Alive"])
 
 
 done = pfdist.run(job, run, pool="ray", workers=3, address=address, say=say, figures=False)

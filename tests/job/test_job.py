@@ -133,7 +133,7 @@ MISTAKES = [
     ("evaluation.noise=new", r"\.noise .* 'fresh' or 'common', got 'new' "),
     (
         "execution.pool=thread",
-        r"pool must .* 'ray', 'serial' or 'threads', got .* mean 'threads'\?",
+        r"pool must .* 'ray', 'processes', 'serial' or 'threads', got .* mean 'threads'\?",
     ),
     ("search=5", r"search must be one or more \[\[search\]\] sections, got 5 "),
     ("search={method='genetic'}", r"must be one or more \[\[search\]\] .* got \{'method': 'gen"),

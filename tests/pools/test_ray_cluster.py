@@ -1,55 +1,19 @@
-"""Who can reach a Ray cluster that pfdist has started."""
+"""A Ray cluster that pfdist starts or joins: who can reach it, and what is said without one."""
 
 import os
 import re
-import stat
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
-from crash.runs import listening
 from pfdist.checks import machine as doctor
 from pfdist.errors import PoolError
-
-
-def test_all_servers_and_workers_listen_on_loopback_alone(ray_cluster: None) -> None:
-    from pfdist.pools.ray_cluster import ray
-
-    ray.get(ray.remote(lambda: 0).remote())  # there is a worker, too
-    processes = [os.getpid(), *(child.pid for child in psutil.Process().children(recursive=True))]
-    found = set(listening(processes))
-    assert found
-    assert all(place.is_loopback for place in found), found
-
-
-def test_the_token_is_required_and_lies_in_no_file(ray_cluster: None) -> None:
-    from pfdist.pools.ray_cluster import ray
-
-    token = os.environ["RAY_AUTH_TOKEN"]
-    assert os.environ["RAY_AUTH_MODE"] == "token"
-    assert ray._raylet.get_authentication_mode() == ray._raylet.AuthenticationMode.TOKEN
-    folder = Path(ray._private.worker._global_node.get_session_dir_path())
-    for file in folder.rglob("*"):
-        if file.is_file() and not file.is_symlink():
-            assert token not in file.read_text(errors="replace"), file
-
-
-def test_nobody_else_can_enter_the_folder_of_a_clusters_sockets(ray_cluster: None) -> None:
-    from pfdist.pools.ray_cluster import ray
-
-    folder = Path(ray._private.worker._global_node.get_session_dir_path())
-    private = next(
-        parent for parent in folder.parents if parent.name == f"pfdist-ray-{os.getuid()}"
-    )
-    assert stat.S_IMODE(private.stat().st_mode) == 0o700
-    assert private.stat().st_uid == os.getuid()
-
+from pfdist.pools import ray_cluster
+from pfdist.pools.ray_cluster import connected, load_ray, reach
 
 _ONE_TASK = """
 from pfdist.pools.base import Task
@@ -65,41 +29,51 @@ def test_workers_import_no_module_from_the_working_directory(tmp_path: Path) -> 
     """SECURITY.md: the command `pfdist` imports nothing from the current folder."""
     for module in ("pfdist", "pyarrow", "pydantic", "numpy"):
         (tmp_path / f"{module}.py").write_text(f"open('imported-{module}', 'w')")
+    home = tmp_path / "home"
+    home.mkdir()
     done = subprocess.run(
         [sys.executable, "-P", "-c", _ONE_TASK],
         cwd=tmp_path,
         capture_output=True,
         text=True,
         check=False,
+        env={name: value for name, value in os.environ.items() if "RAY" not in name}
+        | {"HOME": str(home)},
     )
     assert not list(tmp_path.glob("imported-*"))
-    assert done.stdout == "[1]\n", done.stderr
+    assert (done.stdout, done.stderr) == ("[1]\n", "")
+    assert not list(home.iterdir())  # the token lies in no file
 
 
 @pytest.mark.parametrize("address", ["", "local"])
-def test_without_an_existing_cluster_one_is_started_alone(
-    address: str, monkeypatch: pytest.MonkeyPatch
+def test_without_an_existing_cluster_one_is_started_with_a_token(
+    address: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pfdist.pools import ray_cluster
-
     seen: dict[str, Any] = {}
-
-    def init(**options: Any) -> None:
-        constants = ray_cluster.ray._private.ray_constants
-        seen.update(options, on_all_interfaces=constants.ENABLE_RAY_CLUSTER, **os.environ)
-
-    before = {name: value for name, value in os.environ.items() if name.startswith("RAY_AUTH")}
-    monkeypatch.setattr(ray_cluster.ray, "is_initialized", lambda: False)
-    monkeypatch.setattr(ray_cluster.ray, "init", init)
-    monkeypatch.setattr(ray_cluster.ray, "shutdown", lambda: None)
-    monkeypatch.setattr(ray_cluster, "_read_environment", lambda: None)
-    with ray_cluster.connected(address):
+    assert os.environ["RAY_AUTH_MODE"] == "token"  # of the cluster that all tests share
+    assert len(os.environ["RAY_AUTH_TOKEN"]) == 64
+    ray = load_ray()
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", lambda **options: seen.update(options))
+    monkeypatch.setattr(ray, "shutdown", lambda: None)
+    with connected(address, 3):
         pass
-    assert seen["address"] == "local"
-    assert not seen["on_all_interfaces"]
-    assert seen["RAY_AUTH_MODE"] == "token"
-    assert len(seen["RAY_AUTH_TOKEN"]) == 64
-    assert before == {n: value for n, value in os.environ.items() if n.startswith("RAY_AUTH")}
+    assert (seen["address"], seen["num_cpus"], seen["include_dashboard"]) == ("local", 3, False)
+    assert not seen["log_to_driver"]
+
+
+def test_variables_that_the_user_has_set_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray reads them when it is imported, so nothing changes once it is loaded."""
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "ray")
+    monkeypatch.setattr(ray_cluster.importlib, "import_module", lambda name: name)
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "1")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    assert load_ray() == "ray"
+    assert os.environ["RAY_USAGE_STATS_ENABLED"] == "1"
+    assert os.environ["RAY_AUTH_MODE"] == "disabled"
+    load_ray(own=True)
+    assert os.environ["RAY_AUTH_MODE"] == "token"
 
 
 def test_the_least_ray_that_is_admitted_has_tokens() -> None:
@@ -109,20 +83,44 @@ def test_the_least_ray_that_is_admitted_has_tokens() -> None:
     assert tuple(map(int, least)) == doctor.LEAST_RAY >= (2, 52)
 
 
-def _refuses(address: str) -> bool:
-    raise PoolError("nobody is there")
-
-
-def test_a_cluster_that_cannot_be_joined_is_named_briefly_with_what_else_computes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from pfdist.pools import ray_cluster
-
-    rehearse: Callable[[str], bool] = _refuses
-    monkeypatch.setattr(ray_cluster, "rehearse", rehearse)
-    monkeypatch.setattr(ray_cluster.ray, "is_initialized", lambda: False)
-    monkeypatch.setattr(ray_cluster.ray, "shutdown", lambda: None)
-    with pytest.raises(PoolError) as caught, ray_cluster.connected("h" * 100_000 + ":1"):
-        pass
+@pytest.mark.parametrize(
+    "address",
+    [
+        pytest.param("nonsense", id="no-port"),
+        pytest.param(":6379", id="no-host"),
+        pytest.param("head:", id="empty-port"),
+        pytest.param("head:0", id="port-0"),
+        pytest.param("head:65536", id="port-too-large"),
+        pytest.param("head:" + "9" * 5000, id="port-of-5000-digits"),
+        pytest.param("head:1_0", id="underscore"),
+        pytest.param("head:٦٣٧٩", id="arabic-digits"),
+        pytest.param("head:-1", id="negative"),
+        pytest.param("a\0b:6379", id="nul"),
+        pytest.param("a\nb:6379", id="two-lines"),
+        pytest.param("x" * 3_000_000, id="three-megabytes"),
+        pytest.param("ray://", id="scheme-alone"),
+    ],
+)
+def test_what_is_no_address_is_refused_in_one_short_line(address: str) -> None:
+    with pytest.raises(PoolError, match="must be host:port") as caught:
+        reach(address)
+    assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 250
-    assert "does not answer: nobody is there; the serial pool" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        pytest.param("127.0.0.1:1", "Connection refused", id="closed-port"),
+        pytest.param("ray://127.0.0.1:1", "Connection refused", id="client"),
+        pytest.param("[::1]:1", "no Ray cluster at '[::1]:1'", id="version-6"),
+        pytest.param("a" * 64 + ".invalid:1", "no Ray cluster at", id="label-too-long"),
+        pytest.param("x" * 3000 + ":1", "no Ray cluster at", id="name-of-3000-letters"),
+    ],
+)
+def test_where_nobody_listens_is_said_with_what_else_computes(address: str, words: str) -> None:
+    with pytest.raises(PoolError, match=re.escape(words)) as caught:
+        reach(address)
+    assert "the pools threads and processes need no Ray" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300

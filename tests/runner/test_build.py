@@ -238,7 +238,7 @@ def test_the_command_line_says_it_in_one_line(
     ("address", "environment", "threaded", "pool", "reason"),
     [
         ("", "", True, "threads", "no cluster is given"),
-        ("", "", False, "ray", "formulas in NumPy keep Python's lock"),
+        ("", "", False, "processes", "formulas in NumPy keep Python's lock"),
         ("local", "", True, "ray", "an address is given"),
         ("", "10.0.0.1:6379", True, "ray", "RAY_ADDRESS is set"),
     ],

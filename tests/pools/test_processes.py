@@ -1,0 +1,90 @@
+"""The pool of processes: which processes end, and what they run."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from crash.runs import until
+from pfdist.pools.base import Task
+from pfdist.pools.processes import ProcessPool
+
+SCRIPT = """
+import sys
+import pfdist
+
+print("the script runs")
+model = pfdist.load_model("random_walk")
+problem = pfdist.Problem(model, horizon=12, measurement_budget=4, engine="numpy", particles=20)
+job = problem.job(comparison={"draws": 40})
+run = pfdist.run(job, sys.argv[1], pool="processes", figures=False)
+print(len(run.table("comparison")))
+"""
+HANGING = """
+import os, sys, time
+from pfdist.pools.base import Task
+from pfdist.pools.processes import ProcessPool
+
+with ProcessPool(1) as pool:
+    for outcome in pool.run(Task(str(n), lambda n: n and time.sleep(1000) or os.getpid(), n)
+                            for n in range(2)):
+        print(outcome.value, flush=True)
+        {end}
+"""
+
+
+def _process(_: object) -> int:
+    return os.getpid()
+
+
+def _started(source: str, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", source, *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def _lives(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_a_script_that_guards_nothing_runs_once(tmp_path: Path) -> None:
+    """Functions travel by value, so no process needs the script."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    command = [sys.executable, script, tmp_path / "run"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout.split("\n") == ["the script runs", "40", ""], done.stderr
+
+
+@pytest.mark.fault
+def test_a_pool_that_is_left_ends_its_processes_though_a_task_hangs_and_no_others() -> None:
+    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    other.start()
+    start = time.monotonic()
+    with ProcessPool(1) as pool:
+        run = pool.run([Task("a", _process, 0), Task("b", time.sleep, 1000)])
+        worker = next(run).value
+    assert time.monotonic() - start < 30
+    until(lambda: not _lives(worker), 30)
+    assert other.is_alive()
+    other.kill()
+
+
+@pytest.mark.fault
+def test_processes_end_with_a_program_that_is_killed_or_ends_while_a_task_hangs() -> None:
+    for end, code in (("pass", -signal.SIGKILL), ("sys.exit(3)", 3)):
+        with _started(HANGING.format(end=end)) as program:
+            worker = int(program.stdout.readline())
+            assert _lives(worker)
+            if end == "pass":
+                time.sleep(0.5)
+                program.kill()
+            assert program.wait(30) == code
+            until(lambda worker=worker: not _lives(worker), 30)
