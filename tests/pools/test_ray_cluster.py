@@ -69,6 +69,7 @@ def test_variables_that_the_user_has_set_stay(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(ray_cluster.importlib, "import_module", lambda name: name)
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "1")
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "")  # restored: Ray's servers inherit it
     assert load_ray() == "ray"
     assert os.environ["RAY_USAGE_STATS_ENABLED"] == "1"
     assert os.environ["RAY_AUTH_MODE"] == "disabled"
