@@ -70,12 +70,8 @@ class ThreadPool:
             if not in_flight:
                 return
             check()
-            pause = base.PAUSE_SECONDS if task is None else base.WAIT_SECONDS
-            try:
-                outcome = answers.get(timeout=pause)
-            except Empty:
-                pass  # no thread has answered; it is time to look for the silent
-            else:
+            with contextlib.suppress(Empty):  # then it is time to look for the silent
+                outcome = answers.get(timeout=base.pause(task))
                 in_flight -= 1
                 yield outcome
             if (now := time.monotonic()) - looked >= base.LOOK_SECONDS:

@@ -429,7 +429,7 @@ class Loop:
         if row_format is not None:
             if session.held(row_format.table):
                 works = _learnt(batch, session.store, works)
-            if row_format.is_shared:
+            if row_format.is_shared and self._stores:
                 works = self._borrowed(batch, works)
         if works:
             batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
