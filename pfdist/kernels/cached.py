@@ -61,19 +61,19 @@ class Entry:
         """The address of the machine code."""
         return self.address_for("float64")
 
-    def address_for(self, states: str) -> int:
+    def address_for(self, dtype: str) -> int:
         """The address of the machine code for states of this type."""
-        if states not in self._code:
+        if dtype not in self._code:
             with _ONE_AT_A_TIME:
-                if states not in self._code:
-                    kind = tuple_type(self._kind, states)
-                    self._code[states] = _with_code_kept(self._function, kind, states)
-        return int(self._code[states].address)
+                if dtype not in self._code:
+                    kind = tuple_type(self._kind, dtype)
+                    self._code[dtype] = _with_code_kept(self._function, kind, dtype)
+        return int(self._code[dtype].address)
 
-    def __call__(self, values: Any, states: str = "float64") -> None:
+    def __call__(self, values: Any, dtype: str = "float64") -> None:
         """Call the function with a named tuple."""
         memory = in_memory(values)
-        _CALL(self.address_for(states))(memory.ctypes.data)
+        _CALL(self.address_for(dtype))(memory.ctypes.data)
 
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -85,13 +85,13 @@ def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
     return lambda function: Entry(function, kind)
 
 
-def _with_code_kept(function: Callable[..., Any], kind: Any, states: str) -> Any:
+def _with_code_kept(function: Callable[..., Any], kind: Any, dtype: str) -> Any:
     """The compiled function, from the folder if it is there.
 
     Numba's setting of the folder holds for a whole process. It is read when a function is declared,
     so it is changed for this time only, and cached functions of the user do not move.
     """
-    folder, before = _folder(states), numba.config.CACHE_DIR
+    folder, before = _folder(dtype), numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before
     try:
         signature = types.void(types.CPointer(kind))
@@ -101,12 +101,12 @@ def _with_code_kept(function: Callable[..., Any], kind: Any, states: str) -> Any
 
 
 @cache
-def _folder(states: str) -> str:
+def _folder(dtype: str) -> str:
     """The folder, which is made if necessary; empty, with a warning, if it cannot be used."""
     place = os.environ.get(FOLDER_VARIABLE)
     usual = Path(tempfile.gettempdir()) / f"pfdist-{os.getuid()}"
     parent = Path(place).resolve() if place else usual
-    folder = parent / f"{_hash_of_sources()}-{states}"
+    folder = parent / f"{_hash_of_sources()}-{dtype}"
     try:
         for each in (parent, folder):
             each.mkdir(mode=0o700, parents=True, exist_ok=True)

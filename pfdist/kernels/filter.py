@@ -854,29 +854,29 @@ _MOST_SAVED = 2**22  # numbers of all saved batches, about
 
 
 def filter_all(
-    blocks: Blocks, request: Request, plan: Plan, results: Results, scheme: str, states: str
+    blocks: Blocks, request: Request, plan: Plan, results: Results, scheme: str, dtype: str
 ) -> None:
     """Filter all draws, in arrays that each call makes for itself: threads filter together.
 
-    `states` is the type of the particles' states, "float64" or "float32", as in the blocks.
+    `dtype` is the type of the particles' states, "float64" or "float32", as in the blocks.
     """
     width = -(-request.particles // LANES) * LANES
     numbers = (request.states + 1) * width * max(1, plan.clouds)
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
-    batch, saved, _memory = _arrays(request, plan, width, draws, states)
+    batch, saved, _memory = _arrays(request, plan, width, draws, dtype)
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0)
     scratch = resampling_scratch(draws, width)
-    steps = _needed(request, plan, results, scheme, states)
-    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps), states)
+    steps = _needed(request, plan, results, scheme, dtype)
+    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps), dtype)
 
 
-def _needed(request: Request, plan: Plan, results: Results, scheme: str, states: str) -> Steps:
+def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: str) -> Steps:
     """The steps that this filter needs."""
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
 
     def address(function: Entry, is_needed: bool = True) -> int:
-        return function.address_for(states) if is_needed else 0
+        return function.address_for(dtype) if is_needed else 0
 
     return Steps(
         begin=address(_take_prior if request.has_prior else _draw_prior),
@@ -899,18 +899,18 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str, states:
 
 
 def _arrays(
-    request: Request, plan: Plan, width: int, draws: int, states: str
+    request: Request, plan: Plan, width: int, draws: int, dtype: str
 ) -> tuple[Batch, Saved, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
-    rows, quantities, spacious = request.states, request.quantities, stride + SPARE
+    states, quantities, spacious = request.states, request.quantities, stride + SPARE
     sets = request.sets if request.filters > 1 else 0
     memory, arrays = zeros(
         Batch,
-        states,
+        dtype,
         half=1,
-        cloud=2 * (rows + 1) * stride,
-        again=rows * stride if request.guided else 0,
+        cloud=2 * (states + 1) * stride,
+        again=states * stride if request.guided else 0,
         quantity=request.means * stride,
         log_weight=stride,
         log_carried=stride,
@@ -931,8 +931,8 @@ def _arrays(
     )
     kept, places = zeros(
         Saved,
-        states,
-        cloud=slots * rows * stride,
+        dtype,
+        cloud=slots * states * stride,
         weight=slots * stride,
         numbers=slots * 2 * row,
         flags=slots * 2 * row,

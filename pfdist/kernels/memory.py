@@ -28,25 +28,25 @@ _FORMATS = {types.int64: "q", types.uint64: "Q", types.float64: "d"}
 
 
 @cache
-def tuple_type(kind: type, states: str = "float64") -> Any:
+def tuple_type(kind: type, dtype: str = "float64") -> Any:
     """The type of a named tuple in compiled code, from its annotations; arrays are pointers.
 
-    `states` is the type of the entries of an array that is annotated by `States`.
+    `dtype` is the type of the entries of an array that is annotated by `States`.
     """
     hints = get_type_hints(kind, include_extras=True)
-    return types.BaseTuple.from_types([_type_of(hint, states) for hint in hints.values()], kind)
+    return types.BaseTuple.from_types([_type_of(hint, dtype) for hint in hints.values()], kind)
 
 
-def _type_of(hint: Any, states: str) -> Any:
+def _type_of(hint: Any, dtype: str) -> Any:
     if get_origin(hint) is np.ndarray:
         (number,) = get_args(get_args(hint)[1])
-        dtype = np.dtype(states if number is np.floating else number)
-        return types.CPointer(numba.from_dtype(dtype))
+        entry = np.dtype(dtype if number is np.floating else number)
+        return types.CPointer(numba.from_dtype(entry))
     if get_origin(hint) is Annotated:
-        return types.CPointer(tuple_type(get_args(hint)[1], states))
+        return types.CPointer(tuple_type(get_args(hint)[1], dtype))
     if isinstance(hint, UnionType):  # of integers of Python and of NumPy
         hint = get_args(hint)[0]
-    return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint, states)
+    return _NUMBERS[hint] if hint in _NUMBERS else tuple_type(hint, dtype)
 
 
 def in_memory(values: Any) -> NDArray[np.int64]:
@@ -69,14 +69,14 @@ def in_memory(values: Any) -> NDArray[np.int64]:
 
 
 def zeros(
-    kind: type, states: str = "float64", **counts: int
+    kind: type, dtype: str = "float64", **counts: int
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
     """Memory with zeros for the arrays of a named tuple, and the address of each by its name.
 
     This is faster than an array for each. Each begins where a line of the processor's cache begins.
     The caller must keep the memory.
     """
-    sizes, addresses, end = _sizes(kind, states), {}, 0
+    sizes, addresses, end = _sizes(kind, dtype), {}, 0
     for name, count in counts.items():
         addresses[name] = end
         end += -(-count * sizes[name] // _CACHE_LINE) * _CACHE_LINE
@@ -86,9 +86,9 @@ def zeros(
 
 
 @cache
-def _sizes(kind: Any, states: str) -> dict[str, int]:
+def _sizes(kind: Any, dtype: str) -> dict[str, int]:
     """Bytes of an entry of each array of a named tuple."""
-    fields = zip(kind._fields, tuple_type(kind, states), strict=True)
+    fields = zip(kind._fields, tuple_type(kind, dtype), strict=True)
     return {
         name: field.dtype.bitwidth // 8
         for name, field in fields
