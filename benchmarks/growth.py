@@ -20,7 +20,6 @@ from pfdist import StateSpaceModel, linear_gaussian, load_model
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
-from pfdist.runner.bound_settings import BoundSettings
 from pfdist.search.state_space_relaxation import RelaxationState, StateSpaceRelaxation
 from pfdist.times.feasible import Feasible
 
@@ -136,7 +135,7 @@ def _bounded(quick: bool, say: Say) -> pd.DataFrame:
         run = pfdist.plan("jobs/plan.toml", folder, changes=changes, bound_draws=0, figures=False)
         for kind, every in WORK.items():
             for settings in every[: 1 if quick else None]:
-                found = pfdist.bound(run, BoundSettings(**settings), figures=False)
+                found = pfdist.bound(run, **settings, figures=False)
                 proved = run.table("bound")
                 last = proved[
                     (proved["draws"] == found.draws) & (proved["windows"] == found.windows)

@@ -4,7 +4,6 @@ A page marks the place of a table by two comments, ``<!-- table: NAME -->`` and 
 The command replaces the lines between them. A test fails if a page has an old table.
 """
 
-import argparse
 import inspect
 import re
 from collections import Counter
@@ -19,8 +18,9 @@ from pydantic.fields import FieldInfo
 
 from pfdist import plots
 from pfdist.analysis.stored_run import COMPUTED
-from pfdist.cli.command import COMMANDS, Command
-from pfdist.cli.parser import complete_parser, subparsers_of
+from pfdist.cli import program
+from pfdist.cli.commands import COMMANDS
+from pfdist.cli.words import FLAGS
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import with_error
 from pfdist.common.section import Section
@@ -179,27 +179,34 @@ def filtered_columns() -> str:
 
 
 def usage() -> str:
-    """Give all arguments and examples of each command, from its parser."""
+    """Give all arguments and examples of each command, from its function."""
+    app = program.program()
     arguments = {
         name: [
-            (_spelling(argument), _escaped(argument.help or ""))
-            for argument in parser._actions
-            if argument.dest not in ("help", "debug")
+            (f"`{words}`", _escaped(text))
+            for words, text in program.arguments_of(app, name)
+            if words.removeprefix("--") not in FLAGS
         ]
-        for name, parser in subparsers_of(complete_parser()).items()
+        for name in COMMANDS
     }
     counts = Counter(row for rows in arguments.values() for row in rows)
     shared = [row for row, count in counts.items() if count >= _SHARED and row[0].startswith("`--")]
     head = ["argument", "meaning"]
-    parts = [f"## Options that several commands share\n\n{_table(head, map(list, shared))}"]
+    flags = [[f"`--{name}`", text] for name, text in FLAGS.items()]
+    parts = [
+        f"## Options of every command\n\n{_table(head, flags)}",
+        f"## Options that several commands share\n\n{_table(head, map(list, shared))}",
+    ]
     for name, rows in arguments.items():
         own = [list(row) for row in rows if row not in shared]
-        also = ", ".join(f"`{row[0].strip('`').split()[0]}`" for row in rows if row in shared)
+        also = ", ".join(
+            f"`{row[0].strip('`').split()[0].rstrip(',')}`" for row in rows if row in shared
+        )
         examples = "\n".join(
             f"{line}    # {does}" for line, does in COMMANDS[name].examples.items()
         )
         parts.append(
-            f"## {name}\n\n{COMMANDS[name].description}"
+            f"## {name}\n\n{COMMANDS[name].sentence}"
             + f"\n\n{_table(head, own)}" * bool(own)
             + f"\n\nAlso {also}." * bool(also)
             + f"\n\n```\n{examples}\n```" * bool(examples)
@@ -422,8 +429,10 @@ def schemes() -> str:
 
 def commands() -> str:
     """Give the table of commands, each with the arguments that must be given."""
+    app = program.program()
     rows = [
-        [f"`{_usage(command)}`", _sentence(command.description)] for command in COMMANDS.values()
+        [f"`{program.usage(app, name)}`", _sentence(command.sentence)]
+        for name, command in COMMANDS.items()
     ]
     return _table(["command", "what it does"], rows)
 
@@ -499,16 +508,6 @@ def with_tables(page: str) -> str:
     return _MARKED.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", page)
 
 
-def _usage(command: Command) -> str:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    words = ["pfdist", command.name]
-    for argument in parser._actions:
-        if argument.required:
-            words += [*argument.option_strings[:1], str(argument.metavar)]
-    return " ".join(words)
-
-
 def _described(documented: type) -> dict[str, str]:
     """Give the meaning of each key, from the docstring."""
     return {name: meaning for name, (_, meaning) in _documented(documented).items()}
@@ -558,14 +557,6 @@ def _table_of_columns(columns: pa.Schema) -> str:
         unit, description = (metadata[key].decode() for key in (b"unit", b"description"))
         rows.append([f"`{column.name}`", type_name, unit, _escaped(description)])
     return _table(["column", "type", "unit", "meaning"], rows)
-
-
-def _spelling(argument: argparse.Action) -> str:
-    name = argument.metavar or argument.dest.upper()
-    if not argument.option_strings:
-        return f"`{name}`"
-    value = "" if argument.nargs == 0 else f" {name}"
-    return ", ".join(f"`{option}{value}`" for option in argument.option_strings)
 
 
 def _bounds(field: FieldInfo) -> str:
@@ -618,7 +609,7 @@ def _value(value: Any) -> str:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("<", "&lt;").replace("|", "\\|").replace("%%", "%")
+    return text.replace("<", "&lt;").replace("|", "\\|")
 
 
 def _sentence(text: str) -> str:

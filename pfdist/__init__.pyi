@@ -34,7 +34,6 @@ from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
 from .models.symbols import take as take
-from .runner.bound_settings import BoundSettings as BoundSettings
 from .sequential.filter import Filter as Filter
 
 __all__: list[str]

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -10,12 +11,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 import pfdist
 from pfdist import Job, StateSpaceModel, load_job, load_model
+from pfdist.cli.main import main
 from pfdist.common import stopping
 from pfdist.errors import started_in
 
@@ -201,3 +203,23 @@ def pytest_terminal_summary(
 
 def _file(test: str) -> str:
     return test.partition("::")[0]
+
+
+class Called(NamedTuple):
+    code: object
+    out: str
+    err: str
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Called]:
+    """Call pfdist with a line, or with words; give the exit code and what is printed."""
+
+    def called(line: str, *words: object) -> Called:
+        try:
+            code: object = main([*shlex.split(line), *map(str, words)])
+        except SystemExit as stop:
+            code = stop.code
+        return Called(code, *capsys.readouterr())
+
+    return called

@@ -53,6 +53,18 @@ def value_cell(value: Any) -> Cell:
     return Cell(one_line(formatted_value(value)), value if is_numeric([value]) else None)
 
 
+def records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table for JSON: moments become texts as of ISO 8601, and missing values None."""
+    cells = frame.astype(object).where(frame.notna(), None)
+    return [
+        {str(key): _plain(value) for key, value in row.items()} for row in cells.to_dict("records")
+    ]
+
+
+def _plain(value: Any) -> Any:
+    return value.isoformat(timespec="seconds") if hasattr(value, "isoformat") else value
+
+
 def list_page(frame: pd.DataFrame, folder: str) -> Page:
     """A list of runs: the folder, state, age and size of each, and what it found.
 

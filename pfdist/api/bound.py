@@ -14,16 +14,14 @@ from pfdist.api.options import Chosen, Options, following, with_options
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import finished_run, own_store, run_and_job
 from pfdist.bounds.proof import Gap
+from pfdist.bounds.relaxation import WINDOW
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
-from pfdist.errors import ArgumentError, shown
 from pfdist.job.source import JobSource
-from pfdist.runner.bound_settings import BoundSettings
+from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import Session, complete
 from pfdist.runner.prover import Look, Prover
-
-_DEFAULT = BoundSettings()
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,28 +92,49 @@ class Bound(Shown):
 @with_options
 def bound(
     job: JobSource | Run,
-    settings: BoundSettings = _DEFAULT,
+    draws: int | None = None,
     *,
+    within: float | None = None,
+    particles: int | None = None,
+    window: int = WINDOW,
+    work: float | None = None,
+    memory: int = MEMORY,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     **options: Unpack[Options],
 ) -> Bound:
-    """Prove how much lower the expected MSE of any other feasible times can be.
+    """Prove how much lower the expected MSE of any other times can be.
 
-    The function runs the model, on draws that neither chose the times nor compared them, and
-    writes the tables ``bound`` and ``error_sums`` of the run. The same call goes on where it was
-    stopped.
+    The model is run on draws that neither chose the times nor compared them, and the tables
+    ``bound`` and ``error_sums`` of the run are written. The same call goes on where it was stopped.
 
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
-    settings : BoundSettings
-        Draws, particles, windows and limits of the proof, and the gap that is demanded.
+        A job file, whose run is meant, or the folder of a run.
+    draws : int, optional
+        Number of draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default
+        1,920. With more draws the bound is higher, because the least of many noisy costs is too
+        low. Exact engines ignore it.
+    within : float, optional
+        Double the number of draws until the upper limits of the gaps are at most this fraction, or
+        until there are `draws` draws, by default 30,720. The gaps of the references do not count,
+        and with searches the gaps of all sets that the job gives do not count.
+    particles : int, optional
+        Number of particles of the bound's filter; by default that of the job's filter.
+    window : int
+        Largest number of measurements of the first windows, before windows grow.
+    work : float, optional
+        Particle-steps after which no window grows; 0 if no window is to grow. By default twice
+        those that the first windows take on 480 draws; exact engines have no limit. Windows also
+        stop growing when no set of the relaxation is better than the run's sets by more than 0.1 %,
+        on the draws that choose the windows; with an exact engine, when none is better at all.
+    memory : int
+        Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
     results : str or Path, optional
-        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+        Folder of the run; by default that in which run and plan put it.
     changes : iterable of str, optional
-        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     options
         See `Options`.
 
@@ -134,17 +153,14 @@ def bound(
         A task failed, or no worker answers. All committed sums are kept.
     """
     chosen = Chosen(**options)
-    if not isinstance(settings, BoundSettings):
-        raise ArgumentError(
-            f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
-        )
+    settings = BoundSettings(draws, within, particles, window, work, memory)
     with following(chosen.progress, chosen.say) as (show, tell):
         proved, built = run_and_job(job, results, changes, tell, chosen.execution)
         if built.evaluator.exact:  # there is nothing to compute in a pool
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
         check_pool(built.job.execution)
-        prover, within, clock = Prover(built, settings), settings.within, built.job.problem.clock
+        prover, clock = Prover(built, settings), built.job.problem.clock
         with own_store(proved, built, tell) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
@@ -161,7 +177,7 @@ def bound(
             renew_report(proved.path, tell)
     return Bound(
         proved.path,
-        settings.window,
+        window,
         prover.relaxation.longest_gap,
         len(prover.relaxation.windows),
         prover.particles,

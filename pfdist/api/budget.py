@@ -39,24 +39,23 @@ def budget(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder. The job's searches, its
+        A job file, as ``jobs/plan.toml``, or the folder of a run. The job's searches, its
         measurement budget, its number of compared draws and its section [online] are ignored.
     measurements : (int, int), range or set of int
-        The least and the largest number of measurements as a pair; or all numbers, as a range or a
-        set.
+        Numbers of measurements, as ``5:41``, ``5:41:4`` or ``10,20,30``; in Python a pair of the
+        least and the largest, a range, or a set.
     results : str or Path, optional
-        The run's own folder; by default ``results/<the job file's stem>-budget``.
+        Folder of the run; by default ``results/NAME-budget`` of a job ``NAME.toml``.
     draws : int
         Draws of the comparison. A larger number resumes a run with more draws.
     target : float, optional
-        An expected MSE. A second figure, ``budget-target-<target>``, shows the target, the least
-        number of measurements that reaches it, and the largest number that is proved not to reach
-        it, as `pfdist.analysis.reaching` gives them. The report says so, too.
+        An expected MSE. The answer, the report and a figure ``budget-target-MSE`` also show the
+        least number of measurements that reaches it, and the largest number that is proved not to
+        reach it.
     bound_draws : int
-        Number of draws of the lower bound for each number of measurements; 0 for no bound. See
-        `pfdist.bound`.
+        Number of draws of the lower bound for each number of measurements; 0 for no bound.
     changes : sequence of str, optional
-        Changes ``key=value``, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     reuse : str, Path or iterable of these, optional
         Folders of other runs. Every evaluation that one of them has is taken from there.
     options

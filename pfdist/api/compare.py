@@ -226,32 +226,32 @@ def compare(
     changes: Iterable[str] = (),
     **options: Unpack[Options],
 ) -> Run:
-    """Compare sets of times pairwise on common fresh draws, or resume their comparison.
+    """Compare named sets of times, and the sets of runs, on the same fresh draws.
 
-    The comparison is a run of its own, without a search. Its tables ``pairs`` and ``ranks`` are the
+    The comparison is a run of its own, without a search, and the same call goes on where it was
+    stopped. Its tables ``pairs`` and ``ranks`` are the
     answers. All sets filter the same draws of the job's problem. The first set is the reference of
     the gains.
 
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder. It gives the problem. Sets
-        that the job gives are compared, too: a list of times as comparison.reference, and
+        A job file, as ``jobs/plan.toml``, or the folder of a run. It gives the problem.
+        Sets that the job gives are compared, too: a list of times as comparison.reference, and
         [comparison.sets].
     runs : Run, str or Path
         Finished runs, or their folders, whose sets are compared, too: the found sets, and the
         references if they differ. The runs are only read. A name that is already in use gets the
         name of the run's folder before it.
     times : mapping of str to iterable or str, optional
-        Named sets: times on the clock of the problem, or a text such as "0:60:3", or "regular" for
-        its regular times. They may break constraints.
+        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``: times on the clock
+        of the problem, or its regular times. They may break constraints.
     results : str or Path, optional
-        The folder of the comparison; by default ``results/<the job file's stem>-compare``. The same
-        call resumes what is there.
+        Folder of the comparison; by default ``results/NAME-compare`` of a job ``NAME.toml``.
     draws : int, optional
         Replaces comparison.draws. A larger number resumes the comparison with more draws.
     changes : iterable of str, optional
-        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     options
         See `Options`.
 

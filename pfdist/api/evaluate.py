@@ -62,7 +62,7 @@ def evaluate(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
     measurement_times : iterable of int or float, or str; or mapping of str to these
         Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3";
         "regular" stands for the regular times of the job. They may break the job's constraints:

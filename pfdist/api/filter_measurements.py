@@ -137,31 +137,33 @@ def filter_measurements(
     report: bool = True,
     say: Say = silent,
 ) -> FilteredMeasurements:
-    """Filter real measurements of one system with the filter of a finished run.
+    """Filter real measurements of one system, with the filter of a job.
 
-    The function writes a table, ``<stem>.filtered.csv`` or ``.parquet`` as the measurements are, a
-    figure, ``<stem>.filtered.png``, and a report, ``<stem>.filtered.html``. They replace those of
-    an earlier call, and no other file.
+    A table, ``<stem>.filtered.csv`` or ``.parquet`` as the measurements are, a figure,
+    ``<stem>.filtered.png``, and a report, ``<stem>.filtered.html``, are written. They replace those
+    of an earlier call, and no other file.
 
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
+        A job file, whose run is meant, or the folder of a run.
     measurements : str, Path or DataFrame
-        Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame.
+        Table with the columns t, y0, y1, ... (or y_ and a name): a file in CSV or Parquet, or a
+        DataFrame. An empty cell is a missing component, a row without any value a missed time. If
+        the model has sensors, the column sensor names that of a row.
     planned : str, optional
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
-        Table of particles from which the filter starts, with the columns x0, x1, ..., and on
-        request weight and t; see `pfdist.sequential.user_prior.read_prior`.
+        Table of particles from which the filter starts: columns x0, x1, ... (or x_ and a name), if
+        wanted weight, and t, their time (by default the first).
     out : str or Path, optional
         Folder of the table and the figure; by default the folder of the measurements. For a
         DataFrame nothing is written by default.
     results : str or Path, optional
-        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+        Folder of the run; by default that in which run and plan put it.
     changes : iterable of str, optional
-        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     report : bool
         Whether to write the report.
     say : callable, optional

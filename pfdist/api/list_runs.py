@@ -17,7 +17,7 @@ _COLUMNS = {
 
 
 def list_runs(folder: str | Path = "results") -> pd.DataFrame:
-    """All runs below a folder: how far they are, and what they found.
+    """List the runs in a folder: how far each is, and what it has found.
 
     Folders are looked into three levels deep. Links are not followed, and hidden folders are
     skipped. A run that cannot be read has a row that says why.

@@ -119,26 +119,28 @@ def next_time(
     changes: Iterable[str] = (),
     say: Say = silent,
 ) -> NextTime:
-    """Choose when to measure one system next, from the measurements so far.
+    """Choose when to measure a system next, from the measurements so far.
 
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
+        A job file, whose run is meant, or the folder of a run.
     measurements : str, Path or DataFrame
-        Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame. It may have
-        no rows. A row without any component is a time that was missed.
+        Table with the columns t, y0, y1, ... (or y_ and a name): a file in CSV or Parquet, or a
+        DataFrame. It may have no rows. An empty cell is a missing component, a row without any
+        value a missed time. If the model has sensors, the column sensor names that of a row.
     now : int or float, optional
         The last time that has passed, if nothing was measured at the end.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
-        Table of particles from which the filter starts; see `pfdist.filter_measurements`.
+        Table of particles from which the filter starts: columns x0, x1, ... (or x_ and a name), if
+        wanted weight, and t, their time (by default the first).
     results : str or Path, optional
-        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+        Folder of the run; by default that in which run and plan put it.
     changes : iterable of str, optional
-        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
         measurement is a `pfdist.errors.PfdistWarning`, too.

@@ -20,7 +20,7 @@ def online(
     reuse: str | Path | Iterable[str | Path] = (),
     **options: Unpack[Options],
 ) -> Run:
-    """Run a job, then choose the times of its first draws one after another.
+    """Choose times one after another, and compare them with times found in advance.
 
     After each measurement, the measurements that are left are planned anew from the particles of
     the filter. The times chosen in this way, the times that the job's searches found in advance and
@@ -29,15 +29,15 @@ def online(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder. Without a section [online]
-        it gets the defaults.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+        Without a section [online] it gets the defaults.
     results : str or Path, optional
-        The run's own folder; by default ``results/<the job file's stem>`` if the job file has a
-        section [online], as its run has, and otherwise ``results/<stem>-online``.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml`` if it has a
+        section [online], as its run has, and otherwise ``results/NAME-online``.
     draws : int, optional
         Replaces the job's online.draws. A larger number resumes a run with more draws.
     changes : iterable of str, optional
-        Changes ``key=value``, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     reuse : str, Path or iterable of these, optional
         Folders of other runs. Every evaluation that one of them has is taken from there.
     options

@@ -55,19 +55,21 @@ class Options(TypedDict, total=False):
     """Options of every function that computes a run; editors complete them.
 
     pool : str, optional
-        Replaces the job's execution.pool: what computes the tasks.
+        Replaces execution.pool of the job: what computes the tasks. On ``auto`` these are the
+        workers of a Ray cluster that is given, processes if formulas run in NumPy, else threads.
     workers : int, optional
-        Replaces the job's execution.workers; 0 takes all cores.
+        Replaces execution.workers of the job: their number, at most 1,000 on one machine; 0 is one
+        for each core.
     address : str, optional
-        Replaces the job's execution.address: that of an existing Ray cluster.
+        Replaces execution.address of the job: the Ray cluster to join, as HOST:PORT; ``auto`` finds
+        one, and ``local`` starts one on this machine.
     wait_for_cores : int, optional
-        Replaces the job's execution.wait_for_cores: how many cores the cluster must have before the
-        run begins.
+        Replaces execution.wait_for_cores of the job: how many cores the cluster must have, within 5
+        minutes, before the run begins.
     figures : bool
         Whether to draw the figures that the folder lacks.
     report : bool, optional
-        Whether to write the file ``report.html``; by default if figures are drawn. See
-        `pfdist.report`.
+        Whether to write the file ``report.html``; by default if figures are drawn.
     progress : callable or bool, optional
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress

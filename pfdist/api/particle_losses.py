@@ -36,7 +36,7 @@ def particle_losses(
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
     particles : iterable of int
         Numbers of particles; they replace that of the job.
     measurement_times : iterable of int or float, or str

@@ -23,21 +23,24 @@ def plan(
     reuse: str | Path | Iterable[str | Path] = (),
     **options: Unpack[Options],
 ) -> Run:
-    """Find times with one search, compare them with regular times, and prove a lower bound.
+    """Find measurement times for a job's problem, and prove how good they are.
+
+    One search finds them. They are compared with regular times on fresh draws, and a lower bound
+    says how much better any other times can be. The same call goes on where it was stopped.
 
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder. Searches that the job
-        names are left aside.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+        Searches that the job names are left aside.
     results : str or Path, optional
-        The run's own folder; by default ``results/<the job file's stem>``. If the job names
-        searches, that folder belongs to their run, and the default is ``results/<stem>-plan``.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
     search : str
         Method of the search, with its default settings.
     changes : iterable of str, optional
-        Changes ``key=value``, as `pfdist.load_job` takes them. The name of the search is its
-        method, as in ``search.relaxation.paths=16``.
+        Other values of keys of the job, as ``seed=3``. The name of the search is its method, as in
+        ``search.relaxation.paths=16``.
     bound_draws : int
         Number of draws of the lower bound that is proved for the found times, by default 480; 0
         for no bound. A range of measurement budgets gets a bound only if a number is given.

@@ -44,7 +44,7 @@ class Planner:
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder. Its section [online] says
+        A job file, as ``jobs/plan.toml``, or the folder of a run. Its section [online] says
         how plans are made. A job that is built already is not built again.
     times : iterable of int or float, optional
         The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible

@@ -18,7 +18,7 @@ SECONDS = 5.0
 
 
 def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> Path:
-    """Write the report of a run or a sweep: one HTML file that loads nothing and can be sent.
+    """Write the report of a run or a sweep: one HTML file that can be sent to anybody.
 
     The report is made from the tables of the run alone; no model is run.
 

@@ -42,21 +42,23 @@ def run(
     bound_draws: int = 0,
     **options: Unpack[Options],
 ) -> Run:
-    """Run a job, or resume its run where it stopped.
+    """Run the searches of a job and compare the found times with regular times.
+
+    The same call goes on where it was stopped.
 
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
     results : str or Path, optional
-        The run's own folder; by default ``results/<the job file's stem>``.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``.
     reuse : str, Path or iterable of these, optional
         Folders of other runs. Every evaluation that one of them has is taken from there.
     changes : iterable of str, optional
-        Changes ``key=value``, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     bound_draws : int
         Number of draws of a lower bound of the expected MSE of all feasible times, which is proved
-        after the comparison unless the run has one; 0 for no bound. See `pfdist.bound`.
+        after the comparison unless the run has one; 0 for no bound.
     options
         See `Options`.
 

@@ -24,7 +24,7 @@ def simulate(problem: JobSource, draws: int = DRAWS, seed: int | None = None) ->
     Parameters
     ----------
     problem : Problem, Job, str or Path
-        A problem, a job, or the path of a job file or of a run's folder.
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
     draws : int
         The number of realisations. A larger number begins with the same realisations.
     seed : int, optional

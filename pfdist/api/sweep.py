@@ -1,14 +1,15 @@
 """A job at many points: every point is a run of its own, and all share the same workers."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import pandas as pd
 
 from pfdist.analysis import Run, open_run, read_recorded
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
+from pfdist.answers.runs import records, table_page
 from pfdist.api.at_work import at_work
 from pfdist.api.options import Chosen, Options, following, with_options
 from pfdist.api.points_at_work import Points, PointsAtWork
@@ -17,6 +18,7 @@ from pfdist.api.run import bound_settings
 from pfdist.api.table import table
 from pfdist.checks.model import seconds_a_step
 from pfdist.common.arguments import path_argument
+from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.job import Job
 from pfdist.job.points import Values
@@ -28,7 +30,7 @@ from pfdist.runner.door import Driver, Loop
 from pfdist.runner.driver import foreseen_steps
 from pfdist.runner.progress import Progress, Say, Show, heard, silent
 from pfdist.store import holds_run
-from pfdist.store.folder import has_report
+from pfdist.store.folder import REPORT, has_report
 
 _SHOWN = 3  # failures in an error
 _NOTHING: Mapping[str, object] = {}
@@ -59,6 +61,20 @@ class Sweep:
     def table(self) -> pd.DataFrame:
         """All runs as one tidy table; see `pfdist.table`."""
         return table(*self.runs.values())
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The folder of the sweep, and its report if it has one."""
+        return self.path, *([self.path / REPORT] if has_report(self.path) else [])
+
+    def as_json(self) -> dict[str, Any]:
+        """The table of all runs, as values for JSON."""
+        return {"rows": records(self.table()) if self.runs else []}
+
+    def _page(self) -> Page:
+        page = table_page(self.table()) if self.runs else Page("", "no point is finished", [])
+        busy = [f"other processes compute {', '.join(self.busy)}"] if self.busy else []
+        return replace(page, warnings=busy)
 
     def judged(self) -> pd.DataFrame:
         """How good the times found at each point are at every point.

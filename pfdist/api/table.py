@@ -60,7 +60,7 @@ _DEPTH = 2  # a folder with sweeps in it; comparisons that judge the points of s
 
 
 def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
-    """Many runs as one tidy table: what differs between them, and what they found.
+    """Put many runs into one table: what differs between them, and what they found.
 
     The runs are read; no model is loaded, and nothing is computed anew.
 

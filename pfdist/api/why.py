@@ -120,23 +120,23 @@ def why(
     progress: Show | bool | None = None,
     say: Say = silent,
 ) -> Why:
-    """Compute what each measurement of a finished run is worth, and how exactly it must be kept.
+    """Show what each measurement of a run is worth, and how exactly it must be kept.
 
-    The function runs the model, writes the tables ``profile``, ``worth``, ``sampling_windows`` and
-    ``jitter`` of the run, and draws the figures ``why-<set>``, ``sampling_windows-<set>`` and
-    ``filters`` into its folder.
+    The model is run. The tables ``profile``, ``worth``, ``sampling_windows`` and ``jitter`` and the
+    figures ``why-<set>``, ``sampling_windows-<set>`` and ``filters`` are written into the folder of
+    the run.
 
     Parameters
     ----------
     job : Problem, Job, str, Path or Run
-        A run or its folder; or a problem, a job, or the path of a job file, whose run is meant.
+        A job file, whose run is meant, or the folder of a run.
     draws : int
         Number of draws, at least 2. They are computed in this process, and memory does not grow
         with their number. An exact engine uses it only for ``jitter``.
     results : str or Path, optional
-        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+        Folder of the run; by default that in which run and plan put it.
     changes : iterable of str, optional
-        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
     figures : bool
         Whether to draw the figures.
     progress : callable or bool, optional

@@ -8,13 +8,16 @@ import contextlib
 import os
 import sys
 import warnings
-from argparse import Namespace
 from collections.abc import Iterator, Sequence
+from inspect import signature
 from traceback import format_exception
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pfdist.cli.parser import make_parser, welcome
-from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stdout_for_json
+from cyclopts import CycloptsError
+
+from pfdist.cli.commands import COMMANDS
+from pfdist.cli.program import described, line_of, welcome
+from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stream_for_json
 from pfdist.common import stopping
 from pfdist.errors import (
     PfdistError,
@@ -27,8 +30,11 @@ from pfdist.errors import (
     started_in,
 )
 
+if TYPE_CHECKING:  # the help of the program imports none of what a command needs
+    from pfdist.cli.words import Line
+
 # Exit codes. 75 is EX_TEMPFAIL: a batch script may start the same command again.
-_DONE, _ERROR, _INTERRUPTED, _AGAIN = 0, 1, 130, 75
+_DONE, _ERROR, _WRONG_WORDS, _INTERRUPTED, _AGAIN = 0, 1, 2, 130, 75
 _SAVED = " Finished work is saved; run the same command to resume."
 _LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
@@ -44,20 +50,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 0; 1 after an error; 130 after Ctrl-C; or 75 if the same command may be
-        started again, because a batch system ended it or its workers no longer answered.
-
-    Raises
-    ------
-    SystemExit
-        The arguments are wrong (2), or only help or the version was wanted (0).
+        The exit code: 0; 1 after an error; 2 after wrong arguments; 130 after Ctrl-C; or 75 if the
+        same command may be started again, because a batch system ended it or its workers no longer
+        answered.
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
     encode_all_text()
-    words = sys.argv[1:] if arguments is None else arguments
+    words = sys.argv[1:] if arguments is None else list(arguments)
     if not words:
-        print(welcome(), end="")
+        print(welcome())
         return _DONE
     if arguments is None:
         stopping.listen()
@@ -67,37 +69,61 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from pfdist.kernels import check_settings  # noqa: PLC0415
 
         check_settings()
-        options = make_parser().parse_args(arguments)
+        line = line_of(words)
+    except CycloptsError as error:
+        print(described(error), file=sys.stderr)
+        return _WRONG_WORDS
     except Exception as error:
         return _error(error, debug="--debug" in words)
-    return _run(options, ends=arguments is None)
+    return _DONE if line is None else _run(line, ends=arguments is None)
 
 
-def _run(options: Namespace, *, ends: bool) -> int:
-    """Call the command; turn errors into a line and an exit code.
+def _run(line: "Line", *, ends: bool) -> int:
+    """Call the function of a command and show its answer; turn errors into a line and a code.
 
     `ends` says whether the process ends afterwards.
     """
     try:
         with _warnings_as_lines():
             try:
-                with stdout_for_json(options, ends=ends):
-                    options.called.call(options)
+                _show(line, ends=ends)
             except PoolError:  # the workers have received the signal, too
                 stopping.check()
                 raise
             flush_output()
         stopping.check()  # the exit code says that a signal was received, even at the very end
     except KeyboardInterrupt:
-        resumes = options.called.goes_on and not getattr(options, "dry_run", False)
+        resumes = COMMANDS[line.name].goes_on and not line.options.get("dry_run")
         print(f"pfdist: Stopped.{_SAVED if resumes else ''}", file=sys.stderr)
         return stopping.exit_code() or _INTERRUPTED
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
         return stopping.exit_code() or _ERROR
     except Exception as error:
-        return _error(error, debug=options.debug)
+        return _error(error, debug=line.debug)
     return _DONE
+
+
+def _show(line: "Line", *, ends: bool) -> None:
+    # Not above: commands that show no run need none of its libraries.
+    from pfdist.cli.shown import show  # noqa: PLC0415
+
+    with stream_for_json(ends=ends) if line.json else contextlib.nullcontext(sys.stdout) as stream:
+        show(_answer(line), line, stream)
+
+
+def _answer(line: "Line") -> Any:
+    """Call the function of a command, which shows its progress and its messages if it has any."""
+    taken = signature(line.function).parameters
+    if "say" not in taken:
+        return line.function(*line.arguments, **line.options)
+    from pfdist.api.display import Display  # noqa: PLC0415  rich takes long to load
+
+    with Display() as display:
+        heard: dict[str, Any] = {"say": display.say}
+        if "progress" in taken:
+            heard["progress"] = display.show
+        return line.function(*line.arguments, **line.options, **heard)
 
 
 def _error(error: Exception, *, debug: bool) -> int:

@@ -5,7 +5,6 @@ import contextlib
 import io
 import os
 import sys
-from argparse import Namespace
 from collections.abc import Iterator
 from typing import Any
 
@@ -82,26 +81,22 @@ def flush_output() -> None:
 
 
 @contextlib.contextmanager
-def stdout_for_json(options: Namespace, *, ends: bool) -> Iterator[None]:
-    """Keep standard output for the JSON object of ``--json``, whatever a model prints.
+def stream_for_json(*, ends: bool) -> Iterator[Any]:
+    """A stream for the JSON object of ``--json``, and none of what a model prints.
+
+    All other output goes to standard error, also that of compiled code and of child processes.
 
     Parameters
     ----------
-    options : Namespace
-        The parsed arguments. If they ask for JSON, their new attribute ``answers`` is the stream
-        for the object, and all other output goes to standard error. This includes output of
-        compiled code and of child processes.
     ends : bool
         Whether the process ends after this command. If so, later output goes to standard error,
         too.
     """
-    if not getattr(options, "json", False):
-        yield
-        return
-    with contextlib.ExitStack() as stack:
-        options.answers = stack.enter_context(_separate_stream(sys.stdout, ends=ends))
-        stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-        yield
+    with (
+        _separate_stream(sys.stdout, ends=ends) as separate,
+        contextlib.redirect_stdout(sys.stderr),
+    ):
+        yield separate
 
 
 @contextlib.contextmanager

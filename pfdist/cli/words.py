@@ -1,86 +1,128 @@
-"""The words of a command line before argparse takes them: lists with spaces, unknown options."""
+"""How the words of a command line become the arguments of a function.
 
-import argparse
-import os
+A parameter of a function is read as `WORDS` says for its name. Files and folders stand alone, and
+every other parameter is an option of its name.
+"""
+
+import inspect
+import pkgutil
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar
 
-from pfdist.cli.arguments import argument_type
-from pfdist.common.parsing import finite_number, ranges, whole_numbers
+from cyclopts import Parameter, Token
+
+from pfdist.cli.commands import COMMANDS
+from pfdist.common.parsing import finite_number, ranges, whole_number, whole_numbers
 from pfdist.errors import JobError, shown
+from pfdist.job.points import values_by_key
+from pfdist.pools.kinds import AUTO, POOLS
+from pfdist.times.measurement_times import REGULAR
 
-_GOES_ON = re.compile(r",|[0-9.:,]*[0-9][0-9.:,]*([eE][+-]?[0-9]+)?,?")
-"""A word after a list of numbers that belongs to the list, unless a folder has this name."""
+T = TypeVar("T")
 _SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x-ray"
-_OPTION = re.compile(r"-[^0-9. ][^ ]*")  # argparse takes other words for values
+_PLAIN = Parameter(negative=(), json_list=False, json_dict=False)  # words are no JSON
+_GIVEN_BY_THE_PROGRAM = {"say", "progress", "figures", "parallel", "points"}
 
 
-number_list = argument_type(whole_numbers)
-"""The numbers that an option lists: the type of options such as ``--times``."""
+class Word(NamedTuple):
+    """How a parameter is read.
+
+    Parameters
+    ----------
+    kind : type
+        The type of the parameter for cyclopts; shells complete files for `Path`.
+    settings : Parameter
+        How cyclopts reads it.
+    is_file : bool
+        Whether the word stands alone, without the name of an option.
+    """
+
+    kind: Any
+    settings: Parameter
+    is_file: bool = False
 
 
-@argument_type
-def time_list(text: str) -> str:
-    """The times that an option lists, as they are written: the clock of the job reads them."""
+def _each(read: Callable[[str], T]) -> Callable[[Any, Sequence[Token]], T]:
+    """A converter of a parameter that is one word."""
+    return lambda _, tokens: read(tokens[0].value)
+
+
+def _all(read: Callable[[list[str]], T]) -> Callable[[Any, Sequence[Token]], T]:
+    """A converter of a parameter that is given once for each of its words."""
+    return lambda _, tokens: read([token.value for token in tokens])
+
+
+def _file(metavar: str) -> Word:
+    return Word(Path, Parameter(metavar=metavar, converter=_each(str)), is_file=True)
+
+
+def _folder(metavar: str) -> Word:
+    return Word(Path | None, Parameter(metavar=metavar, converter=_each(str)))
+
+
+def _text(metavar: str) -> Word:
+    return Word(str | None, Parameter(metavar=metavar))
+
+
+def _number(metavar: str, read: Callable[[str], float] = whole_number) -> Word:
+    return Word(Any, Parameter(metavar=metavar, converter=_each(read)))
+
+
+def _texts(metavar: str, read: Callable[[list[str]], Any] = list, **settings: Any) -> Word:
+    settings = {"n_tokens": -1, **settings}
+    return Word(Any, Parameter(metavar=metavar, converter=_all(read), **settings))
+
+
+def _count(text: str) -> int:
+    """A whole number from 1 to 32,000."""
+    number = whole_number(text)
+    if not 1 <= number <= 32_000:
+        raise ValueError(f"must be an integer in 1..32000, got {number}")
+    return number
+
+
+def _decimal(text: str) -> int | float:
+    """A number; a whole number without a point is an int."""
+    return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
+
+
+def _part(text: str) -> tuple[int, int]:
+    """The numbers of ``3/200``; `SweepJob.part` knows which are allowed."""
+    number, slash, parts = text.partition("/")
+    if not slash:
+        raise ValueError(f"must be K/N, as 3/200, got {shown(text)}")
+    return whole_number(number), whole_number(parts)
+
+
+def _clock(text: str) -> str:
+    """Times as they are written, which the clock of the job reads."""
     ranges(_SENSOR.sub(" ", text), finite_number)
     return text
 
 
-def named_times(text: str) -> tuple[str, str]:
-    """The name and the times of a set, as in ``clinic=0,6,12``; the name may be missing.
-
-    The word ``regular`` alone is a set of this name.
-
-    Raises
-    ------
-    ArgumentTypeError
-        The text lists no times.
-    """
-    # Not above: it imports NumPy, and the words of every command line are read here.
-    from pfdist.times.measurement_times import REGULAR  # noqa: PLC0415
-
-    if text == REGULAR:
-        return REGULAR, REGULAR
-    name, equals, times = text.rpartition("=")
-    if equals and not name:
-        raise argparse.ArgumentTypeError(f"needs a name before '=', got {shown(text)}")
-    return name, times if name and times == REGULAR else time_list(times)
+def _sets_or_one(texts: list[str]) -> dict[str, str]:
+    """Sets as `_sets` gives them; the name of a set that is alone may be missing."""
+    if len(texts) > 1 or "=" in texts[0] or texts == [REGULAR]:
+        return _sets(texts)
+    return {"": _clock(texts[0])}
 
 
-def add_named_times(
-    parser: argparse.ArgumentParser, description: str, *, required: bool = False
-) -> None:
-    """Add ``--times``, which may be given several times.
+def _sets(texts: list[str]) -> dict[str, str]:
+    """The sets of ``clinic=0,6,12`` and other texts, by name.
 
-    Parameters
-    ----------
-    parser : ArgumentParser
-    description : str
-        The help of the option.
-    required : bool
-        Whether the option must be given.
-    """
-    parser.add_argument(
-        "--times",
-        type=named_times,
-        action="append",
-        default=[],
-        metavar="TIMES",
-        help=description,
-        required=required,
-    )
-
-
-def sets_by_name(named: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """The sets of ``--times`` by name.
-
-    Raises
-    ------
-    JobError
-        A set has no name, or a name is used twice.
+    The word ``regular`` is a set of this name.
     """
     sets = dict[str, str]()
-    for name, times in named:
+    for text in texts:
+        name, equals, times = text.rpartition("=")
+        if equals and not name:
+            raise ValueError(f"needs a name before '=', got {shown(text)}")
+        if times == REGULAR:
+            name = name or REGULAR
+        else:
+            _clock(times)
         if not name:
             raise JobError(
                 f"times of several sets must be NAME=TIMES, as mine={times}, got {shown(times)}",
@@ -94,55 +136,125 @@ def sets_by_name(named: Iterable[tuple[str, str]]) -> dict[str, str]:
     return sets
 
 
-_LISTS = (number_list, time_list, named_times)
+def _search() -> Word:
+    # Not above: a search of an installed package that cannot be loaded spoils no other command.
+    from pfdist.search.methods import METHODS  # noqa: PLC0415
+
+    return Word(str, Parameter(metavar="METHOD", choices=tuple(METHODS)))
 
 
-def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str]:
-    """A command line in which each list of numbers is one word.
+_SWITCH = Word(bool, Parameter())
+WORDS: dict[str, Word | Callable[[], Word]] = {
+    "address": _text("HOST:PORT"),
+    "bound_draws": _number("K"),
+    "changes": _texts("KEY=VALUE", name="--set", consume_multiple=True),
+    "draws": _number("K"),
+    "dry_run": _SWITCH,
+    "folder": _file("DIR"),
+    "horizon": _number("T", _count),
+    "job": _file("JOB"),
+    "judge": Word(bool | None, Parameter()),
+    "measurements": _file("MEASUREMENTS"),
+    "memory": _number("MIB"),
+    "model": _file("MODEL"),
+    "now": _number("T", _decimal),
+    "out": _folder("PATH"),
+    "over": _texts("KEY=VALUES", values_by_key),
+    "part": Word(Any, Parameter(metavar="K/N", converter=_each(_part))),
+    "particles": _number("P"),
+    "planned": _text("NAME"),
+    "pool": Word(str | None, Parameter(metavar="POOL", choices=(AUTO, *POOLS))),
+    "prior": _folder("FILE"),
+    "report": Word(bool | None, Parameter(negative="--no-report")),
+    "results": _folder("DIR"),
+    "reuse": _texts("RUN"),
+    "run": _file("RUN"),
+    "runs": _file("RUN"),
+    "search": _search,
+    "seed": _number("S"),
+    "shell": Word(str, Parameter(metavar="SHELL", choices=("bash", "zsh", "fish")), is_file=True),
+    "target": _number("MSE", finite_number),
+    "times": _texts("TIMES", _sets),
+    "wait_for_cores": _number("N"),
+    "watch": _SWITCH,
+    "window": _number("K"),
+    "within": _number("GAP", finite_number),
+    "work": _number("STEPS", finite_number),
+    "workers": _number("N"),
+    "budget.measurements": Word(
+        Any, Parameter(metavar="NUMBERS", converter=_each(lambda text: set(whole_numbers(text))))
+    ),
+    "evaluate.times": _texts("TIMES", _sets_or_one),
+    "check-model.times": Word(str | None, Parameter(metavar="TIMES", converter=_each(_clock))),
+    "check-model.particles": _number("P", _count),
+}
+"""The words of each parameter by its name, or by its command and its name."""
 
-    ``--times 0 6 12 JOB`` becomes ``--times "0 6 12" JOB``. argparse itself would take JOB for one
-    of the times. A word that is the name of a folder is never joined to a list: ``2024`` may be a
-    run.
 
-    Parameters
-    ----------
-    words : iterable of str
-        A command line.
-    actions : iterable of Action
-        The arguments of the parser. Those of the types `number_list`, `time_list` and
-        `named_times` take a list.
+class Line(NamedTuple):
+    """A command line that was read: a function, its arguments, and how its answer is shown."""
+
+    name: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    options: dict[str, Any]
+    json: bool
+    verbose: bool
+    debug: bool
+
+
+FLAGS = {
+    "json": "Print one JSON object and no text.",
+    "verbose": "Also print the details: all sets of times, what each search believed, quartiles.",
+    "debug": "Show the traceback of an error.",
+}
+"""Options of every command."""
+
+
+def __getattr__(name: str) -> Callable[..., Line]:
+    """The command of a name, with the parameters of its function and the help of its docstring.
+
+    It reads a `Line` and calls nothing. cyclopts imports commands by such names.
     """
-    lists = [name for action in actions if action.type in _LISTS for name in action.option_strings]
-    joined_words: list[str] = []
-    begins = goes_on = False  # whether a list is expected, or may go on
-    for word in words:
-        if goes_on and _GOES_ON.fullmatch(word) and not os.path.isdir(word):
-            joined_words[-1] += f" {word}"
-            continue
-        joined_words.append(word)
-        name, equals, _ = word.partition("=")
-        is_list = len(name) > 2 and any(option.startswith(name) for option in lists)
-        begins, goes_on = is_list and not equals, begins or (is_list and bool(equals))
-    return joined_words
+    if name not in COMMANDS:
+        raise AttributeError(name)
+    function = pkgutil.resolve_name(COMMANDS[name].function)
+    parameters = [
+        _as_word(name, each)
+        for each in inspect.signature(function).parameters.values()
+        if each.name not in _GIVEN_BY_THE_PROGRAM
+    ]
+    signature = inspect.Signature(sorted(parameters, key=lambda each: each.kind))
+    flags = [
+        inspect.Parameter(
+            flag, inspect.Parameter.KEYWORD_ONLY, default=False,
+            annotation=Annotated[bool, Parameter(negative=(), help=text)],
+        )
+        for flag, text in FLAGS.items()
+    ]  # fmt: skip
+
+    def read(
+        *arguments: Any,
+        json: bool = False,
+        verbose: bool = False,
+        debug: bool = False,
+        **options: Any,
+    ) -> Line:
+        given = signature.bind(*arguments, **options)
+        given.apply_defaults()
+        return Line(name, function, given.args, given.kwargs, json, verbose, debug)
+
+    shown = signature.replace(parameters=[*signature.parameters.values(), *flags])
+    read.__doc__, read.__signature__ = function.__doc__, shown  # type: ignore[attr-defined]
+    read.__annotations__ = {each.name: each.annotation for each in shown.parameters.values()}
+    return read
 
 
-def unknown_option(words: Iterable[str], options: Sequence[str]) -> str:
-    """The first option of a command line that a parser does not know; empty if there is none.
-
-    argparse names unknown options only after all other mistakes, so a misspelt option that is
-    required would be called missing.
-
-    Parameters
-    ----------
-    words : iterable of str
-        A command line.
-    options : sequence of str
-        The options that the parser knows. They may be shortened.
-    """
-    for word in words:
-        if word == "--":
-            break
-        name = word.partition("=")[0]
-        if _OPTION.fullmatch(name) and not any(option.startswith(name) for option in options):
-            return name
-    return ""
+def _as_word(command: str, parameter: inspect.Parameter) -> inspect.Parameter:
+    found = WORDS.get(f"{command}.{parameter.name}") or WORDS[parameter.name]
+    word = found if isinstance(found, Word) else found()
+    if parameter.kind is not parameter.VAR_POSITIONAL:
+        kind = parameter.POSITIONAL_ONLY if word.is_file else parameter.KEYWORD_ONLY
+        parameter = parameter.replace(kind=kind)
+    settings = Parameter.combine(_PLAIN, word.settings)
+    return parameter.replace(annotation=Annotated[word.kind, settings])

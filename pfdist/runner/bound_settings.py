@@ -25,25 +25,8 @@ class BoundSettings:
 
     Parameters
     ----------
-    draws : int, optional
-        Number of draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default
-        1,920. With more draws the bound is higher, because the least of many noisy costs is too
-        low. Exact engines ignore it.
-    within : float, optional
-        Double the number of draws until the upper limits of the gaps are at most this fraction, or
-        until there are `draws` draws, by default 30,720. The gaps of the references do not count,
-        and with searches the gaps of all sets that the job gives do not count.
-    particles : int, optional
-        Number of particles of the bound's filter; by default that of the job's filter.
-    window : int
-        Largest number of measurements of the first windows, before windows grow.
-    work : float, optional
-        Particle-steps after which no window grows; 0 if no window is to grow. By default twice
-        those that the first windows take on 480 draws; exact engines have no limit. Windows also
-        stop growing when no set of the relaxation is better than the run's sets by more than 0.1 %,
-        on the draws that choose the windows; with an exact engine, when none is better at all.
-    memory : int
-        Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
+    draws, within, particles, window, work, memory
+        As for `pfdist.bound`.
 
     Raises
     ------

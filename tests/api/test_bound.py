@@ -5,7 +5,6 @@ import math
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +40,8 @@ RunOf = Callable[..., Path]
 
 
 def bound(run: Path | Run, draws: int | None = None, **options: Any) -> Bound:
-    names = {field.name for field in fields(BoundSettings)} & options.keys()
-    settings = BoundSettings(**{"draws": draws} | {name: options.pop(name) for name in names})
     job = run if isinstance(run, Run) else run / "job.toml"
-    return bound_of(job, settings, **{"pool": "serial", "figures": False} | options)
+    return bound_of(job, draws, **{"pool": "serial", "figures": False} | options)
 
 
 @pytest.fixture

@@ -190,7 +190,7 @@ def test_without_draws_there_is_no_bound(
 def test_numbers_with_gaps_have_the_times_that_they_have_without_gaps(
     exact: pfdist.Run, exact_job: Job, tmp_path: Path
 ) -> None:
-    words = ["--draws", "300", "--set", *EXACT, "--measurements", "2", "4,6"]
+    words = ["--draws", "300", "--set", *EXACT, "--measurements", "2 4,6"]
     assert main(["budget", str(exact_job.path), *words, "--results", str(tmp_path / "run")]) == 0
     whole = exact.table("budget").set_index("name")
     few = pfdist.open_run(tmp_path / "run").table("budget").set_index("name")

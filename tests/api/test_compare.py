@@ -32,7 +32,7 @@ draws = 1500
 pool = "serial"
 """
 SETS = {"clinic": [0, 3, 6, 12], "late": "6:12:2", "few": [4, 9]}
-WORDS = ["--times", "clinic=0,3,6,12", "--times", "late=6:12:2", "--times", "few=4", "9"]
+WORDS = ["--times", "clinic=0,3,6,12", "--times", "late=6:12:2", "--times", "few=4 9"]
 
 
 KALMAN = ["filter.engine=kalman", "comparison.draws=40"]

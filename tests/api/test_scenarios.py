@@ -272,9 +272,7 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
     assert np.all(abs(own["expected_mse"] / 1.01 - exact) < 4 * own["standard_error"])
     error = own["standard_error"].max()
     assert combined(exact[None], criterion)[0] - of_sets.min() < 2 * error
-    gap = {each.name: each for each in pfdist.bound(run, pfdist.BoundSettings(draws=1000)).gaps}[
-        "exhaustive"
-    ]
+    gap = {each.name: each for each in pfdist.bound(run, 1000).gaps}["exhaustive"]
     told = combined(costs(SETS, told=True), criterion).min()
     assert gap.reason == ""
     assert gap.bound.value < told + 4 * gap.bound.standard_error

@@ -1,6 +1,8 @@
 """Outputs of commands, as text and as JSON, and their exit codes."""
 
+import functools
 import json
+import pkgutil
 import re
 import shutil
 import signal
@@ -198,6 +200,7 @@ def test_a_damaged_file_is_named_and_the_remedy_is_true(small_run: pfdist.Run, c
 def test_an_interrupted_command_says_whether_the_same_command_goes_on(
     line: str, function: str, goes_on: bool, run: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
+    @functools.wraps(pkgutil.resolve_name(function))
     def interrupted(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
@@ -228,7 +231,7 @@ def test_whatever_ends_a_command_after_a_signal_has_the_exit_code_of_the_signal(
         if error is not None:
             raise error
 
-    monkeypatch.setattr("pfdist.cli.commands.reading.print_run", interrupted)
+    monkeypatch.setattr("pfdist.cli.shown.show", interrupted)
     monkeypatch.setattr("pfdist.analysis.open_run", lambda path: path)
     code, _, said = call("status nowhere")
     assert (code, said) == (75, f"pfdist: {line}\n")

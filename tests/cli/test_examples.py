@@ -5,7 +5,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from argparse import ArgumentParser
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ import tomli_w
 
 import pfdist
 from pfdist.analysis import read_recorded
-from pfdist.cli.command import COMMANDS, Command
+from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
+from pfdist.cli.program import program, usage
 from pfdist.common.parsing import parse_toml
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.store import SCHEMA_VERSION
@@ -95,14 +95,9 @@ def _run_in_bash(line: str, home: Path) -> None:
     subprocess.run([bash, "-ec", f"{program}\n{line}"], check=True, timeout=300, env=environment)
 
 
-def _takes_a_run(command: Command) -> bool:
-    parser = ArgumentParser()
-    command.add_arguments(parser)
-    words = [str(argument.metavar) for argument in parser._actions if not argument.option_strings]
-    return any(word == "DIR" or "RUN" in word for word in words)
-
-
-TAKE_A_RUN = sorted(name for name, command in COMMANDS.items() if _takes_a_run(command))
+TAKE_A_RUN = [
+    name for name in COMMANDS if {"RUN", "[DIR]", "[RUN"} & set(usage(program(), name).split())
+]
 ASK = {"bound": [], "filter": ["patient.csv"], "next": ["patient.csv"], "why": []}
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.cli.command import COMMANDS
+from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.times.measurement_times import validated
@@ -87,7 +87,7 @@ def refused(call: Callable[..., Any]) -> Refused:
         ("evaluate {job} --times 1 --set seed=a\udcffb", 1, "UTF-8"),
         ("evaluate {job} --times 1 --set seed=1\nseed=2", 1, "key=value"),
         ("budget {job} --measurements \u0662:5", 2, "ranges"),
-        ("budget {job} --measurements 2:3 --target 1_0", 2, "finite"),
+        ("budget {job} --measurements 2:3 --target 1_0", 2, "digits 0-9 and a point"),
         ("check-model ungm --horizon " + NINES, 2, "digits 0-9"),
         ("status {job}", 1, "a run must be a folder, got the job file"),
         ("status nowhere", 1, "nowhere holds no run: there is no run.json"),
@@ -262,7 +262,7 @@ def test_debug_shows_the_traceback_before_the_line(call: Callable[..., Any]) -> 
     ("broken", "words"),
     [
         ("pfdist.api.list_runs.list_runs", ["list"]),
-        ("pfdist.cli.main.make_parser", ["list"]),
+        ("pfdist.cli.main.line_of", ["list"]),
     ],
 )
 def test_an_unexpected_exception_is_one_line(

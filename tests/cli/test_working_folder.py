@@ -82,8 +82,8 @@ def test_nothing_moves_with_a_model(
     assert "results/a/figures/why" in said(f"why jobs/a.toml --draws 40 --set {SMALL}")
     sweep = f"sweep jobs/a.toml --over seed=1,2 --set {SMALL} --pool serial"
     text = said(sweep)
-    assert "runs: results/a-sweep" in text
-    assert "report: results/a-sweep/report.html" in text
+    assert "\nresults/a-sweep\n" in text
+    assert "\nresults/a-sweep/report.html\n" in text
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -1,43 +1,44 @@
 """The contract of every command of the command line."""
 
-import argparse
+import inspect
+import pkgutil
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from pfdist.cli.command import COMMANDS
-from pfdist.cli.main import main
+from pfdist.cli.commands import COMMANDS
+from pfdist.cli.program import arguments_of, program
 
 every = pytest.mark.parametrize("name", COMMANDS)
 COLUMNS = 80
+Call = Callable[..., Any]
 
 
 @every
-def test_one_sentence_describes_it(name: str) -> None:
-    description = COMMANDS[name].description
-    assert description.endswith(".")
-    assert len(description) <= COLUMNS
+def test_one_sentence_describes_it_and_begins_the_docstring_of_its_function(name: str) -> None:
+    sentence = COMMANDS[name].sentence
+    assert sentence.endswith(".")
+    assert len(sentence) <= COLUMNS
+    function = pkgutil.resolve_name(COMMANDS[name].function)
+    assert (inspect.getdoc(function) or "").partition("\n")[0] == sentence
 
 
 @every
 def test_every_argument_is_described(name: str) -> None:
-    parser = argparse.ArgumentParser()
-    COMMANDS[name].add_arguments(parser)
-    arguments = [action for action in parser._actions if action.dest != "help"]
-    assert [action.dest for action in arguments if not action.help] == []
+    assert [words for words, meaning in arguments_of(program(), name) if not meaning] == []
 
 
 @every
 def test_its_help_fits_a_terminal_says_whether_it_goes_on_and_ends_with_examples(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, call: Call
 ) -> None:
-    monkeypatch.setenv("COLUMNS", str(COLUMNS))
-    with pytest.raises(SystemExit) as stop:
-        main([name, "--help"])
-    assert stop.value.code == 0
-    text = capsys.readouterr().out
+    code, text, error = call(name, "--help")
+    assert (code, error) == (0, "")
     assert max(map(len, text.splitlines())) <= COLUMNS
     words = " ".join(text.split())
-    assert words.startswith(f"{COMMANDS[name].description} usage: pfdist {name} ")
+    assert words.startswith(COMMANDS[name].sentence)
+    assert f"usage: pfdist {name} " in words
     assert ("the same command goes on" in words) is COMMANDS[name].goes_on
     examples = COMMANDS[name].examples
     assert examples
@@ -47,8 +48,7 @@ def test_its_help_fits_a_terminal_says_whether_it_goes_on_and_ends_with_examples
 
 
 @every
-def test_an_unknown_option_is_refused_with_2(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main([name, "--unknown-option"])
-    assert stop.value.code == 2
-    assert ": error: " in capsys.readouterr().err.splitlines()[-1]
+def test_an_unknown_option_is_refused_with_2(name: str, call: Call) -> None:
+    code, _, error = call(name, "--unknown-option")
+    assert code == 2
+    assert error.startswith(f"pfdist {name}: error: unknown option --unknown-option")

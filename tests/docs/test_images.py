@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pfdist.cli.parser import make_parser
+from pfdist.cli.program import line_of
 
 ROOT = Path(__file__).parents[2]
 IMAGE = (ROOT / "docker" / "Dockerfile").read_text()
@@ -48,7 +48,8 @@ def test_the_claim_holds_what_the_run_writes() -> None:
 @pytest.mark.parametrize("command", [RAYJOB["spec"]["entrypoint"]])
 def test_the_command_of_a_run_on_kubernetes_is_accepted(command: str) -> None:
     program, *words = shlex.split(command)
-    options = make_parser().parse_args(words)
+    line = line_of(words)
     assert program == "pfdist"
-    assert options.address == "auto"
-    assert (ROOT / options.job).is_file()
+    assert line is not None
+    assert line.options["address"] == "auto"
+    assert (ROOT / line.arguments[0]).is_file()

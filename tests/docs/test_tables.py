@@ -10,8 +10,9 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
-from pfdist.cli.parser import complete_parser, subparsers_of
+from pfdist.cli.program import arguments_of, program
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
@@ -108,10 +109,10 @@ def test_the_reference_has_every_table_column_and_option(tables: ModuleType) -> 
             generic = re.sub("(regular|relaxation|genetic)", "SET", column.name)
             assert re.search(rf"\| `{generic}` \| .* \|", columns), (path.name, column.name)
     usage = tables.usage()
-    for name, parser in subparsers_of(complete_parser()).items():
+    app = program()
+    for name in COMMANDS:
         assert f"## {name}\n" in usage
-        options = [option for action in parser._actions for option in action.option_strings]
-        assert all(f"`{option}" in usage for option in {*options} - {"-h", "--help", "--debug"})
+        assert all(f"| `{words}` |" in usage for words, _ in arguments_of(app, name))
 
 
 def test_a_measured_number_with_an_error_stands_in_a_made_table_or_in_what_a_command_prints() -> (

@@ -112,13 +112,15 @@ class ThreadPool:
 
 POOLS["broken"] = PoolKind("Thread", "on a thread", f"{__name__}:ThreadPool")
 """,
-    "cli/commands/broken.py": """
-from pfdist.cli.command import command
+    "cli/commands.py": """
 
-
-@command("broken", lambda parser: parser.add_argument("--option"))
-def broken(options):
+def broken(*, seed: int = 1):
     '''Do nothing with an option that no help describes.'''
+
+
+COMMANDS["broken"] = Command(
+    f"{__name__}:broken", "Do nothing with an option that no help describes.", {}
+)
 """,
 }
 CONTRACTS = {

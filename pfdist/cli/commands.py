@@ -1,0 +1,264 @@
+"""The commands: for each the function that it calls, a sentence, and examples.
+
+The options of a command are the parameters of its function, and their help is its docstring. To add
+a command, add a line here, and to `pfdist.cli.words.WORDS` the parameters whose values no other
+command reads.
+"""
+
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """A command of the command line.
+
+    Parameters
+    ----------
+    function : str
+        ``module:function``; it is imported when the command is called.
+    sentence : str
+        The first line of the function's docstring, for the list of commands.
+    examples : dict of str to str
+        Whole command lines of at most 78 characters, each with what it does. The help of the
+        command ends with them, and a test runs them. The first is the one to begin with.
+    goes_on : bool
+        Whether the same command, given again, goes on from what an interrupted one committed.
+    """
+
+    function: str
+    sentence: str
+    examples: dict[str, str]
+    goes_on: bool = False
+
+
+COMMANDS = {
+    "run": Command(
+        "pfdist.api.run:run",
+        "Run the searches of a job and compare the found times with regular times.",
+        {
+            "pfdist run jobs/quick.toml": "Run a small job; the run is in results/quick",
+            "pfdist run jobs/quick.toml --pool serial --results results/serial": (
+                "Run it in one process, without Ray"
+            ),
+            "pfdist run jobs/quick.toml --set comparison.draws=8000": (
+                "Go on with more draws in the comparison"
+            ),
+        },
+        goes_on=True,
+    ),
+    "plan": Command(
+        "pfdist.api.plan:plan",
+        "Find measurement times for a job's problem, and prove how good they are.",
+        {
+            "pfdist plan jobs/plan.toml": (
+                "Find times, and prove how good they are; the run is in results/plan"
+            ),
+            "pfdist plan jobs/two_compartments.toml --set scenarios.criterion=worst": (
+                "Plan for the worst of the scenarios of a job"
+            ),
+            "pfdist plan jobs/plan.toml --set seed=3 --results results/seed3": (
+                "Change a key of the job, and keep the run in another folder"
+            ),
+            "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/auto": (
+                "Find first how many particles are enough"
+            ),
+            "pfdist plan jobs/plan.toml --search greedy_forward --results results/greedy": (
+                "Search by another method"
+            ),
+        },
+        goes_on=True,
+    ),
+    "budget": Command(
+        "pfdist.api.budget:budget",
+        "Find times for each number of measurements, and compare them with regular times.",
+        {
+            "pfdist budget jobs/plan.toml --measurements 5:41": (
+                "Show how the error falls with 5, 6, ..., 41 measurements"
+            ),
+            "pfdist budget jobs/plan.toml --measurements 10:40:10 --results results/tens": (
+                "Look at 10, 20, 30 and 40 measurements alone"
+            ),
+            "pfdist budget jobs/plan.toml --measurements 5:41 --target 25": (
+                "Find the smallest number of measurements that reaches an error of 25"
+            ),
+        },
+        goes_on=True,
+    ),
+    "compare": Command(
+        "pfdist.api.compare:compare",
+        "Compare named sets of times, and the sets of runs, on the same fresh draws.",
+        {
+            "pfdist compare jobs/plan.toml --times clinic=0,20,40,60 --times mine=0:60:3": (
+                "Compare two hand-made sets on the same draws"
+            ),
+            "pfdist compare jobs/plan.toml results/plan --times a=0:20 --results results/a": (
+                "Compare a set with those of a finished run"
+            ),
+        },
+        goes_on=True,
+    ),
+    "online": Command(
+        "pfdist.api.online:online",
+        "Choose times one after another, and compare them with times found in advance.",
+        {
+            "pfdist online jobs/online.toml": (
+                "Compare times chosen one after another with times found in advance"
+            ),
+            "pfdist online jobs/plan.toml --draws 200": (
+                "Do so for a job without a section [online], on few draws"
+            ),
+        },
+        goes_on=True,
+    ),
+    "sweep": Command(
+        "pfdist.cli.own:sweep",
+        "Run a job at many values of its keys, with the same workers.",
+        {
+            "pfdist sweep jobs/plan.toml --over seed=1:3": (
+                "Plan with three seeds, with the same workers"
+            ),
+            "pfdist sweep jobs/plan.toml --over seed=1:2 --over filter.particles=100,500": (
+                "Run every combination of two keys"
+            ),
+            "pfdist sweep jobs/budgets.toml --dry-run": "List the points of a sweep file",
+            "pfdist sweep jobs/budgets.toml --part 3/12": "Compute the third of twelve parts",
+        },
+        goes_on=True,
+    ),
+    "bound": Command(
+        "pfdist.api.bound:bound",
+        "Prove how much lower the expected MSE of any other times can be.",
+        {
+            "pfdist bound jobs/plan.toml": "Prove a lower bound for the times of a finished run",
+            "pfdist bound jobs/plan.toml --within 0.05": "Take draws until the gap is at most 5 %",
+        },
+        goes_on=True,
+    ),
+    "why": Command(
+        "pfdist.api.why:why",
+        "Show what each measurement of a run is worth, and how exactly it must be kept.",
+        {
+            "pfdist why jobs/plan.toml": "Show what each measurement of the plan is worth",
+            "pfdist why jobs/plan.toml --draws 20000": "Show it more precisely",
+            "pfdist why results/plan": "Ask about a run by its folder",
+        },
+    ),
+    "evaluate": Command(
+        "pfdist.cli.own:evaluate",
+        "Estimate the expected MSE of a set of measurement times, or of several.",
+        {
+            "pfdist evaluate jobs/plan.toml --times 0:60:3": "Measure at t = 0, 3, 6, ..., 60",
+            "pfdist evaluate jobs/plan.toml --times 0,6,12,20:30 --draws 5000": (
+                "Measure at 0, 6, 12 and at each instant from 20 to 30, on more draws"
+            ),
+            "pfdist evaluate jobs/plan.toml --times few=0:60:6 --times many=0:60:3": (
+                "Evaluate two sets on the same draws"
+            ),
+        },
+    ),
+    "filter": Command(
+        "pfdist.api.filter_measurements:filter_measurements",
+        "Filter real measurements of one system, with the filter of a job.",
+        {
+            "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
+            "pfdist filter jobs/plan.toml patient.csv --planned regular --out filtered": (
+                "Compare them with the regular times, and write to another folder"
+            ),
+        },
+    ),
+    "next": Command(
+        "pfdist.api.next_time:next_time",
+        "Choose when to measure a system next, from the measurements so far.",
+        {
+            "pfdist next jobs/plan.toml patient.csv": "Say when to measure this patient next",
+            "pfdist next jobs/plan.toml patient.csv --now 17": (
+                "Say so if nothing was measured since, up to t = 17"
+            ),
+        },
+    ),
+    "status": Command(
+        "pfdist.cli.own:status",
+        "Show how far a run is and what it has found.",
+        {
+            "pfdist status results/plan": "Show what a run has found so far",
+            "pfdist status results/plan --json": "Give the same to a program",
+        },
+    ),
+    "list": Command(
+        "pfdist.api.list_runs:list_runs",
+        "List the runs in a folder: how far each is, and what it has found.",
+        {
+            "pfdist list": "Show all runs in the folder results",
+            "pfdist list results --json": "Give the same to a program",
+        },
+    ),
+    "table": Command(
+        "pfdist.api.table:table",
+        "Put many runs into one table: what differs between them, and what they found.",
+        {
+            "pfdist table results/plan": "Show the results of a run, a row for each found set",
+            "pfdist table results --out runs.csv": "Write all runs in a folder to a file",
+            "pfdist table results --out runs.tex": "Make a table for a paper",
+        },
+    ),
+    "report": Command(
+        "pfdist.api.report:report",
+        "Write the report of a run or a sweep: one HTML file that can be sent to anybody.",
+        {
+            "pfdist report results/plan": "Write report.html into the folder of the run",
+            "pfdist report results/plan --watch": "Write it again and again while the run goes on",
+            "pfdist report results/budgets": "Write that of a sweep, with links to the points",
+        },
+    ),
+    "plot": Command(
+        "pfdist.cli.own:plot",
+        "Draw the figures of a run from its tables.",
+        {"pfdist plot results/plan": "Draw the figures of a run again"},
+    ),
+    "verify": Command(
+        "pfdist.cli.own:verify",
+        "Check every byte, row and key of a run.",
+        {"pfdist verify results/plan": "Check a run after it was copied"},
+    ),
+    "check-model": Command(
+        "pfdist.cli.own:check_model",
+        "Find what is wrong with a model.",
+        {
+            "pfdist check-model mine.py:model": "Check the object `model` in the file mine.py",
+            "pfdist check-model ungm --horizon 20": "Check a model that ships, on short draws",
+            "pfdist check-model jobs/plan.toml": "Check the models of a job, with its parameters",
+            'pfdist check-model mine.py:model --times "0:12:0.5 14 18"': (
+                "Check a model on a clock"
+            ),
+        },
+    ),
+    "models": Command(
+        "pfdist.cli.own:models",
+        "List the models that a job can name.",
+        {"pfdist models": "Show which names a job can give as model.name"},
+    ),
+    "doctor": Command(
+        "pfdist.cli.own:doctor",
+        "Check whether this machine is fit for a run.",
+        {
+            "pfdist doctor": "Check this machine, before the first run",
+            "pfdist doctor --results /tmp": "Check whether another disk can hold runs",
+        },
+    ),
+    "completion": Command(
+        "pfdist.cli.own:completion",
+        "Print a script by which a shell completes commands, options and files.",
+        {
+            'eval "$(pfdist completion bash)"': "Complete by Tab in this terminal",
+            "pfdist completion bash > ~/.pfdist.bash": (
+                "Keep the script, for the line `. ~/.pfdist.bash` in ~/.bashrc"
+            ),
+            "pfdist completion zsh > ~/.zfunc/_pfdist": (
+                "Keep it for zsh, with `fpath+=~/.zfunc` before compinit in ~/.zshrc"
+            ),
+            "pfdist completion fish > ~/.config/fish/completions/pfdist.fish": (
+                "Complete in every terminal of fish"
+            ),
+        },
+    ),
+}
+"""All commands by name, in the order of the help."""

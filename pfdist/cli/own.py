@@ -1,0 +1,289 @@
+"""Commands that are no function of the library as it is.
+
+Each gives an answer, as the functions of `pfdist.api` do, or lines and checks one by one.
+"""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+from pfdist.api.options import Options, with_options
+from pfdist.errors import ArgumentError, ModelError, PoolError, StoreError
+from pfdist.runner.progress import silent
+
+if TYPE_CHECKING:  # each command imports what it needs, and no other command waits for that
+    import pandas as pd
+
+    from pfdist.analysis import Run
+    from pfdist.api.sweep import Sweep
+    from pfdist.checks.model import Check
+    from pfdist.documents.parts import Page
+    from pfdist.filters.estimate import Evaluation
+
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The answer of ``pfdist evaluate``: sets of times, which may break constraints, by name."""
+
+    evaluations: Mapping[str, "Evaluation"]
+    broken: Mapping[str, Sequence[str]]
+    parameters: Sequence[Mapping[str, Any]]  # of each scenario
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The estimates of each set, or of the one that has no name."""
+        sets = {
+            name: {key: getattr(evaluation, key) for key in _ANSWERED}
+            | {"broken_constraints": self.broken[name]}
+            for name, evaluation in self.evaluations.items()
+        }
+        answer: dict[str, Any] = sets[""] if list(sets) == [""] else {"sets": sets}
+        return answer | {"seconds": round(self.seconds, 3)}
+
+    def _page(self) -> "Page":
+        from pfdist.answers.evaluate import evaluate_page
+
+        return evaluate_page(self.evaluations, self.broken, self.parameters)
+
+
+def evaluate(
+    job: str,
+    *,
+    times: Mapping[str, str],
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+    changes: Sequence[str] = (),
+) -> Evaluated:
+    """Estimate the expected MSE of a set of measurement times, or of several.
+
+    Parameters
+    ----------
+    job : str
+        A job file, as jobs/plan.toml, or the folder of a run.
+    times : mapping of str to str
+        Measurement times: numbers and ranges FIRST:LAST or FIRST:LAST:STEP, both ends included, as
+        0:60:3 or 0,6,12, on the clock of the job, if it has one. NAME=TIMES, given several times,
+        evaluates several sets on the same draws.
+    draws : int, optional
+        Number of draws; by default evaluation.draws of the job.
+    particles : int, optional
+        Number of particles; by default filter.particles of the job.
+    seed : int, optional
+        Seed of the noise; by default that of the job.
+    changes : sequence of str, optional
+        Other values of keys of the job, as seed=3.
+    """
+    from pfdist.api.evaluate import prepare
+    from pfdist.job.job import load_job
+
+    loaded = load_job(job, changes)
+    written = times[""] if list(times) == [""] else times
+    compute = prepare(loaded, written, draws, particles, seed)
+    start = time.perf_counter()  # after the compilation
+    evaluations = compute()
+    seconds = time.perf_counter() - start
+    broken = {
+        name: loaded.problem.broken(evaluation.measurement_times)
+        for name, evaluation in evaluations.items()
+    }
+    scenarios = loaded.scenarios.each if loaded.scenarios else ()
+    return Evaluated(evaluations, broken, [each.parameters for each in scenarios], seconds)
+
+
+@with_options
+def sweep(
+    job: str,
+    *,
+    over: Mapping[str, Sequence[Any]] | None = None,
+    results: str | None = None,
+    changes: Sequence[str] = (),
+    bound_draws: int = 0,
+    judge: bool | None = None,
+    part: tuple[int, int] | None = None,
+    dry_run: bool = False,
+    **options: Unpack[Options],
+) -> "Sweep | pd.DataFrame":
+    """Run a job at many values of its keys, with the same workers.
+
+    Parameters
+    ----------
+    job : str
+        A sweep file, which names a job and values of its keys; or a job file, with --over.
+    over : mapping, optional
+        A key of the job with its values, as seed=1:10 or model.parameters.NAME=0.5,1; once for
+        each key. Every combination is a point.
+    results : str, optional
+        Folder of the sweep; by default ``results/NAME`` of a sweep file ``NAME.toml``, or
+        ``results/NAME-sweep`` of a job.
+    changes : sequence of str, optional
+        Other values of keys of the job, at all points.
+    bound_draws : int
+        Number of draws of the lower bound that is proved at each point; 0 for no bound.
+    judge : bool, optional
+        Also judge the times found at each point at every point, in the folder judged of the sweep;
+        by default as the sweep file says.
+    part : tuple of two int, optional
+        Compute every N-th point, from the K-th, and look at no other, as tasks of a batch array do.
+        Then the same command without --part judges and reports the whole sweep.
+    dry_run : bool
+        Print the points, their work by the speed of a few draws, and the number of parts that pays;
+        compute no point.
+    options
+        See `Options`.
+    """
+    from pfdist.api.sweep import foreseen
+    from pfdist.api.sweep import sweep as computed
+
+    if dry_run and part is not None:
+        raise ArgumentError("either a part or a dry run, got --part and --dry-run")
+    if dry_run:
+        return foreseen(
+            job, over or {}, results=results, changes=changes, judge=judge,
+            progress=options.get("progress"), say=options.get("say", silent),
+        )  # fmt: skip
+    return computed(
+        job, over or {}, results=results, changes=changes, bound_draws=bound_draws, judge=judge,
+        part=part, **options,
+    )  # fmt: skip
+
+
+def status(run: str) -> "Run":
+    """Show how far a run is and what it has found.
+
+    Parameters
+    ----------
+    run : str
+        Folder of a run.
+    """
+    from pfdist.analysis import open_run
+
+    return open_run(run)
+
+
+def plot(run: str) -> Iterator[str]:
+    """Draw the figures of a run from its tables.
+
+    Parameters
+    ----------
+    run : str
+        Folder of a run.
+    """
+    from pfdist.analysis import open_run
+    from pfdist.plots import draw_figures
+
+    yield from map(str, draw_figures(open_run(run)))
+
+
+def verify(run: str) -> Iterator[str]:
+    """Check every byte, row and key of a run.
+
+    Parameters
+    ----------
+    run : str
+        Folder of a run.
+    """
+    from pfdist.analysis import open_run
+    from pfdist.store.verify import verify_run
+
+    path = Path(run)
+    damages = list(verify_run(path))
+    yield from damages
+    if damages:
+        raise StoreError(f"{path}: problems found: {len(damages)}")
+    opened = open_run(path)
+    parts = len(list(path.glob("parts/*/*.parquet")))
+    is_finished = opened.state == "finished"
+    unfinished = "" if is_finished else f"; not finished ({opened.state}, {parts} parts)"
+    yield f"{run}: all files are unchanged, and no row or key is missing{unfinished}"
+
+
+def check_model(
+    model: str,
+    *,
+    horizon: int | None = None,
+    times: str | None = None,
+    particles: int | None = None,
+) -> Iterator["Check"]:
+    """Find what is wrong with a model.
+
+    Parameters
+    ----------
+    model : str
+        Name of a model as a job gives it, as path/file.py:object; or a job file, whose models and
+        filter are checked.
+    horizon : int, optional
+        Last instant of the draws of formulas; by default that of the job, or 60.
+    times : str, optional
+        A clock, for models that read p.time or p.dt: the time of every instant, as 0:48:0.5 or
+        "0 0.25 0.5 1:48". By default such models have the times 0, 1, 2, ..., T.
+    particles : int, optional
+        Number of particles; by default that of the job, or 500.
+    """
+    from pfdist.api.check_model import checks_of
+    from pfdist.times.written import clock_of
+
+    if horizon is not None and times is not None:
+        raise ArgumentError("either a horizon or a clock, got --horizon and --times")
+    wrong = list[str]()
+    checks = checks_of(model, horizon, particles, clock_of(times).times if times else ())
+    yield from _noting(wrong, checks)
+    if wrong:
+        raise ModelError(f"{model}: wrong: {', '.join(wrong)}")
+
+
+def doctor(*, results: str = "results", address: str = "") -> Iterator["Check"]:
+    """Check whether this machine is fit for a run.
+
+    Parameters
+    ----------
+    results : str
+        Folder that will hold runs.
+    address : str
+        Also check the nodes of the Ray cluster at this address.
+    """
+    from pfdist.checks.machine import examine
+
+    wrong = list[str]()
+    yield from _noting(wrong, examine(Path(results), address))
+    if wrong:
+        raise PoolError(f"not fit for a run: {', '.join(wrong)}")
+
+
+def _noting(wrong: list[str], checks: Iterable["Check"]) -> Iterator["Check"]:
+    """Checks, while the names of those that found something wrong are noted."""
+    for check in checks:
+        yield check
+        wrong += [check.name] * (check.state == "wrong")
+
+
+def models() -> Iterator[str]:
+    """List the models that a job can name."""
+    from pfdist.models import installed_models
+
+    installed = installed_models()
+    width = max(map(len, installed))
+    for name in sorted(installed):
+        try:
+            description = import_module(installed[name][0]).__doc__ or ""
+        except Exception as error:  # a package that was installed beside pfdist
+            description = f"cannot be loaded: {type(error).__name__}: {error}"
+        yield f"{name:{width}}  {description.partition(chr(10))[0]}".rstrip()
+
+
+def completion(shell: Literal["bash", "zsh", "fish"]) -> str:
+    """Print a script by which a shell completes commands, options and files.
+
+    Parameters
+    ----------
+    shell : str
+        Your shell.
+    """
+    from pfdist.cli.program import program
+
+    return program().generate_completion(shell=shell)

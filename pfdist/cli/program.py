@@ -1,0 +1,223 @@
+"""The program: its commands, their help, and what is said about wrong words."""
+
+import inspect
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from textwrap import fill, wrap
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import App, CycloptsError
+from cyclopts.argument import Argument
+from cyclopts.exceptions import (
+    CoercionError,
+    MissingArgumentError,
+    RepeatArgumentError,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
+
+import pfdist
+from pfdist.cli.commands import COMMANDS
+from pfdist.common.nearest import did_you_mean
+from pfdist.errors import one_line, shown, shown_text
+
+if TYPE_CHECKING:  # it is imported with the first command that is read
+    from pfdist.cli.words import Line
+
+PROGRAM = (
+    "pfdist finds the measurement times at which a particle filter errs least, and proves how good "
+    "they are."
+)
+_BEGIN_WITH = ("plan", "why", "budget")  # commands, in the order in which they are tried
+_EXIT_CODES = (
+    "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
+    "75 ended by SIGTERM or SIGUSR1, which batch systems send, or because no worker answers."
+)
+_GOES_ON = "If this command is interrupted, the same command goes on where it stopped. "
+_OPTIONS = ("--help", "--version")  # of no command
+_WIDTH = 80
+_MARGIN = 24  # columns before the meaning of an argument
+
+
+class Program(App):
+    """The command line, with help of our own."""
+
+    def help_print(self, tokens: str | Iterable[str] | None = None, **_: Any) -> None:
+        """Print the help of the program, or of the command that some words begin with."""
+        names = self.parse_commands(tokens)[0]
+        print(help_of(self, *names) if names else help_of_all(self))
+
+
+def program() -> App:
+    """The whole command line; the function of a command is imported when it is chosen."""
+    app = Program(
+        name="pfdist",
+        help=PROGRAM,
+        version=f"pfdist {pfdist.__version__}",
+    )
+    for name, command in COMMANDS.items():
+        app.command(f"pfdist.cli.words:{name}", name=name, help=command.sentence)
+    return app
+
+
+def line_of(words: Sequence[str]) -> "Line | None":
+    """A command line that is read; None if it asks for help or the version, which is printed.
+
+    Raises
+    ------
+    CycloptsError
+        The words are wrong; `described` says so in a line.
+    """
+    read, given, _ = program().parse_args(words, exit_on_error=False, print_error=False)
+    line: Line | None = read(*given.args, **given.kwargs)
+    return line
+
+
+# --- help -----------------------------------------------------------------------------------------
+
+
+def arguments_of(app: App, name: str) -> Iterator[tuple[str, str]]:
+    """Each argument of a command, as it is typed, and what it means."""
+    for argument in app[name].assemble_argument_collection(parse_docstring=True):
+        meaning = " ".join((argument.parameter.help or "").replace("``", "`").split())
+        choices = f" Choices: {', '.join(each)}." if (each := argument.get_choices()) else ""
+        default = argument.field_info.default
+        is_shown = isinstance(default, int | float | str) and default and default is not True
+        yield (
+            ", ".join(_spelling(argument)),
+            f"{meaning}{choices}" + f" (default: {default})" * bool(is_shown),
+        )
+
+
+def _spelling(argument: Argument) -> list[str]:
+    metavar = argument.parameter.metavar or ""
+    if argument.index is not None:
+        return [metavar]
+    return [" ".join(filter(None, [name, metavar])) for name in argument.names]
+
+
+def usage(app: App, name: str) -> str:
+    """A command with its files, and the options that must be given: ``JOB --times TIMES``."""
+    words = ["pfdist", name]
+    for each in app[name].assemble_argument_collection():
+        if each.required:
+            words += _spelling(each)[:1]
+        elif each.index is not None:
+            several = " ..." if each.field_info.kind is inspect.Parameter.VAR_POSITIONAL else ""
+            words.append(f"[{_spelling(each)[0]}{several}]")
+    return " ".join(words)
+
+
+def help_of(app: App, name: str) -> str:
+    """The help of a command: what its docstring says, its arguments, and examples."""
+    command = COMMANDS[name]
+    docstring = inspect.getdoc(app[name].default_command) or ""
+    described = docstring.partition("\nParameters\n---")[0].replace("``", "`").strip()
+    text = "\n\n".join(fill(" ".join(each.split()), _WIDTH) for each in described.split("\n\n"))
+    rows = _rows(arguments_of(app, name))
+    notes = fill((_GOES_ON if command.goes_on else "") + _EXIT_CODES, _WIDTH)
+    parts = [
+        text,
+        f"usage: {usage(app, name)} [options]",
+        rows,
+        notes,
+        examples_text(command.examples),
+    ]
+    return "\n\n".join(parts)
+
+
+def help_of_all(app: App) -> str:
+    """The help of the program: its commands, and the first to try."""
+    rows = _rows((name, command.sentence) for name, command in COMMANDS.items())
+    notes = fill(f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}", _WIDTH)
+    usage = "usage: pfdist COMMAND ..."
+    commands = f"commands:\n{rows}"
+    return "\n\n".join([fill(PROGRAM, _WIDTH), usage, commands, notes, examples_text(_way_in())])
+
+
+def _rows(rows: Iterable[tuple[str, str]]) -> str:
+    """Two columns: words, and what they mean, beside them or below them."""
+    listed = list(rows)
+    margin = min(_MARGIN, max(len(words) for words, _ in listed) + 4)
+    lines = []
+    for words, meaning in listed:
+        start = f"  {words}"
+        if len(start) > margin - 2:
+            lines += wrap(start, _WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+            start = ""
+        for text in wrap(meaning, _WIDTH - margin, break_on_hyphens=False):
+            lines.append(f"{start:{margin}}{text}")
+            start = ""
+    return "\n".join(lines)
+
+
+def examples_text(examples: Mapping[str, str], title: str = "examples:") -> str:
+    """Command lines below what they do."""
+    return "\n".join([title, *(f"  # {does}\n  {line}" for line, does in examples.items())])
+
+
+def _way_in() -> dict[str, str]:
+    """The command lines to begin with: the first examples of some commands."""
+    return dict(next(iter(COMMANDS[name].examples.items())) for name in _BEGIN_WITH)
+
+
+def welcome() -> str:
+    """The text that ``pfdist`` alone prints."""
+    begin = examples_text(_way_in(), "Three commands to try:")
+    return f"{fill(PROGRAM, _WIDTH)}\n\n{begin}\n\n`pfdist --help` lists all commands."
+
+
+# --- wrong words ----------------------------------------------------------------------------------
+
+
+def described(error: CycloptsError) -> str:
+    """The mistake in a command line, and the word that was perhaps meant, in a line."""
+    name = " ".join(["pfdist", *(error.command_chain or ())])
+    return f"{name}: error: {shown_text(one_line(_reason(error)))} (see `{name} --help`)"
+
+
+def _reason(error: CycloptsError) -> str:
+    argument, text = error.argument, str(error)
+    match error:
+        case UnknownCommandError(unused_tokens=[word, *_]) if word.startswith("-"):
+            text = _unknown_option(word, _OPTIONS)
+        case UnknownCommandError(unused_tokens=[word, *_]):
+            text = _not_one_of("COMMAND", COMMANDS, word)
+        case UnknownOptionError(token=token, argument_collection=arguments):
+            names = [name for each in arguments for name in each.names if name.startswith("-")]
+            text = _unknown_option(token.keyword or token.value, names)
+        case MissingArgumentError(unused_tokens=words, app=App() as app) if options := [
+            word for word in words or () if word.startswith("-")
+        ]:  # a misspelt option that is required is not called missing
+            names = [name for each in app.assemble_argument_collection() for name in each.names]
+            text = _unknown_option(options[0], names)
+        case MissingArgumentError(keyword=keyword) if argument is not None:
+            is_named = keyword or argument.tokens
+            text = (
+                f"{keyword or argument.name} needs a value"
+                if is_named
+                else f"required: {_spelling(argument)[0]}"
+            )
+        case CoercionError() if argument is not None:
+            choices, got = argument.get_choices(force=True), error.token
+            text = (
+                _not_one_of(argument.name, choices, got.value)
+                if choices and got
+                else f"{argument.name}: {error.msg}"
+            )
+        case RepeatArgumentError(token=repeated):
+            text = f"{repeated.keyword} is given more than once"
+        case UnusedCliTokensError(unused_tokens=[word, *_]):
+            text = f"unexpected word {shown(word)}"
+    return text
+
+
+def _not_one_of(name: str, choices: Collection[str], got: str) -> str:
+    meant = did_you_mean(got, choices)
+    return f"{name} must be one of {', '.join(choices)}, got {shown(got)}{meant}"
+
+
+def _unknown_option(word: str, options: Collection[str]) -> str:
+    option = word.partition("=")[0]
+    keys = " (--set KEY=VALUE changes a key of the job)" if "--set" in options else ""
+    return f"unknown option {shown_text(option)}{keys}{did_you_mean(option, options)}"

@@ -1,0 +1,134 @@
+"""An answer in the terminal, or as one JSON object."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import pandas as pd
+
+from pfdist.analysis import Run, finite, reaching
+from pfdist.answers.run import answer_of
+from pfdist.cli.words import Line
+from pfdist.documents.parts import Page
+from pfdist.documents.terminal import COLUMNS, lines_of, wrapped
+from pfdist.errors import one_line
+from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in, has_report
+
+
+def show(answer: Any, line: Line, json_stream: TextIO) -> None:
+    """Print the answer of a command.
+
+    Parameters
+    ----------
+    answer : object
+        The result of the function of the command. Lines and checks are printed one by one.
+    line : Line
+        The command line.
+    json_stream : file
+        Receives the JSON object, if one is wanted.
+    """
+    if isinstance(answer, Iterator):
+        _show_each(answer, line, json_stream)
+    elif line.json:
+        _print_json(_as_json(answer, line), json_stream)
+    else:
+        _show_text(answer, line)
+
+
+def _show_each(answers: Iterator[Any], line: Line, stream: TextIO) -> None:
+    made = []
+    try:
+        for each in answers:
+            made.append(each)
+            if not line.json:
+                is_text = isinstance(each, str)
+                lines = [one_line(each)] if is_text else wrapped(
+                    f"{each.name}: {each.text}", f"{each.state:5} "
+                )  # fmt: skip
+                print("\n".join(lines), flush=True)
+    finally:
+        if line.json and made:
+            are_texts = isinstance(made[0], str)
+            each = made if are_texts else [dataclasses.asdict(check) for check in made]
+            _print_json({"lines" if are_texts else "checks": each}, stream)
+
+
+def _as_json(answer: Any, line: Line) -> dict[str, Any]:
+    target = line.options.get("target")
+    match answer:
+        case str() | Path():
+            return {"answer": str(answer)}
+        case Run() if target is not None:
+            asked = {"target": target, "reached": reaching(answer.table("budget"), target)}
+            return answer.summary().as_json() | asked
+        case Run():
+            return answer.summary().as_json()
+        case pd.DataFrame():
+            # Not above: it imports the compiler, and to show a run takes none.
+            from pfdist.answers.runs import records  # noqa: PLC0415
+
+            unit = answer.attrs.get("time_unit")
+            name = {"list": "runs", "sweep": "points"}.get(line.name, "rows")
+            return ({} if unit is None else {"time_unit": unit}) | {name: records(answer)}
+    values: dict[str, Any] = answer.as_json()
+    return values
+
+
+def _print_json(answer: dict[str, Any], stream: TextIO) -> None:
+    """Print an answer as one JSON object; a number that is not finite becomes null."""
+    print(json.dumps(finite(answer), indent=2, allow_nan=False), file=stream)
+
+
+def _show_text(answer: Any, line: Line) -> None:
+    match answer:
+        case str():
+            print(answer)
+        case Path():
+            print(one_line(str(answer)))
+        case Run():
+            _print_page(answer_of(answer, line.options.get("target"), details=line.verbose), line)
+            _print_places(_places(answer))
+        case pd.DataFrame() if (out := line.options.get("out")) is not None:
+            print(one_line(out))
+        case pd.DataFrame():
+            _print_page(_page_of(answer, line), line)
+        case _:
+            _print_page(answer._page(), line)
+            if files := [*getattr(answer, "files", ()), *getattr(answer, "figures", ())]:
+                print("\n".join(["", *(one_line(str(file)) for file in files)]))
+
+
+def _page_of(frame: pd.DataFrame, line: Line) -> Page:
+    """A table of runs or of points as a page."""
+    from pfdist.answers.runs import foreseen_page, list_page, table_page  # noqa: PLC0415
+
+    if line.name == "list":
+        return list_page(frame, *line.arguments)
+    return foreseen_page(frame) if line.name == "sweep" else table_page(frame)
+
+
+def _places(run: Run) -> dict[str, Path]:
+    """Tables, figures and report of a run, as far as they are there.
+
+    Files of the user's own that have these names do not count.
+    """
+    places = {
+        "tables": ("tables", (run.path / "tables").is_dir()),
+        "figures": (FIGURES_FOLDER, any(figures_in(run.path))),
+        "report": (REPORT, has_report(run.path)),
+    }
+    return {name: run.path / file for name, (file, is_there) in places.items() if is_there}
+
+
+def _print_page(page: Page, line: Line) -> None:
+    print("\n".join(lines_of(page, verbose=line.verbose)).strip("\n"))
+
+
+def _print_places(places: dict[str, Path]) -> None:
+    """Print where files are, by what they hold, in one line if it fits; no path is cut."""
+    texts = [one_line(f"{name}: {at}") for name, at in places.items()]
+    together = "   ".join(texts)
+    if texts:
+        print("\n" + (together if len(together) <= COLUMNS else "\n".join(texts)))
