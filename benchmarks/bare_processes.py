@@ -9,9 +9,9 @@ from multiprocessing.synchronize import Barrier
 from time import perf_counter
 
 from pfdist import load_model
+from pfdist.common.measurement_times import regular
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work
-from pfdist.times.measurement_times import regular
 
 
 def measure_rate(processes: int, draws: int, seconds: float) -> float:

@@ -20,7 +20,7 @@ from pfdist.kernels.memory import call, read
 from pfdist.kernels.variates import FILTER_PROCESS, KINDS, SPARE, Key, Row, fill, number_of_words
 from pfdist.kernels.vectors import LANES
 from pfdist.models.tracing import Formula, trace
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 
 TITLE = "Densities and draws"
 TABLES: tuple[str, ...] = ("densities",)

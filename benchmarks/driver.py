@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist import load_job
-from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, RED
 from pfdist.pools import ray_pool
 from pfdist.pools.base import SerialPool
 from pfdist.pools.ray_pool import RayPool

@@ -20,7 +20,7 @@ from pfdist.filters.particle_filter import filter_checked_sets
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
+from pfdist.pages.style import COLUMN_INCHES, GREY, SERIES
 
 TITLE = "Estimators"
 TABLES: tuple[str, ...] = ("estimators",)

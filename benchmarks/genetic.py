@@ -19,12 +19,12 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import filtered, search
 from pfdist import load_job
-from pfdist.analysis import relative_gain
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.job.sections import Execution
-from pfdist.plots.style import COLUMN_INCHES, GREY, RED
+from pfdist.pages.style import COLUMN_INCHES, GREY, RED
+from pfdist.problem.sections import Execution
+from pfdist.results import relative_gain
 from pfdist.runner.build import build, make_pool
-from pfdist.times.measurement_times import Times
 
 TITLE = "The paper's genetic algorithm"
 TABLES: tuple[str, ...] = ("genetic",)

@@ -19,9 +19,9 @@ from benchmarks.results import Tables, markdown
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
+from pfdist.problem.feasible import Feasible
 from pfdist.search.state_space_relaxation import RelaxationState, StateSpaceRelaxation
-from pfdist.times.feasible import Feasible
 
 TITLE = "Windows that grow"
 TABLES: tuple[str, ...] = ("growth", "growth_work")

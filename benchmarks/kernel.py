@@ -18,16 +18,16 @@ from benchmarks.first_call import measure_first_calls
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
+from pfdist.common.measurement_times import regular
 from pfdist.filters.particle_filter import filter_checked_draws
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import FLOAT32, FLOAT64, Estimation
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.linear_gaussian import linear_gaussian
+from pfdist.models.library.linear_gaussian import linear_gaussian
 from pfdist.models.loader import installed_models
-from pfdist.plots.style import COLUMN_INCHES, SERIES
-from pfdist.times.measurement_times import regular
+from pfdist.pages.style import COLUMN_INCHES, SERIES
 
 TITLE = "The kernel"
 TABLES: tuple[str, ...] = ("kernel", "first_call")

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from pfdist.api.planner import Planner
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.work import Work
-from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
+from pfdist.questions.planner import Planner
 from pfdist.runner.build import Built, build
-from pfdist.times.measurement_times import Times
 
 TITLE = "Online planning"
 TABLES: tuple[str, ...] = ("online",)

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from benchmarks.measure import Say, Timing, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
+from pfdist.common.measurement_times import regular
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.kernels.cached import FOLDER_VARIABLE
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
-from pfdist.times.measurement_times import regular
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 
 TITLE = "The same job by others"
 TABLES: tuple[str, ...] = ("peers",)

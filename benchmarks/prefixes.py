@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_job, load_model, run
+from pfdist.common.measurement_times import Times
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.prefixes import plan
-from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
-from pfdist.times.measurement_times import Times
+from pfdist.pages.style import COLUMN_INCHES, GREY, SERIES
 
 TITLE = "Prefixes"
 TABLES: tuple[str, ...] = ("prefixes",)

@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 
 from benchmarks.measure import Say
+from pfdist.common.measurement_times import regular
 from pfdist.filters.work import Estimation, Work
 from pfdist.pools.base import Task
 from pfdist.pools.ray_pool import RayPool
-from pfdist.times.measurement_times import regular
 
 _WORK = Work(
     (regular(60, 21),), (60,), (1,), 2, (0, 1000), Estimation(500)

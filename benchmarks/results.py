@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
-from pfdist.plots.style import styled
+from pfdist.pages.style import styled
 
 Tables = dict[str, pd.DataFrame]
 

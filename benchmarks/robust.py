@@ -15,8 +15,8 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.common.rounding import with_error
-from pfdist.job.scenarios_section import Scenarios
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
+from pfdist.problem.scenarios_section import Scenarios
 
 TITLE = "Robust plans"
 TABLES: tuple[str, ...] = ("robust",)

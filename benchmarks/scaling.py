@@ -20,7 +20,7 @@ from benchmarks.bare_processes import measure_rate
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_job, run
-from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.comparison_phase import TRAJECTORIES
 from pfdist.runner.progress import Progress
 

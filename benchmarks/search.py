@@ -21,14 +21,14 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import fresh_costs, search
 from pfdist import Job, load_job
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.job.sections import Execution
-from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
+from pfdist.problem.search_section import CommonNoiseSettings
+from pfdist.problem.sections import Execution
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.identity import estimations
-from pfdist.search.section import CommonNoiseSettings
-from pfdist.times.measurement_times import Times
 
 TITLE = "Searches"
 TABLES: tuple[str, ...] = ("search", "search_sets")

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist import Job
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
@@ -23,7 +24,6 @@ from pfdist.runner.door import Session, complete
 from pfdist.runner.driver import drive
 from pfdist.search import Race
 from pfdist.store import Store
-from pfdist.times.measurement_times import Times
 
 STANDARD_ERROR = 0.12  # wanted standard error of an excess, in per cent
 ROUND = 5000  # draws of a round

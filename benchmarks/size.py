@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 
 TITLE = "Large problems"
 TABLES: tuple[str, ...] = ("size",)

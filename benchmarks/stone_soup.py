@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from pfdist.analysis.stored_run import found_sets
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
+from pfdist.results.stored_run import found_sets
 
 TITLE = "Sensors chosen by others"
 TABLES: tuple[str, ...] = ("stone_soup",)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, RED
 from pfdist.pools.base import Outcome, Task
 from pfdist.pools.threads import ThreadPool
 

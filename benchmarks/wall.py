@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
 from pfdist.kernels.cached import FOLDER_VARIABLE
-from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY
 
 TITLE = "Whole commands"
 TABLES: tuple[str, ...] = ("wall", "seconds_of_plan")
@@ -93,7 +93,7 @@ def seconds_of_plan(cache: Path, repeats: int) -> pd.DataFrame:
     rows = []
     for _ in range(1 + repeats):
         start, _ = _timed(
-            (), _ROOT, cache, program=(sys.executable, "-c", "import pfdist.api.plan")
+            (), _ROOT, cache, program=(sys.executable, "-c", "import pfdist.questions.plan")
         )
         bare, _ = _timed((*PLAN, "--no-report"), _ROOT, cache)
         tasks: dict[str, float] = {}

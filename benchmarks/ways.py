@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from pfdist.plots.style import BLUE, COLUMN_INCHES
+from pfdist.pages.style import BLUE, COLUMN_INCHES
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from crash.nodes import kill, nodes

@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def _draw(run: pfdist.Run, path: Path) -> None:
-    with plt.style.context("pfdist.plots.screen"):
+    with plt.style.context("pfdist.pages.screen"):
         figure, (errors, times) = plt.subplots(
             2, sharex=True, height_ratios=(3, 1), figsize=(6.4, 3.6), layout="constrained"
         )

@@ -17,7 +17,6 @@ import pyarrow as pa
 from pydantic.fields import FieldInfo
 
 from pfdist import plots
-from pfdist.analysis.stored_run import COMPUTED
 from pfdist.cli import program
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.words import FLAGS
@@ -26,11 +25,17 @@ from pfdist.common.rounding import with_error
 from pfdist.common.section import Section
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
-from pfdist.job.job import Job
-from pfdist.job.online_section import Online
-from pfdist.job.problem_section import ProblemSection, SensorSection
-from pfdist.job.scenarios_section import Scenarios
-from pfdist.job.sections import (
+from pfdist.kernels.estimators import ESTIMATORS, Estimator
+from pfdist.kernels.schemes import SCHEMES
+from pfdist.pages.figure import FIGURES
+from pfdist.pools.kinds import POOLS
+from pfdist.problem.job import Job
+from pfdist.problem.methods import DEFAULT_METHOD, METHODS
+from pfdist.problem.online_section import Online
+from pfdist.problem.problem_section import ProblemSection, SensorSection
+from pfdist.problem.scenarios_section import Scenarios
+from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
+from pfdist.problem.sections import (
     Budget,
     Comparison,
     EvaluationSection,
@@ -40,13 +45,8 @@ from pfdist.job.sections import (
     Model,
     Until,
 )
-from pfdist.job.sweep import SweepFile
-from pfdist.kernels.estimators import ESTIMATORS, Estimator
-from pfdist.kernels.schemes import SCHEMES
-from pfdist.plots.figure import FIGURES
-from pfdist.pools.kinds import POOLS
-from pfdist.search.methods import DEFAULT_METHOD, METHODS
-from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, SearchSection
+from pfdist.problem.sweep import SweepFile
+from pfdist.results.stored_run import COMPUTED
 from pfdist.store.schema import (
     KEYS,
     comparison_schema,

@@ -38,7 +38,7 @@ PROMISES = (
     "old results stay readable",
     "a report that fails spoils neither the run nor the earlier report",
 )
-QUICK = ("analysis", "common", "job", "search", "times")  # folders of tests
+QUICK = ("common", "problem", "results", "search")  # folders of tests
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
@@ -124,7 +124,7 @@ def no_start() -> Iterator[None]:
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures and reports by a command line: they take the longest."""
     monkeypatch.setattr("pfdist.plots.draw_missing_figures", lambda run: None)
-    monkeypatch.setattr("pfdist.api.run.try_report", lambda run, say: None)
+    monkeypatch.setattr("pfdist.questions.run.try_report", lambda run, say: None)
 
 
 @pytest.fixture(scope="session")

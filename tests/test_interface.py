@@ -75,5 +75,5 @@ def test_common_noise_compares_sets_on_the_same_draws(small_job: Job) -> None:
 def test_load_model_takes_a_path_and_a_name(tmp_path: Path) -> None:
     assert pfdist.load_model("ungm").name == "ungm"
     path = tmp_path / "mine.py"
-    path.write_text("from pfdist.models.ungm import model as mine\n")
+    path.write_text("from pfdist.models.library.ungm import model as mine\n")
     assert pfdist.load_model(f"{path}:mine").components == (1, 1, 1)

@@ -1,1 +1,1 @@
-"""The command line: parse the arguments, call `pfdist.api`, print. There is no logic here."""
+"""The command line: parse the arguments, call `pfdist.questions`, print. There is no logic here."""

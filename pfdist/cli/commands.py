@@ -32,7 +32,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "run": Command(
-        "pfdist.api.run:run",
+        "pfdist.questions.run:run",
         "Run the searches of a job and compare the found times with regular times.",
         {
             "pfdist run jobs/quick.toml": "Run a small job; the run is in results/quick",
@@ -46,7 +46,7 @@ COMMANDS = {
         goes_on=True,
     ),
     "plan": Command(
-        "pfdist.api.plan:plan",
+        "pfdist.questions.plan:plan",
         "Find measurement times for a job's problem, and prove how good they are.",
         {
             "pfdist plan jobs/plan.toml": (
@@ -68,7 +68,7 @@ COMMANDS = {
         goes_on=True,
     ),
     "budget": Command(
-        "pfdist.api.budget:budget",
+        "pfdist.questions.budget:budget",
         "Find times for each number of measurements, and compare them with regular times.",
         {
             "pfdist budget jobs/plan.toml --measurements 5:41": (
@@ -84,7 +84,7 @@ COMMANDS = {
         goes_on=True,
     ),
     "compare": Command(
-        "pfdist.api.compare:compare",
+        "pfdist.questions.compare:compare",
         "Compare named sets of times, and the sets of runs, on the same fresh draws.",
         {
             "pfdist compare jobs/plan.toml --times clinic=0,20,40,60 --times mine=0:60:3": (
@@ -97,7 +97,7 @@ COMMANDS = {
         goes_on=True,
     ),
     "online": Command(
-        "pfdist.api.online:online",
+        "pfdist.questions.online:online",
         "Choose times one after another, and compare them with times found in advance.",
         {
             "pfdist online jobs/online.toml": (
@@ -125,7 +125,7 @@ COMMANDS = {
         goes_on=True,
     ),
     "bound": Command(
-        "pfdist.api.bound:bound",
+        "pfdist.questions.bound:bound",
         "Prove how much lower the expected MSE of any other times can be.",
         {
             "pfdist bound jobs/plan.toml": "Prove a lower bound for the times of a finished run",
@@ -134,7 +134,7 @@ COMMANDS = {
         goes_on=True,
     ),
     "why": Command(
-        "pfdist.api.why:why",
+        "pfdist.questions.why:why",
         "Show what each measurement of a run is worth, and how exactly it must be kept.",
         {
             "pfdist why jobs/plan.toml": "Show what each measurement of the plan is worth",
@@ -156,7 +156,7 @@ COMMANDS = {
         },
     ),
     "filter": Command(
-        "pfdist.api.filter_measurements:filter_measurements",
+        "pfdist.questions.filter_measurements:filter_measurements",
         "Filter real measurements of one system, with the filter of a job.",
         {
             "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
@@ -166,7 +166,7 @@ COMMANDS = {
         },
     ),
     "next": Command(
-        "pfdist.api.next_time:next_time",
+        "pfdist.questions.next_time:next_time",
         "Choose when to measure a system next, from the measurements so far.",
         {
             "pfdist next jobs/plan.toml patient.csv": "Say when to measure this patient next",
@@ -184,7 +184,7 @@ COMMANDS = {
         },
     ),
     "list": Command(
-        "pfdist.api.list_runs:list_runs",
+        "pfdist.questions.list_runs:list_runs",
         "List the runs in a folder: how far each is, and what it has found.",
         {
             "pfdist list": "Show all runs in the folder results",
@@ -192,7 +192,7 @@ COMMANDS = {
         },
     ),
     "table": Command(
-        "pfdist.api.table:table",
+        "pfdist.questions.table:table",
         "Put many runs into one table: what differs between them, and what they found.",
         {
             "pfdist table results/plan": "Show the results of a run, a row for each found set",
@@ -201,7 +201,7 @@ COMMANDS = {
         },
     ),
     "report": Command(
-        "pfdist.api.report:report",
+        "pfdist.questions.report:report",
         "Write the report of a run or a sweep: one HTML file that can be sent to anybody.",
         {
             "pfdist report results/plan": "Write report.html into the folder of the run",

@@ -117,7 +117,7 @@ def _answer(line: "Line") -> Any:
     taken = signature(line.function).parameters
     if "say" not in taken:
         return line.function(*line.arguments, **line.options)
-    from pfdist.api.display import Display  # noqa: PLC0415  rich takes long to load
+    from pfdist.questions.display import Display  # noqa: PLC0415  rich takes long to load
 
     with Display() as display:
         heard: dict[str, Any] = {"say": display.say}

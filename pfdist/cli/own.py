@@ -1,6 +1,6 @@
 """Commands that are no function of the library as it is.
 
-Each gives an answer, as the functions of `pfdist.api` do, or lines and checks one by one.
+Each gives an answer, as the functions of `pfdist.questions` do, or lines and checks one by one.
 """
 
 import time
@@ -10,18 +10,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from pfdist.api.options import Options, with_options
 from pfdist.errors import ArgumentError, ModelError, PoolError, StoreError
+from pfdist.questions.options import Options, with_options
 from pfdist.runner.progress import silent
 
 if TYPE_CHECKING:  # each command imports what it needs, and no other command waits for that
     import pandas as pd
 
-    from pfdist.analysis import Run
-    from pfdist.api.sweep import Sweep
-    from pfdist.checks.model import Check
-    from pfdist.documents.parts import Page
+    from pfdist.common.parts import Page
     from pfdist.filters.estimate import Evaluation
+    from pfdist.questions.model_checks import Check
+    from pfdist.questions.sweep import Sweep
+    from pfdist.results import Run
 
 _ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
 
@@ -46,7 +46,7 @@ class Evaluated:
         return answer | {"seconds": round(self.seconds, 3)}
 
     def _page(self) -> "Page":
-        from pfdist.answers.evaluate import evaluate_page
+        from pfdist.questions.evaluate_page import evaluate_page
 
         return evaluate_page(self.evaluations, self.broken, self.parameters)
 
@@ -79,8 +79,8 @@ def evaluate(
     changes : sequence of str, optional
         Other values of keys of the job, as seed=3.
     """
-    from pfdist.api.evaluate import prepare
-    from pfdist.job.job import load_job
+    from pfdist.problem.job import load_job
+    from pfdist.questions.evaluate import prepare
 
     loaded = load_job(job, changes)
     written = times[""] if list(times) == [""] else times
@@ -137,8 +137,8 @@ def sweep(
     options
         See `Options`.
     """
-    from pfdist.api.sweep import foreseen
-    from pfdist.api.sweep import sweep as computed
+    from pfdist.questions.sweep import foreseen
+    from pfdist.questions.sweep import sweep as computed
 
     if dry_run and part is not None:
         raise ArgumentError("either a part or a dry run, got --part and --dry-run")
@@ -161,7 +161,7 @@ def status(run: str) -> "Run":
     run : str
         Folder of a run.
     """
-    from pfdist.analysis import open_run
+    from pfdist.results import open_run
 
     return open_run(run)
 
@@ -174,8 +174,8 @@ def plot(run: str) -> Iterator[str]:
     run : str
         Folder of a run.
     """
-    from pfdist.analysis import open_run
-    from pfdist.plots import draw_figures
+    from pfdist.pages.plots import draw_figures
+    from pfdist.results import open_run
 
     yield from map(str, draw_figures(open_run(run)))
 
@@ -188,7 +188,7 @@ def verify(run: str) -> Iterator[str]:
     run : str
         Folder of a run.
     """
-    from pfdist.analysis import open_run
+    from pfdist.results import open_run
     from pfdist.store.verify import verify_run
 
     path = Path(run)
@@ -225,8 +225,8 @@ def check_model(
     particles : int, optional
         Number of particles; by default that of the job, or 500.
     """
-    from pfdist.api.check_model import checks_of
-    from pfdist.times.written import clock_of
+    from pfdist.problem.written import clock_of
+    from pfdist.questions.check_model import checks_of
 
     if horizon is not None and times is not None:
         raise ArgumentError("either a horizon or a clock, got --horizon and --times")
@@ -247,7 +247,7 @@ def doctor(*, results: str = "results", address: str = "") -> Iterator["Check"]:
     address : str
         Also check the nodes of the Ray cluster at this address.
     """
-    from pfdist.checks.machine import examine
+    from pfdist.questions.machine import examine
 
     wrong = list[str]()
     yield from _noting(wrong, examine(Path(results), address))

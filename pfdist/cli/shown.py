@@ -8,12 +8,12 @@ from typing import Any, TextIO
 
 import pandas as pd
 
-from pfdist.analysis import Run, finite, reaching
-from pfdist.answers.run import answer_of
 from pfdist.cli.words import Line
-from pfdist.documents.parts import Page
-from pfdist.documents.terminal import COLUMNS, lines_of, wrapped
+from pfdist.common.parts import Page
 from pfdist.errors import one_line
+from pfdist.pages.terminal import COLUMNS, lines_of, wrapped
+from pfdist.questions.run_page import answer_of
+from pfdist.results import Run, finite, reaching
 from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in, has_report
 
 
@@ -67,7 +67,7 @@ def _as_json(answer: Any, line: Line) -> dict[str, Any]:
             return answer.summary().as_json()
         case pd.DataFrame():
             # Not above: it imports the compiler, and to show a run takes none.
-            from pfdist.answers.runs import records  # noqa: PLC0415
+            from pfdist.questions.runs import records  # noqa: PLC0415
 
             unit = answer.attrs.get("time_unit")
             name = {"list": "runs", "sweep": "points"}.get(line.name, "rows")
@@ -102,7 +102,7 @@ def _show_text(answer: Any, line: Line) -> None:
 
 def _page_of(frame: pd.DataFrame, line: Line) -> Page:
     """A table of runs or of points as a page."""
-    from pfdist.answers.runs import foreseen_page, list_page, table_page  # noqa: PLC0415
+    from pfdist.questions.runs import foreseen_page, list_page, table_page  # noqa: PLC0415
 
     if line.name == "list":
         return list_page(frame, *line.arguments)

@@ -14,11 +14,11 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 from cyclopts import Parameter, Token
 
 from pfdist.cli.commands import COMMANDS
+from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import finite_number, ranges, whole_number, whole_numbers
 from pfdist.errors import JobError, shown
-from pfdist.job.points import values_by_key
 from pfdist.pools.kinds import AUTO, POOLS
-from pfdist.times.measurement_times import REGULAR
+from pfdist.problem.points import values_by_key
 
 T = TypeVar("T")
 _SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x-ray"
@@ -138,7 +138,7 @@ def _sets(texts: list[str]) -> dict[str, str]:
 
 def _search() -> Word:
     # Not above: a search of an installed package that cannot be loaded spoils no other command.
-    from pfdist.search.methods import METHODS  # noqa: PLC0415
+    from pfdist.problem.methods import METHODS  # noqa: PLC0415
 
     return Word(str, Parameter(metavar="METHOD", choices=tuple(METHODS)))
 

@@ -1,7 +1,7 @@
 """An estimate with its standard error, as every room of the program compares it.
 
 The error of a mean over a block of values is computed here, and over blocks that are added one by
-one in `pfdist.analysis.streaming_moments`, where the interval of a ratio of two means is, too.
+one in `pfdist.results.streaming_moments`, where the interval of a ratio of two means is, too.
 """
 
 import math

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_times
+from pfdist.common.measurement_times import Times
+from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
-from pfdist.documents.notebook import Shown
-from pfdist.documents.parts import Facts, Page, Section
-from pfdist.times.measurement_times import Times
+from pfdist.common.shown import Shown
 
 
 @dataclass(frozen=True, repr=False)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common import stopping
+from pfdist.common.measurement_times import Times
 from pfdist.common.scenario import Scenario
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
@@ -35,7 +36,6 @@ from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import recorded
 from pfdist.models.written import key_of_model
-from pfdist.times.measurement_times import Times
 
 _ANY = Estimation(particles=1)
 

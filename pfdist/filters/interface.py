@@ -34,6 +34,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times, validated
 from pfdist.errors import MeasurementTimesError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
@@ -44,7 +45,6 @@ from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
 from pfdist.models.twin import twin_of
-from pfdist.times.measurement_times import Times, validated
 
 
 @dataclass(frozen=True)

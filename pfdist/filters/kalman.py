@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times
 from pfdist.common.stopping import check
 from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
@@ -33,7 +34,6 @@ from pfdist.filters.interface import (
 from pfdist.filters.work import Estimation
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.twin import twin_of
-from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 _TOLERANCE = 1e-9  # relative, for the rounding errors of a linear formula

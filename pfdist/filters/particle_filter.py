@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times
 from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
@@ -26,7 +27,6 @@ from pfdist.kernels.prefixes import Plan, Planned, plan
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import codes_of
 from pfdist.models import StateSpaceModel
-from pfdist.times.measurement_times import Times
 
 KERNEL_VERSION = 7
 """Number of changes after which the same keys give other figures; part of a run's identity."""

@@ -12,6 +12,7 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.filters.formulas import log_density
@@ -37,7 +38,6 @@ from pfdist.kernels.variates import (
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
 from pfdist.models.twin import twin_of
-from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
 from pfdist.models import StateSpaceModel
-from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator

@@ -23,11 +23,12 @@ from pfdist.common.nearest import did_you_mean
 from pfdist.common.parsing import read_text
 from pfdist.errors import ModelError, shown
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.mistakes import error_line, is_interrupt, place_of, ships
+from pfdist.models.mistakes import error_line, is_interrupt, place_of
 
 PYTHON: Final = "python:"
 """The beginning of the name, in a job, of a model that was given as an object in Python."""
 _GROUP = "pfdist.models"
+_LIBRARY = "pfdist.models.library"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
 """Modules that a file beside a model must not hide."""
 _importing = threading.RLock()  # the path and the table of modules belong to all threads
@@ -85,11 +86,9 @@ def installed_name(model: StateSpaceModel) -> str | None:
 
 def installed_models() -> dict[str, tuple[str, str]]:
     """Module and attribute of every model that ships or is an entry point, by name."""
-    package = importlib.import_module("pfdist.models")
     shipped = {
-        module.name: (f"pfdist.models.{module.name}", "model")
-        for module in pkgutil.iter_modules(package.__path__)
-        if ships(module.name)
+        module.name: (f"{_LIBRARY}.{module.name}", "model")
+        for module in pkgutil.iter_modules(importlib.import_module(_LIBRARY).__path__)
     }
     plugged = {entry.name: (entry.module, entry.attr) for entry in entry_points(group=_GROUP)}
     return plugged | shipped

@@ -14,10 +14,6 @@ from pfdist.densities import DENSITIES
 
 _LONGEST = 500  # characters of an error's text
 _PACKAGE = Path(__file__).parents[1]
-_MACHINERY = {
-    *("__init__", "base", "by_value", "checks", "loader", "mistakes", "parameters", "program"),
-    *("programs", "recorded", "seeing", "symbols", "tracing", "twin", "written"),
-}  # the modules of pfdist.models that are no models
 _STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
 # Other installed packages may be the user's own, with models in them.
 _LIBRARIES = [Path(str(package.__file__)).parent for package in (numba, np)]
@@ -74,11 +70,6 @@ def place_of_function(function: Any) -> str:
     return f" ({code.co_filename}:{code.co_firstlineno})" if code else ""
 
 
-def ships(module: str) -> bool:
-    """Whether a module of `pfdist.models` is a model, as ``"ungm"`` is and ``"base"`` is not."""
-    return module not in _MACHINERY
-
-
 def is_a_models(file: str) -> bool:
     """Whether a source file is a model's: one that ships, or code of the user.
 
@@ -88,7 +79,7 @@ def is_a_models(file: str) -> bool:
     if file.startswith("<"):
         return False
     if path.is_relative_to(_PACKAGE):
-        return path.parent.name == "models" and ships(path.stem)
+        return path.parent.name == "library"
     if path.is_relative_to(_STANDARD_LIBRARY):
         return "site-packages" in path.parts and not any(map(path.is_relative_to, _LIBRARIES))
     return not any(map(path.is_relative_to, _LIBRARIES))

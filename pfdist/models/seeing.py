@@ -13,7 +13,7 @@ from typing import Any
 from numba.extending import is_jitted
 
 from pfdist.errors import ModelError
-from pfdist.models.mistakes import place_of_function, ships
+from pfdist.models.mistakes import place_of_function
 
 _PLACE = {"__file__", "__path__"}  # show that a module is the user's
 _LIBRARIES = sys.stdlib_module_names | {
@@ -28,8 +28,7 @@ def is_library(module: str) -> bool:
     """
     top, _, rest = module.partition(".")
     if top == "pfdist":
-        room, _, name = rest.partition(".")
-        return room != "models" or not ships(name)
+        return not rest.startswith("models.library")
     return top in _LIBRARIES
 
 

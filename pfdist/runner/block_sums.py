@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.relaxation import Relaxation
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
@@ -24,9 +24,9 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.row_formats import BLOCK_OF_SUMS
 from pfdist.search.base import Candidate
+from pfdist.search.relaxation import Relaxation
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE
-from pfdist.times.measurement_times import Times
 
 GROUPS = 20
 """Number of groups of blocks."""

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from numbers import Integral, Real
 
-from pfdist.bounds.relaxation import WINDOW
 from pfdist.errors import JobError, shown
 from pfdist.filters.work import BLOCK
 from pfdist.runner.block_sums import GROUPS
+from pfdist.search.relaxation import WINDOW
 
 LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
 WITHIN_DRAWS = 30_720

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.contract import few_draws
+from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
+from pfdist.common.measurement_times import Times
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, TraceError, shown
 from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.work import FLOAT32, FLOAT64, Estimation
-from pfdist.job.job import ONLINE, Job
-from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
 from pfdist.models.parameters import CLOCK
@@ -25,6 +24,11 @@ from pfdist.models.recorded import differences, with_functions
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.job import ONLINE, Job
+from pfdist.problem.sections import Execution, FilterModel, Model
+from pfdist.runner.contract import few_draws
+from pfdist.runner.planning import check_plannable
 from pfdist.runner.searches import (
     NamedSearch,
     Settings,
@@ -33,10 +37,6 @@ from pfdist.runner.searches import (
     named_search,
     planning_of,
 )
-from pfdist.sequential.planning import check_plannable
-from pfdist.times.clock import Time
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
     particles first, so whatever else is wrong is named first.
     """
     # Imported here, so that workers, which know the number, need no pandas.
-    from pfdist.analysis.particle_loss import SMALL, SMALL_AT_MOST  # noqa: PLC0415
-    from pfdist.checks.particles import (  # noqa: PLC0415
+    from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST  # noqa: PLC0415
+    from pfdist.runner.particles import (  # noqa: PLC0415
         NUMBERS,
         enough_particles,
         has_particle_loss,

@@ -13,16 +13,17 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.analysis import BLOCK, ComparisonStatistics
-from pfdist.analysis.reference import references_of
 from pfdist.common.component_names import Component
 from pfdist.common.estimate import Estimate
+from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.work import Estimation, Result, Work, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.base import within_half_turn
+from pfdist.results import BLOCK, ComparisonStatistics
+from pfdist.results.reference import references_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.progress import SetGain
@@ -36,7 +37,6 @@ from pfdist.store import (
     trajectories_schema,
     variance_schema,
 )
-from pfdist.times.measurement_times import Times, validated
 
 COMPARISON = "comparison"
 
@@ -221,7 +221,7 @@ def repeated(built: Built, work: Work) -> FirstDraws:
 
 
 def distances(built: Built, work: Work) -> FirstDraws | None:
-    """Half the squared distance of two filters with each set; see `pfdist.analysis.particle_loss`.
+    """Half the squared distance of two filters with each set; see `pfdist.results.particle_loss`.
 
     None unless the error is the squared norm and the engine has particles.
     """

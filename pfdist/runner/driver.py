@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import SearchError
 from pfdist.filters.work import Result, Work, cut
-from pfdist.job.online_section import Online
+from pfdist.problem.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import (
     COMPARISON,
@@ -19,13 +20,12 @@ from pfdist.runner.comparison_phase import (
     run_comparison,
 )
 from pfdist.runner.door import Batch, Session
+from pfdist.runner.online_work import OnlineWork
 from pfdist.runner.phase import unpublished
 from pfdist.runner.row_formats import RowsByDraw
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.searches import planning_of
-from pfdist.sequential.work import OnlineWork
 from pfdist.store import Store, schema
-from pfdist.times.measurement_times import Times
 
 COMPARED = "search"
 

@@ -11,18 +11,18 @@ from collections.abc import Generator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.analysis import Moments, Run
-from pfdist.analysis.particle_loss import less
-from pfdist.analysis.stored_run import statistics_of
-from pfdist.bounds.proof import UNKNOWN, ZERO, GapParts
 from pfdist.common.estimate import Estimate
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.filters.work import Estimation, Result, Work
+from pfdist.results import Moments, Run
+from pfdist.results.particle_loss import less
+from pfdist.results.stored_run import statistics_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.row_formats import PER_DRAW
+from pfdist.search.proof import UNKNOWN, ZERO, GapParts
 from pfdist.store import BOUND_PHASE
-from pfdist.times.measurement_times import Times
 
 SET_DRAWS = 20_000
 """Most draws on which a set alone is filtered."""

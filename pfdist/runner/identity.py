@@ -9,14 +9,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pfdist.analysis import open_run, read_recorded
 from pfdist.common.dotted_keys import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.job.job import Job, job_toml
 from pfdist.models.parameters import CLOCK
 from pfdist.models.recorded import differences
 from pfdist.models.written import text_of
+from pfdist.problem.job import Job, job_toml
+from pfdist.results import open_run, read_recorded
 from pfdist.runner.build import Built
 from pfdist.runner.provenance import provenance
 from pfdist.store import (

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import validated
 from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
@@ -32,7 +33,6 @@ from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
 from pfdist.store import Store, schema
-from pfdist.times.measurement_times import validated
 
 _TABLES = ("evaluations", "draws", "error_sums")
 _EVALUATIONS_AT_ONCE = 200  # evaluations that are read together when a phase is published

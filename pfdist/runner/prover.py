@@ -9,18 +9,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pfdist.analysis import Run
-from pfdist.analysis.stored_run import worst_of
-from pfdist.bounds.likelihood import RankWork, wrong_likelihood
-from pfdist.bounds.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
-from pfdist.bounds.relaxation import Relaxation, relaxation_for
-from pfdist.checks.contract import looked
-from pfdist.checks.likelihood import likelihood
 from pfdist.common.estimate import CONFIDENCE, Estimate
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
 from pfdist.filters.work import BLOCK, Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
+from pfdist.problem.constraints import Constraints
+from pfdist.results import Run
+from pfdist.results.stored_run import worst_of
 from pfdist.runner.block_sums import (
     CHOICE_BLOCKS,
     GROUPS,
@@ -32,12 +29,15 @@ from pfdist.runner.block_sums import (
 )
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
+from pfdist.runner.contract import looked
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
+from pfdist.runner.likelihood import likelihood
+from pfdist.search.likelihood import RankWork, wrong_likelihood
+from pfdist.search.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
+from pfdist.search.relaxation import Relaxation, relaxation_for
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
-from pfdist.times.constraints import Constraints
-from pfdist.times.measurement_times import Times
 
 _CHECKED = 200  # draws whose states check the likelihood
 _ROUNDS = 1000  # of growing windows, at most

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.analysis import BLOCK
 from pfdist.filters.work import BLOCK as SUMMED
 from pfdist.filters.work import Result, Work, cut
+from pfdist.results import BLOCK
 from pfdist.runner.door import StoredResults
 from pfdist.store import Store, schema
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
@@ -21,7 +22,6 @@ from pfdist.runner.progress import heard
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
 from pfdist.search.probe import PROBE_DRAWS, failed_probe
-from pfdist.times.measurement_times import Times
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors

@@ -10,20 +10,20 @@ from functools import cached_property
 
 import psutil
 
-from pfdist.bounds.relaxation import relaxation_within
+from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.engines import is_exact
 from pfdist.filters.work import BLOCK, Estimation
-from pfdist.job.job import Job
-from pfdist.job.online_section import Online
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.job import Job
+from pfdist.problem.methods import METHODS
+from pfdist.problem.online_section import Online
+from pfdist.problem.search_section import AUTO, EvaluationSettings, SearchSection
+from pfdist.runner.planning import Planning
 from pfdist.search import Optimiser, StateSpaceRelaxation
-from pfdist.search.methods import METHODS
-from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
+from pfdist.search.relaxation import relaxation_within
 from pfdist.search.state_space_relaxation import MOST_CELLS
-from pfdist.sequential.planning import Planning
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,10 @@ class Study:
                 self.widest, draws, sought=sought, start=start, **section.settings
             )
         try:
-            return METHODS[section.method].make(self.widest, draws, section.settings)
+            made: Optimiser = METHODS[section.method].make(self.widest, draws, section.settings)
         except JobError as error:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
+        return made
 
     def racing(self, finalists: Iterable[Times]) -> tuple[Times, ...]:
         """The sets that race on fresh draws: all, if there are more of them than are sought."""

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count, Fraction
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.search.section import Count, Fraction
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 _TRIES = 20  # random neighbours that are tried before all neighbours are listed
 _SETS = 4  # random sets for each chain at first; their spread gives the first temperature

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
-from pfdist.times.measurement_times import Times
 
 
 class Candidate(NamedTuple):

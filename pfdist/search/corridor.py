@@ -18,12 +18,12 @@ from itertools import accumulate
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count, Positive
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.search.section import Count, Positive
 from pfdist.search.survivors import Survivors, SurvivorState
-from pfdist.times.measurement_times import Times
 
 
 @method("corridor", curve="best so far", additive=True)

@@ -20,12 +20,12 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count, Fraction
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.search.section import Count, Fraction
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 _CERTAIN = 0.02  # largest distance from 0 or 1 at which a probability counts as decided
 _TRIES = 20  # random sets in a round, for each set that is wanted

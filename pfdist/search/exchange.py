@@ -18,11 +18,11 @@ from functools import cached_property
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation, difference
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 _FEWEST = 32  # draws of the first evaluation; enough to know a standard error
 _LONGEST_RUN = 48

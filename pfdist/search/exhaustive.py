@@ -8,10 +8,10 @@ import numpy as np
 
 from pfdist.errors import JobError
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.search.section import Count
-from pfdist.times.feasible import Feasible
 
 _BATCH = 500  # sets in a generation: neighbours share prefixes, and memory stays flat
 

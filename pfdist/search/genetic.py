@@ -26,12 +26,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import (
+    Count,
+    EvaluationSettings,
+    Even,
+    Flag,
+    Positive,
+    Probability,
+)
 from pfdist.search.base import Candidate
-from pfdist.search.methods import method
-from pfdist.search.section import Count, EvaluationSettings, Even, Flag, Positive, Probability
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)

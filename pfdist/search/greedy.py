@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pfdist.common.clock import Clock
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.formatted_times import formatted_times
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation, difference
+from pfdist.problem.feasible import Feasible
 from pfdist.search.base import Candidate
-from pfdist.times.clock import Clock
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 PROBE_DRAWS = 500
 """Number of draws of the first round."""

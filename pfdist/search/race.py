@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.search.base import Candidate
-from pfdist.times.measurement_times import Times
 
 _WORSE = 3.0  # standard errors from which a set is worse than the leader
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count, EvaluationSettings
 from pfdist.search.base import Candidate
-from pfdist.search.methods import method
-from pfdist.search.section import Count, EvaluationSettings
-from pfdist.times.feasible import Feasible
 
 _BATCH = 250  # sets in a generation: enough to keep the cores busy, and memory stays flat
 

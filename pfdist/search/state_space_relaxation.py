@@ -4,8 +4,8 @@ The error at an instant depends most on the last measurements. The programme fin
 would be best if the error depended on these alone, as if everything before had been measured. Then
 the search looks closer at these sets: their windows grow by a measurement each, and the programme
 is solved again. The search ends when no set of the relaxation is better than the best set that was
-evaluated, when no window can grow, or after the last round. See `pfdist.bounds.relaxation` and
-`pfdist.bounds.programme`.
+evaluated, when no window can grow, or after the last round. See `pfdist.search.relaxation` and
+`pfdist.search.programme`.
 
 If the costs are exact and the filter knows the truth, a search that ends before the last round has
 proved that its best set is optimal.
@@ -24,14 +24,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.programme import Programme, longer, near_optimal
-from pfdist.bounds.relaxation import Relaxation, Window, relaxation_within
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import CommonNoiseSettings, Count
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.search.section import CommonNoiseSettings, Count
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
+from pfdist.search.programme import Programme, longer, near_optimal
+from pfdist.search.relaxation import Relaxation, Window, relaxation_within
 
 MOST_CELLS = 3_000_000
 """Largest number of errors of windows of two measurements at the beginning."""

@@ -25,12 +25,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count, Flag
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.methods import method
-from pfdist.search.section import Count, Flag
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 # Limits at first, in units of the mean gap between measurements:
 LARGEST_GAPS = 3.0  # the largest gap

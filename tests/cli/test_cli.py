@@ -17,8 +17,8 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.analysis import finite
 from pfdist.errors import PoolError, StoreError
+from pfdist.results import finite
 from pfdist.runner.build import Built, build
 
 Call = Callable[..., Any]  # exit code, output and errors of a line
@@ -115,7 +115,7 @@ def test_what_is_known_exactly_is_said_to_be(small_job: Job, tmp_path: Path, cal
 
 def test_what_is_infinite_is_null_in_json(tmp_path: Path, small_job: Job, call: Call) -> None:
     (tmp_path / "mine.py").write_text(
-        "import dataclasses\nfrom pfdist.models.ungm import model\n"
+        "import dataclasses\nfrom pfdist.models.library.ungm import model\n"
         "model = dataclasses.replace(\n"
         "    model, error=lambda z, estimate, t, p: z[0] - z[0] + float('inf'))\n"
     )
@@ -129,7 +129,7 @@ def test_evaluate_says_how_many_draws_are_degenerate(
     tmp_path: Path, small_job: Job, call: Call
 ) -> None:
     (tmp_path / "mine.py").write_text(
-        "import dataclasses\nfrom pfdist.models.ungm import model\n"
+        "import dataclasses\nfrom pfdist.models.library.ungm import model\n"
         "model = dataclasses.replace(\n"
         "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
     )
@@ -162,7 +162,7 @@ def test_the_seconds_of_evaluate_are_those_of_the_draws(
         time.sleep(5.0)
         return build(job)
 
-    monkeypatch.setattr("pfdist.api.evaluate.build", slowly)
+    monkeypatch.setattr("pfdist.questions.evaluate.build", slowly)
     line = f"evaluate {run}/job.toml --times 0,3 --json"
     assert json.loads(call(line).out)["seconds"] < 5.0
 
@@ -189,12 +189,16 @@ def test_a_damaged_file_is_named_and_the_remedy_is_true(small_run: pfdist.Run, c
 @pytest.mark.parametrize(
     ("line", "function", "goes_on"),
     [
-        ("run {run}/job.toml", "pfdist.api.run.run", True),
-        ("plan {run}/job.toml", "pfdist.api.plan.plan", True),
-        ("budget {run}/job.toml --measurements 2:3", "pfdist.api.budget.budget", True),
-        ("status {run}", "pfdist.analysis.open_run", False),
-        ("sweep {run}/job.toml --over seed=1:2", "pfdist.api.sweep.sweep", True),
-        ("sweep {run}/job.toml --over seed=1:2 --dry-run", "pfdist.api.sweep.foreseen", False),
+        ("run {run}/job.toml", "pfdist.questions.run.run", True),
+        ("plan {run}/job.toml", "pfdist.questions.plan.plan", True),
+        ("budget {run}/job.toml --measurements 2:3", "pfdist.questions.budget.budget", True),
+        ("status {run}", "pfdist.results.open_run", False),
+        ("sweep {run}/job.toml --over seed=1:2", "pfdist.questions.sweep.sweep", True),
+        (
+            "sweep {run}/job.toml --over seed=1:2 --dry-run",
+            "pfdist.questions.sweep.foreseen",
+            False,
+        ),
     ],
 )
 def test_an_interrupted_command_says_whether_the_same_command_goes_on(
@@ -232,7 +236,7 @@ def test_whatever_ends_a_command_after_a_signal_has_the_exit_code_of_the_signal(
             raise error
 
     monkeypatch.setattr("pfdist.cli.shown.show", interrupted)
-    monkeypatch.setattr("pfdist.analysis.open_run", lambda path: path)
+    monkeypatch.setattr("pfdist.results.open_run", lambda path: path)
     code, _, said = call("status nowhere")
     assert (code, said) == (75, f"pfdist: {line}\n")
 
@@ -265,7 +269,9 @@ def test_without_a_terminal_progress_is_plain_lines(
 @pytest.mark.slow
 def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call) -> None:
     model, flag, run = tmp_path / "mine.py", tmp_path / "flag", tmp_path / "run"
-    model.write_text(f"open({str(flag)!r}, 'w').close()\nfrom pfdist.models.ungm import model\n")
+    model.write_text(
+        f"open({str(flag)!r}, 'w').close()\nfrom pfdist.models.library.ungm import model\n"
+    )
     few = "filter.engine=numpy evaluation.draws=3 comparison.draws=20"
     line = f"run {small_job.path} --results {run} --set model.name=mine.py:model {few}"
     assert f"runs the model file {model}, which your job names\n" in call(line).err

@@ -13,12 +13,12 @@ import pytest
 import tomli_w
 
 import pfdist
-from pfdist.analysis import read_recorded
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
 from pfdist.cli.program import program, usage
 from pfdist.common.parsing import parse_toml
 from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.results import read_recorded
 from pfdist.store import SCHEMA_VERSION
 
 JOBS = Path(__file__).parents[2] / "jobs"
@@ -65,7 +65,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     for job in ("plan", "quick", "online"):
         (folder / "jobs" / f"{job}.toml").write_text(_small(JOBS / f"{job}.toml"))
     shutil.copy(JOBS / "budgets.toml", folder / "jobs")
-    (folder / "mine.py").write_text("from pfdist.models.ungm import model\n")
+    (folder / "mine.py").write_text("from pfdist.models.library.ungm import model\n")
     (folder / "patient.csv").write_text("t,y0\n1,0.3\n4,5.1\n9,2.2\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

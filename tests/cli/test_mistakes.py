@@ -15,8 +15,8 @@ import pfdist
 from pfdist import Job
 from pfdist.cli.commands import COMMANDS
 from pfdist.cli.main import main
+from pfdist.common.measurement_times import validated
 from pfdist.errors import JobError, MeasurementTimesError
-from pfdist.times.measurement_times import validated
 
 JOB = (Path(__file__).parents[1] / "small.toml").read_text()
 KEPT = Path(__file__).parents[2] / "results" / "example" / "job.toml"
@@ -261,7 +261,7 @@ def test_debug_shows_the_traceback_before_the_line(call: Callable[..., Any]) -> 
 @pytest.mark.parametrize(
     ("broken", "words"),
     [
-        ("pfdist.api.list_runs.list_runs", ["list"]),
+        ("pfdist.questions.list_runs.list_runs", ["list"]),
         ("pfdist.cli.main.line_of", ["list"]),
     ],
 )

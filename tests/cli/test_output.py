@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from pfdist.api.display import Display
 from pfdist.cli.main import main
 from pfdist.common.estimate import Estimate
+from pfdist.questions.display import Display
 from pfdist.runner.progress import Progress, SetGain
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic")

@@ -13,12 +13,12 @@ import pytest
 
 import pfdist
 from oracles.listed import forget
-from pfdist.analysis.summary import SetResult
-from pfdist.answers.budget import budget
-from pfdist.answers.runs import list_page, table_page
+from pfdist.common.parts import Table, Text
 from pfdist.common.rounding import with_error
-from pfdist.documents.parts import Table, Text
-from pfdist.documents.terminal import COLUMNS, lines_of, lines_of_blocks
+from pfdist.pages.terminal import COLUMNS, lines_of, lines_of_blocks
+from pfdist.questions.budget_page import budget
+from pfdist.questions.runs import list_page, table_page
+from pfdist.results.summary import SetResult
 
 Printed = Callable[..., str]
 

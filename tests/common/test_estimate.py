@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.analysis import Moments
 from pfdist.common.estimate import Estimate, student_quantile, wilson_interval
+from pfdist.results import Moments
 
 VALUES = np.random.default_rng(5).normal(2.0, 1.0, 12)
 

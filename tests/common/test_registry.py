@@ -6,12 +6,12 @@ import pytest
 
 from pfdist.common.registry import Registry
 from pfdist.errors import PfdistError
-from pfdist.plots.costs import curve_of
-from pfdist.search.methods import METHODS
+from pfdist.pages.costs import curve_of
+from pfdist.problem.methods import METHODS
 
 
 def test_names_come_in_order_and_each_is_declared_once() -> None:
-    registry = Registry[int]("pfdist.times")
+    registry = Registry[int]("pfdist.problem")
     for name in ("b", "c", "a"):
         registry.declare(name, 1)
     assert list(registry) == ["a", "b", "c"]
@@ -24,7 +24,7 @@ def test_an_addition_that_cannot_be_loaded_is_named_at_every_reading(
 ) -> None:
     entry_point = EntryPoint("mine", "nothing_of_this_name", "some.group")
     monkeypatch.setattr("pfdist.common.registry.entry_points", lambda group: [entry_point])
-    registry = Registry[int]("pfdist.times", "some.group")
+    registry = Registry[int]("pfdist.problem", "some.group")
     for _ in range(2):
         with pytest.raises(PfdistError, match=r"cannot load 'mine', which .* some\.group as n"):
             list(registry)

@@ -8,9 +8,9 @@ import pytest
 from matplotlib.figure import Figure as Canvas
 
 import pfdist
-from pfdist.analysis import Run
-from pfdist.plots import figure as figures
-from pfdist.plots.figure import FIGURES, Tables
+from pfdist.pages import figure as figures
+from pfdist.pages.figure import FIGURES, Tables
+from pfdist.results import Run
 
 ROOT = Path(__file__).parents[1]
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]  # compiles no filter of a search

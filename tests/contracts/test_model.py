@@ -11,15 +11,15 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.clocked import times_of, with_clock
 from pfdist import Job, load_job, load_model
-from pfdist.api.sweep import foreseen
-from pfdist.checks.model import check_model
+from pfdist.common.measurement_times import regular
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
-from pfdist.plots import figure as figures
+from pfdist.pages import figure as figures
 from pfdist.pools.kinds import POOLS
-from pfdist.times.measurement_times import regular
+from pfdist.questions.model_checks import check_model
+from pfdist.questions.sweep import foreseen
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 FILES = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))

@@ -11,13 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.kalman import TRACKING, believed_errors
+from pfdist.common.measurement_times import Times
 from pfdist.filters import kalman
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import METHODS
 from pfdist.search import Candidate
 from pfdist.search.base import FINALISTS, Optimiser
-from pfdist.search.methods import METHODS
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 HORIZON, DRAWS = 12, 20
 PRICES = (1, 3, 2) * 4 + (1,)

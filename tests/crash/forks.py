@@ -19,7 +19,7 @@ from pfdist import load_job
 from pfdist.cli.main import main
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Work
-from pfdist.plots import figure as figures
+from pfdist.pages import figure as figures
 from pfdist.runner.build import build
 
 

@@ -38,7 +38,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.models import ungm
+from pfdist.models.library import ungm
 
 FLAG = {flag!r}
 

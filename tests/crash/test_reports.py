@@ -11,8 +11,8 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
-from pfdist.api.report import write_report
 from pfdist.errors import StoreError
+from pfdist.questions.report import write_report
 from pfdist.store.verify import verify_run
 
 PROMISE = "a report that fails spoils neither the run nor the earlier report"
@@ -111,7 +111,7 @@ def test_a_run_whose_report_cannot_be_written_is_finished(
     def failing(run: pfdist.Run, target: float | None = None) -> None:
         layer.run(partial(write, run, target=target), fault, 0)
 
-    monkeypatch.setattr("pfdist.api.report.write_report", failing)
+    monkeypatch.setattr("pfdist.questions.report.write_report", failing)
     run = pfdist.run(job, tmp_path / "run", figures=False, report=True, say=told.append)
     assert run.state == "finished"
     assert told[-1].startswith("there is no report: cannot write ")

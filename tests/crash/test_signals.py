@@ -149,7 +149,7 @@ CALLBACKS = {
 MODEL = """
 import ctypes, dataclasses, os, signal, time, weakref
 import numpy as np
-from pfdist.models import ungm
+from pfdist.models.library import ungm
 FLAG, BEGUN = {flag!r}, {begun!r}
 def end():
     os.kill(os.getpid(), signal.SIGTERM)

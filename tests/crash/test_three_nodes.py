@@ -44,7 +44,7 @@ import pfdist
 
 job, run, address, model = sys.argv[1:]
 nodes = set()
-program = importlib.import_module("pfdist.api.at_work")
+program = importlib.import_module("pfdist.questions.at_work")
 make_pool = program.make_pool
 
 

@@ -17,8 +17,8 @@ from matplotlib import pyplot
 import pfdist
 from pfdist.cli.main import main
 from pfdist.cli.program import line_of
-from pfdist.job.online_section import Online
-from pfdist.search.methods import DEFAULT_METHOD
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.online_section import Online
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -115,7 +115,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working directory with the jobs, and with the finished run of jobs/quick.toml."""
     monkeypatch.chdir(tmp_path)
     # A plan leaves a bound out that takes long, as on a busy machine.
-    monkeypatch.setattr("pfdist.api.run._PATIENCE", 10**6)
+    monkeypatch.setattr("pfdist.questions.run._PATIENCE", 10**6)
     shutil.copytree(ROOT / "jobs", "jobs")
     shutil.copytree(ROOT / "results" / "example", "results/quick")
     return tmp_path

@@ -17,9 +17,9 @@ from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
-from pfdist.plots.figure import FIGURES
+from pfdist.pages.figure import FIGURES
 from pfdist.pools.kinds import POOLS
-from pfdist.search.methods import METHODS
+from pfdist.problem.methods import METHODS
 from pfdist.store.schema import KEYS
 
 DOCS = Path(__file__).parents[2] / "docs"

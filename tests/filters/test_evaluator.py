@@ -9,10 +9,10 @@ import pytest
 
 from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, Work, cut
-from pfdist.times.measurement_times import Times
 
 
 def _evaluation(mse: list[float], policy: str = "kill", degenerate: int = 0) -> Evaluation:

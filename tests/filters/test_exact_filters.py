@@ -14,10 +14,10 @@ from oracles.kalman import SCALAR, kalman_filter
 from oracles.moments import assert_mean, assert_positive
 from oracles.quadrature import quadrature_filter
 from pfdist import StateSpaceModel, load_model
+from pfdist.common.measurement_times import Times, regular
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
-from pfdist.times.measurement_times import Times, regular
 
 Array = NDArray[np.float64]
 POINTS = 800

@@ -10,6 +10,7 @@ import pytest
 
 from oracles.kalman import TRACKING, riccati_cost
 from pfdist import StateSpaceModel, load_model, where
+from pfdist.common.measurement_times import Times, regular
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
@@ -18,7 +19,6 @@ from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, Work, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.times.measurement_times import Times, regular
 
 HORIZON = 12
 UNGM = load_model("ungm")

@@ -12,12 +12,12 @@ import pytest
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
 from oracles.moments import assert_exact_filter
 from pfdist import StateSpaceModel, where
+from pfdist.common.measurement_times import regular
 from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_draws
 from pfdist.filters.settings import RESAMPLING
 from pfdist.filters.simulation import simulate
-from pfdist.times.measurement_times import regular
 
 HORIZON = 12
 TIMES = {"none": (), "some": (0, 3, 4, 9), "all": tuple(range(HORIZON + 1))}

@@ -10,11 +10,11 @@ import pytest
 
 import pfdist
 from pfdist import load_model
-from pfdist.checks.model import check_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
+from pfdist.questions.model_checks import check_model
 
 HORIZON = 6
 RATES = tuple(0.5 + 0.1 * t for t in range(HORIZON + 1))

@@ -47,7 +47,7 @@ def test_the_numbers_of_the_tables_are_those_that_were_kept(
     job: str, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A plan leaves a bound out that takes long, as on a busy machine.
-    monkeypatch.setattr("pfdist.api.run._PATIENCE", 10**6)
+    monkeypatch.setattr("pfdist.questions.run._PATIENCE", 10**6)
     command = COMMANDS[job].format(jobs=ROOT / "jobs").split()
     assert main([*command, "--results", str(tmp_path), "--pool", "serial", "--no-report"]) == 0
     now = summaries(tmp_path, rounded=job in ROUNDED)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from pfdist import evaluate
-from pfdist.checks.model import check_model
 from pfdist.errors import ModelError
+from pfdist.questions.model_checks import check_model
 
 MODEL = """
 import numpy as np

@@ -8,7 +8,7 @@ import pytest
 
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
-from pfdist.models.linear_gaussian import linear_gaussian
+from pfdist.models.library.linear_gaussian import linear_gaussian
 
 
 def log_likelihood(y, x, t, p):

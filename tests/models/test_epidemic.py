@@ -10,7 +10,7 @@ from oracles.moments import assert_mean
 from pfdist import load_job
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.models.epidemic import TESTS
+from pfdist.models.library.epidemic import TESTS
 
 SOURCE = load_model("epidemic")
 MODEL = SOURCE.on_clock(range(81))

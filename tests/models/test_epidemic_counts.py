@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from oracles.moments import assert_mean
-from pfdist.models import epidemic, load_model
+from pfdist.models import load_model
+from pfdist.models.library import epidemic
 
 MODEL = load_model("epidemic_counts").on_clock(range(81))
 

@@ -3,11 +3,11 @@
 import pytest
 
 from oracles.moments import assert_positive
+from pfdist.common.measurement_times import regular
 from pfdist.errors import ModelError
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.times.measurement_times import regular
 
 HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
 CLOCKS = {

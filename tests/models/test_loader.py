@@ -25,7 +25,7 @@ damped = StateSpaceModel(
 )
 number = 3
 """
-FOLDER = Path(pfdist.models.__file__).parent
+FOLDER = Path(pfdist.models.__file__).parent / "library"
 SHIPPED = {
     file.stem for file in FOLDER.glob("*.py") if "\nmodel = " in file.read_text(encoding="utf-8")
 }
@@ -53,7 +53,7 @@ def plug(monkeypatch, folder):
 
 def test_the_models_that_ship_are_those_with_a_model_found_by_their_names() -> None:
     homes = {name: home for name, home in installed_models().items() if "pfdist.models" in home[0]}
-    assert homes == {name: (f"pfdist.models.{name}", "model") for name in SHIPPED}
+    assert homes == {name: (f"pfdist.models.library.{name}", "model") for name in SHIPPED}
     assert {load_model(name).name for name in SHIPPED} == SHIPPED
 
 

@@ -12,7 +12,7 @@ from oracles.moments import assert_mean
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.models.robot import BEACONS
+from pfdist.models.library.robot import BEACONS
 
 MODEL = load_model("robot")
 

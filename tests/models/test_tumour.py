@@ -3,10 +3,10 @@ import pytest
 from scipy import stats
 
 from oracles.moments import assert_mean, assert_positive
+from pfdist.common.measurement_times import regular
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.times.measurement_times import regular
 
 TRUTH = load_model("tumour")
 FILTER = TRUTH.with_parameters({"frequency_sd": 0.005})

@@ -9,10 +9,10 @@ from scipy.linalg import expm
 
 import pfdist
 from pfdist import load_model
-from pfdist.analysis.stored_run import found_sets
 from pfdist.filters import kalman
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
+from pfdist.results.stored_run import found_sets
 
 HOURS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0, 24.0)
 MODEL = load_model("two_compartments").on_clock(HOURS)

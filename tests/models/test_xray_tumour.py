@@ -7,10 +7,10 @@ from scipy.linalg import cholesky, expm
 
 from oracles.kalman import LinearGaussian, kalman_filter, riccati_cost
 from oracles.moments import assert_covariance, assert_exact_filter, assert_mean, assert_positive
+from pfdist.common.measurement_times import regular
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.times.measurement_times import regular
 
 MODEL = load_model("xray_tumour")
 PACE = 2 * math.pi / 4.0  # radians a second

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pfdist.job.sections import Execution
+from pfdist.problem.sections import Execution
 from pfdist.runner.build import Built, make_pool
 from pfdist.runner.door import Driver, Session, complete
 from pfdist.runner.progress import Progress

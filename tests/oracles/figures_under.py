@@ -28,9 +28,9 @@ def _figures() -> dict[str, list[float]]:
     import numpy as np
 
     from pfdist import load_model
-    from pfdist.analysis import Moments
-    from pfdist.analysis.particle_loss import less
     from pfdist.filters import kalman, plain
+    from pfdist.results import Moments
+    from pfdist.results.particle_loss import less
 
     found = {}
     for name in ("linear_gaussian", "random_walk"):

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from pfdist import StateSpaceModel
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
+from pfdist.problem.feasible import Feasible
 from pfdist.search import Candidate, Optimiser
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 
 def states(optimiser: Optimiser, cost: Callable[[Times], float], seed: int = 1) -> Iterator[Any]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pfdist import Sensor, StateSpaceModel
-from pfdist.models.bearings_only import bearing_of, model, wrapped
+from pfdist.models.library.bearings_only import bearing_of, model, wrapped
 
 EAST, NORTH = 6.0, 3.0  # km: the platform that stands still
 STILL_SD = math.radians(8.0)

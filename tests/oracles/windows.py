@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from oracles.every_set import every_set
 from pfdist import StateSpaceModel
-from pfdist.bounds.relaxation import NOTHING, Relaxation, Window, relaxation_with
+from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_errors
-from pfdist.times.constraints import Constraints
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
+from pfdist.problem.constraints import Constraints
+from pfdist.problem.feasible import Feasible
+from pfdist.search.relaxation import NOTHING, Relaxation, Window, relaxation_with
 
 HORIZON, BUDGET = 8, 4
 PRICES = (3, 1, 4, 1, 5, 9, 2, 6, 5)

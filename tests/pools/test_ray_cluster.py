@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from pfdist.checks import machine as doctor
 from pfdist.errors import PoolError
 from pfdist.pools import ray_cluster
 from pfdist.pools.ray_cluster import connected, load_ray, reach
+from pfdist.questions import machine as doctor
 
 _ONE_TASK = """
 from pfdist.pools.base import Task

@@ -12,8 +12,8 @@ from pfdist import Job
 from pfdist.errors import TaskError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import Work
-from pfdist.job.sections import Execution
 from pfdist.pools.base import Outcome, SerialPool
+from pfdist.problem.sections import Execution
 from pfdist.runner.build import Built, build, make_pool
 from pfdist.runner.door import Batch, Driver, Session, complete
 from pfdist.runner.progress import Progress

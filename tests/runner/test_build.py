@@ -14,8 +14,8 @@ from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import EngineWarning, JobError, ModelError, RunMismatchError, TraceError
 from pfdist.filters.work import Estimation
-from pfdist.job.sections import Execution
 from pfdist.kernels import cached
+from pfdist.problem.sections import Execution
 from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import build, check_pool, chosen_pool
 
@@ -24,7 +24,7 @@ import numpy as np
 import scipy.special
 import pfdist.densities
 from pfdist import StateSpaceModel
-from pfdist.models.ungm import measurement, log_likelihood, quantity_of_interest, initial
+from pfdist.models.library.ungm import measurement, log_likelihood, quantity_of_interest, initial
 
 def transition(x, t, w, p):
     return (FORMULA,)

@@ -9,10 +9,10 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.api.why import why
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
 from pfdist.filters.work import Estimation
+from pfdist.questions.why import why
 from pfdist.runner.build import build
 
 MODEL = """

@@ -10,10 +10,10 @@ import pytest
 from oracles.answered import answered
 from pfdist import Job
 from pfdist.filters import kalman
-from pfdist.runner import sampling_windows as module
+from pfdist.problem.feasible import Feasible
+from pfdist.questions import sampling_windows as module
+from pfdist.questions.sampling_windows import jitter, jittered
 from pfdist.runner.build import build
-from pfdist.runner.sampling_windows import jitter, jittered
-from pfdist.times.feasible import Feasible
 
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
 COMPILED = ["model.name=random_walk", "filter.engine=compiled"]

@@ -16,14 +16,14 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.listed import forget
 from pfdist import Job, load_job
-from pfdist.analysis import Run
-from pfdist.analysis.online import online_draws
-from pfdist.analysis.stored_run import problem_of
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
 from pfdist.filters.work import Estimation, Work
-from pfdist.plots.figure import FIGURES, Tables, drawn
+from pfdist.pages.figure import FIGURES, Tables, drawn
+from pfdist.results import Run
+from pfdist.results.online import online_draws
+from pfdist.results.stored_run import problem_of
 from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 

@@ -10,14 +10,14 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.api.why import why
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Work
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.questions.why import why
 from pfdist.runner.build import build
 from pfdist.runner.door import Batch
 from pfdist.runner.phase import Phase
-from pfdist.search.methods import DEFAULT_METHOD
 
 SMALL = [
     f"search.{DEFAULT_METHOD}.evaluation.draws=20",

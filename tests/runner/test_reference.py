@@ -8,10 +8,10 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.analysis.reference import described
-from pfdist.api.evaluate import evaluate
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
+from pfdist.questions.evaluate import evaluate
+from pfdist.results.reference import described
 
 SHORT = ["search.genetic.generations=1", "search.random.evaluations=3", "comparison.draws=60"]
 COUNTED = {"horizon": 12, "measurement_budget": 4}

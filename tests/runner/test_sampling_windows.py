@@ -8,21 +8,21 @@ import pytest
 
 from oracles.answered import answered
 from pfdist import Job
-from pfdist.analysis.sampling_windows import is_flat, windows_of
+from pfdist.common.measurement_times import Times
 from pfdist.filters import kalman
-from pfdist.runner import sampling_windows as module
+from pfdist.questions import sampling_windows as module
+from pfdist.questions.sampling_windows import jitter, sampling_windows, windows_by_percent
+from pfdist.questions.worth import worth_of
+from pfdist.results.sampling_windows import is_flat, windows_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.door import Driver, Session
 from pfdist.runner.progress import Progress
-from pfdist.runner.sampling_windows import jitter, sampling_windows, windows_by_percent
-from pfdist.runner.worth import worth_of
-from pfdist.times.measurement_times import Times
 
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
 COMPILED = ["model.name=random_walk", "filter.engine=compiled"]
 # Measurements are precise at t = 5 alone.
 SHARP = """
-from pfdist.models.linear_gaussian import linear_gaussian
+from pfdist.models.library.linear_gaussian import linear_gaussian
 model = linear_gaussian("sharp", initial_noise=[[3]], transition=[[1]], process_noise=[[0.1]],
     measurement=[[1]], measurement_noise=lambda t: ((0.1 + 50 * (t != 5),),),
     quantity_of_interest=[[1]])

@@ -10,11 +10,11 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.common.measurement_times import Times
 from pfdist.errors import PfdistWarning
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.methods import DEFAULT_METHOD
 from pfdist.runner.search_phase import _uncontradicted
-from pfdist.search.methods import DEFAULT_METHOD
-from pfdist.times.measurement_times import Times
 
 DRAWS = 400
 PREFERRED, WINNER, THIRD = (0, 4), (1, 5), (2, 6)

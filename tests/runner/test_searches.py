@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from pfdist.filters.work import Estimation
-from pfdist.job.job import Job, load_job
-from pfdist.job.sections import Execution
+from pfdist.problem.job import Job, load_job
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.sections import Execution
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.door import Session, complete
 from pfdist.runner.driver import drive
-from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.store import Store
 
 JOB = """

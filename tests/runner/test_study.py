@@ -3,10 +3,10 @@
 import pytest
 
 from pfdist import Job
+from pfdist.common.measurement_times import Times
 from pfdist.common.streams import CHOOSING
+from pfdist.problem.methods import DEFAULT_METHOD
 from pfdist.runner.searches import Study
-from pfdist.search.methods import DEFAULT_METHOD
-from pfdist.times.measurement_times import Times
 
 PLAN = {"search": [{"method": DEFAULT_METHOD, "polish": False}]}
 BUDGET = PLAN | {"budget": {"least": 2, "most": 11}}

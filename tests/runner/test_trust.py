@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.analysis import Run
-from pfdist.answers.run import searches
-from pfdist.answers.subject import Subject
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Work
-from pfdist.plots import costs
-from pfdist.plots.figure import Tables
+from pfdist.pages import costs
+from pfdist.pages.figure import Tables
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.questions.run_page import searches
+from pfdist.questions.subject import Subject
+from pfdist.results import Run
 from pfdist.runner.build import build
-from pfdist.search.methods import DEFAULT_METHOD
 
 SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
 GOOD = (1, 3, 6, 9)

@@ -8,13 +8,13 @@ import pytest
 
 from oracles.searched import last
 from pfdist import load_job
+from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
 from pfdist.runner.build import build
 from pfdist.search import Exhaustive, GreedyBackward, GreedyForward, RandomTrials
 from pfdist.search.base import FINALISTS
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 FEASIBLE = Feasible(horizon=11, measurement_budget=4)
 TRIALS = RandomTrials(Feasible(30, 3), 600)

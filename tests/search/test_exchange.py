@@ -8,10 +8,10 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.searched import last
+from pfdist.common.measurement_times import Times, regular
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
 from pfdist.search import Candidate, Exchange
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times, regular
 
 FEASIBLE = Feasible(horizon=14, measurement_budget=4)
 DRAWS = 400

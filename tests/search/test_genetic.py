@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.base import Candidate
 from pfdist.search.genetic import (
@@ -16,7 +17,6 @@ from pfdist.search.genetic import (
     expected_offspring,
     stochastic_universal_sampling,
 )
-from pfdist.times.feasible import Feasible
 
 
 def _genetic(**changes: Any) -> GeneticAlgorithm:

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.search import Candidate, Race
-from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 

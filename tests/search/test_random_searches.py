@@ -8,11 +8,11 @@ import pytest
 from scipy import stats
 
 from oracles.searched import EvenTimes, last, states
+from pfdist.common.measurement_times import Times
+from pfdist.problem.feasible import Feasible
 from pfdist.search import Annealing, CrossEntropy
 from pfdist.search.annealing import accepted
 from pfdist.search.cross_entropy import conditional_bernoulli
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 # --- simulated annealing --------------------------------------------------------------------------
 

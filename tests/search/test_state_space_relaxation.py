@@ -11,13 +11,13 @@ import pytest
 from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
-from pfdist.bounds.relaxation import relaxation_with
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_mse
+from pfdist.problem.feasible import Feasible
 from pfdist.search import Candidate, StateSpaceRelaxation
+from pfdist.search.relaxation import relaxation_with
 from pfdist.search.state_space_relaxation import RelaxationState
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 HORIZON, BUDGET, DRAWS = 12, 4, 320
 PROVED = 1e-11  # relative: the search ends when no other set can be better by more

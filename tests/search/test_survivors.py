@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, prefix_costs, riccati_cost
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import METHODS
 from pfdist.search import Candidate, Survivors
 from pfdist.search.corridor import Corridor
-from pfdist.search.methods import METHODS
 from pfdist.search.survivors import SurvivorState
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 SYSTEMS = {"scalar": SCALAR, "tracking": TRACKING, "three": THREE}
 EARLY_IS_CHEAP, OFTEN_DEAR = (1,) * 6 + (2,) * 7, (1, 3, 2) * 4 + (1,)

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pfdist.common.clock import Clock
 from pfdist.common.estimate import CLEAR_ERRORS
+from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
+from pfdist.problem.feasible import Feasible
 from pfdist.search import Candidate
 from pfdist.search.probe import (
     BELOW,
@@ -20,9 +23,6 @@ from pfdist.search.probe import (
     misordered,
     new_leaders,
 )
-from pfdist.times.clock import Clock
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 FEASIBLE = Feasible(horizon=12, measurement_budget=3)

@@ -24,8 +24,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pfdist.search import Candidate
-from pfdist.search.methods import method
-from pfdist.search.section import Count
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count
 
 
 @method("shifted")
@@ -81,7 +81,7 @@ BROKEN = {
     .replace("shifted", "broken")
     .replace("Candidate(times)", "Candidate(times[::-1])"),
     "plots/broken.py": """
-from pfdist.plots.figure import Plot, figure
+from pfdist.pages.figure import Plot, figure
 
 
 @figure("broken")

@@ -20,7 +20,7 @@ JOB_KEY = re.compile(
     r"|(?<![\w-])--[a-z]"
 )
 BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! default))\s[^.]*")
-LOW_ROOMS = ("pfdist/times/", "pfdist/models/", "pfdist/search/")
+LOW_ROOMS = ("pfdist/problem/", "pfdist/models/", "pfdist/search/")
 
 
 def vague_names(source: str) -> Iterator[str]:
@@ -101,4 +101,4 @@ def test_the_checks_find_what_they_look_for() -> None:
     assert not BACKWARD.search("The first of equal sets. By default all sets.")
     assert JOB_KEY.search("problem.forbidden must lie")
     assert JOB_KEY.search("give --draws")
-    assert not JOB_KEY.search("pfdist.models.ungm --")
+    assert not JOB_KEY.search("pfdist.models.library.ungm --")

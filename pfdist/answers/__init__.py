@@ -1,1 +1,0 @@
-"""Every answer, said once: a chapter for each question, as a page of parts."""

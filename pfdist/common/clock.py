@@ -1,0 +1,244 @@
+"""The clock of a problem: the time of each instant, in a unit that the user names.
+
+Everything below the job counts instants, 0..T. Times become instants where a user hands them over,
+and instants become times where a user reads them.
+"""
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, cast
+
+import numpy as np
+
+from pfdist.common.formatted_times import formatted_time
+from pfdist.common.measurement_times import Times
+from pfdist.errors import MeasurementTimesError, shown
+
+Time = int | float
+
+_ROUNDING = 1e-11
+"""Rounding to 12 digits changes a time by less than this part of it."""
+_FLOAT_ROUNDING = 1e-15
+"""A sum of floats differs from the true sum by about this part of it."""
+_EXACT = 2**53
+"""Whole floats below this are exact."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of each instant 0..T.
+
+    A `MeasurementTimesError` says that the times are not finite, or not in ascending order.
+    """
+
+    times: tuple[Time, ...]  # (T+1,): in ascending order
+    unit: str = ""  # as the user names it, such as "h"; empty if there is none
+    counts: bool = False  # whether the problem has no clock: the time of an instant is its number
+    # Names of the sensors, if there are any. A possible measurement then has a number,
+    # t * S + sensor, and is written with its sensor, "12 x-ray".
+    sensors: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for time in self.times:
+            if not math.isfinite(time):
+                raise MeasurementTimesError(f"times must be finite numbers, got {time}")
+        for time, later in pairwise(self.times):
+            if not time < later:
+                raise MeasurementTimesError(
+                    f"times must be in ascending order, got {formatted_time(time)} before "
+                    f"{formatted_time(later)}"
+                )
+
+    @classmethod
+    def counting(cls, horizon: int) -> "Clock":
+        """The clock of a problem without a clock: the time of an instant is its number."""
+        return cls(tuple(range(horizon + 1)), counts=True)
+
+    @classmethod
+    def regular(cls, horizon: float, step: float, unit: str = "") -> "Clock":
+        """A clock whose instants lie one step apart, from 0 to the horizon.
+
+        A `MeasurementTimesError` says that the horizon is no multiple of the step.
+        """
+        steps = round(horizon / step)
+        if steps < 1 or not math.isclose(steps * step, horizon, rel_tol=1e-9):
+            below = max(1, math.floor(horizon / step)) * step
+            raise MeasurementTimesError(
+                f"horizon must be a multiple of time_step = {step:g}, got {shown(horizon)}; the "
+                f"nearest are {below:.10g} and {below + step:.10g}"
+            )
+        # As a person would write a multiple of a step: 3 * 0.1 is 0.3.
+        times = tuple(float(f"{t * horizon / steps:.12g}") for t in range(steps + 1))
+        return cls(times, unit)
+
+    @property
+    def horizon(self) -> int:
+        """T."""
+        return len(self.times) - 1
+
+    @property
+    def possible(self) -> int:
+        """The number of possible measurements; without sensors, the number of instants."""
+        return len(self.times) * max(1, len(self.sensors))
+
+    @cached_property
+    def is_even(self) -> bool:
+        """Whether all steps are equal; a clock of a single instant has none."""
+        steps = np.diff(self.times)
+        return not steps.size or bool(np.abs(steps - steps.mean()).max() <= self.slack)
+
+    @cached_property
+    def slack(self) -> float:
+        """The largest distance between a time that a user writes and the instant that it means.
+
+        It is a billionth of the shortest step, or what rounding to 12 digits changes, if this is
+        more. But it is at most a millionth of the step, unless floats cannot distinguish times so
+        near to each other.
+        """
+        step = min((later - time for time, later in pairwise(self.times)), default=1.0)
+        far = max(map(abs, self.times))
+        most = max(1e-6 * step, _FLOAT_ROUNDING * far)
+        return min(max(1e-9 * step, _ROUNDING * far), most)
+
+    @cached_property
+    def trapezoids(self) -> tuple[float, ...]:
+        """The part of the clock's time that stands for each instant, by the trapezoidal rule."""
+        steps = np.diff(self.times)
+        parts = np.append(steps, 0.0) / 2 + np.append(0.0, steps) / 2
+        return tuple(parts.tolist())
+
+    def instant(self, time: Time, name: str = "measurement_times") -> int:
+        """The instant of a time; `name` is the name of the value in an error.
+
+        If no instant has this time, a `MeasurementTimesError` names the nearest.
+        """
+        if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
+            raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
+        after = bisect_left(self.times, time)
+        near = [t for t in (after - 1, after) if 0 <= t <= self.horizon]
+        nearest = min(near, key=lambda t: abs(self.times[t] - time))
+        if abs(self.times[nearest] - time) <= self.slack:
+            return nearest
+        self.check_is_within(time, name)
+        raise MeasurementTimesError(
+            f"{name} must be times of the clock, got {time:.10g}; the nearest are "
+            f"{' and '.join(f'{self.times[t]:.10g}' for t in near)}{self._suffix}"
+        )
+
+    def check_is_within(self, time: Time, name: str) -> None:
+        """Raise a `MeasurementTimesError` if a time lies before the first or after the last."""
+        first, last = self.times[0], self.times[-1]
+        if not first - self.slack <= time <= last + self.slack:
+            raise MeasurementTimesError(
+                f"{name} must lie in {first:.10g}..{self.formatted(self.horizon)}, got {time:.10g}"
+            )
+
+    def between(self, first: Time, last: Time) -> range:
+        """The instants from a time to another, both included if they are on the clock."""
+        start = bisect_left(self.times, first - self.slack)
+        return range(start, bisect_right(self.times, last + self.slack))
+
+    def instants(self, times: Iterable[Time]) -> Times:
+        """The instants of some times, in the same order; errors as of `instant`.
+
+        Without a clock, whole numbers may lie outside 0..T: no instant is looked up.
+        """
+        return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
+
+    def time(self, instant: int) -> Time:
+        """The time of an instant."""
+        return self.times[instant]
+
+    def times_of(self, instants: Iterable[int]) -> list[Time]:
+        """The times of some instants, in the same order."""
+        return [self.times[t] for t in instants]
+
+    def written(self, measurement: int) -> Time | str:
+        """A possible measurement as users read it: its time, and the sensor if there are any."""
+        if not self.sensors:
+            return self.times[measurement]
+        instant, sensor = divmod(measurement, len(self.sensors))
+        return f"{self.times[instant]:.10g} {self.sensors[sensor]}"
+
+    def written_of(self, measurements: Iterable[int]) -> list[Any]:
+        """Possible measurements as users read them, in the same order."""
+        return [self.written(measurement) for measurement in measurements]
+
+    def measurements(self, written: Iterable[Time | str]) -> Times:
+        """The possible measurements of a set as users read it; errors as of `instant`."""
+        if not self.sensors:
+            return self.instants(cast("Iterable[Time]", written))
+        return tuple(self._measurement(entry) for entry in written)
+
+    def _measurement(self, written: Time | str) -> int:
+        time, _, name = str(written).strip().rpartition(" ")
+        try:
+            number, sensor = float(time), self.sensors.index(name)
+        except ValueError as error:
+            raise MeasurementTimesError(
+                f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
+                f"{shown(written)}; sensors: {', '.join(self.sensors)}"
+            ) from error
+        (instant,) = self.instants([int(number) if number.is_integer() else number])
+        return instant * len(self.sensors) + sensor
+
+    def formatted(self, instant: int) -> str:
+        """The time of an instant as text, with the unit."""
+        return f"{self.times[instant]:.10g}{self._suffix}"
+
+    def successors(self, spacing: float) -> tuple[int, ...]:
+        """For each instant, the first later instant whose time is at least `spacing` later.
+
+        T+1 stands for an instant after the last.
+        """
+        after = np.array(self.times) + spacing - self.slack
+        successors = np.searchsorted(self.times, after).tolist()
+        return tuple(max(t + 1, later) for t, later in enumerate(successors))
+
+    def regular_times(self, number: int) -> Times:
+        """N instants, 1..T+1, whose times are as evenly spaced as the clock allows.
+
+        These are the instants nearest to N times that are evenly spaced from the first to the last.
+        Where two of them would be the same instant, the later takes the next. A single time is the
+        instant nearest to the middle.
+        """
+        first_and_last = self.times[0], self.times[-1]
+        wanted = np.linspace(*first_and_last, number) if number > 1 else [np.mean(first_and_last)]
+        chosen = list[int]()
+        for left, time in zip(range(number - 1, -1, -1), wanted, strict=True):
+            first = chosen[-1] + 1 if chosen else 0
+            candidates = np.array(self.times[first : self.horizon + 1 - left])
+            chosen.append(first + int(np.abs(candidates - time).argmin()))
+        return tuple(chosen)
+
+    def since(self, first: int) -> "Clock":
+        """The clock of the instants from `first` on: same times, but instants count from 0."""
+        return Clock(self.times[first:], self.unit, sensors=self.sensors)
+
+    @property
+    def _suffix(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+
+def plain_time(time: Time) -> Time:
+    """The time as a job stores it: 48.0 and -0.0 as the integers 48 and 0, others unchanged.
+
+    The identity of a run depends on how a number is written, so equal times must be written alike.
+    """
+    is_whole = isinstance(time, float) and time.is_integer() and abs(time) < _EXACT
+    return int(time) if is_whole else time
+
+
+def _counted(time: Time) -> int:
+    """A time that counts instants, as an integer."""
+    if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
+        raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")
+    if not float(time).is_integer():
+        raise MeasurementTimesError(
+            f"measurement_times must be whole numbers without a clock, got {time:.10g}"
+        )
+    return int(time)

@@ -1,0 +1,65 @@
+"""Results as a prompt shows them, in a line, and as a notebook shows them."""
+
+from collections.abc import Iterable
+from html import escape
+
+from pfdist.common.parts import Block, Facts, Page, Table, Text, without_empty_columns
+from pfdist.errors import one_line, printable
+
+
+class Shown:
+    """A result that a prompt shows as a line with its warnings, and a notebook as its answer.
+
+    A class that inherits from this one defines `_page`.
+    """
+
+    def _page(self) -> Page:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        page = self._page()
+        return one_line(f"<{' | '.join([page.subtitle, *page.warnings])}>")
+
+    def _repr_html_(self) -> str:
+        return as_fragment(self._page())
+
+
+def as_fragment(page: Page) -> str:
+    """A page as a piece of HTML, without its details and pictures; all texts are escaped.
+
+    Examples
+    --------
+    >>> from pfdist.common.parts import Section
+    >>> as_fragment(Page("", "a < b", [Section("", [Facts([("t", "1")])])]))
+    '<p>a &lt; b</p><table><tr><th>t</th><td>1</td></tr></table>'
+    """
+    blocks = (block for section in page.sections for block in section.blocks)
+    shown = [_of_block(block) for block in blocks if not block.detail]
+    warnings = (f"<p>Note: {_escaped(warning)}</p>" for warning in page.warnings)
+    return "".join([f"<p>{_escaped(page.subtitle)}</p>", *shown, *warnings])
+
+
+def _escaped(text: str) -> str:
+    return escape(printable(text))
+
+
+def _of_block(block: Block) -> str:
+    match block:
+        case Text(text):
+            return f"<p>{_escaped(text)}</p>"
+        case Facts(facts):
+            return _table(_cells("th", [name]) + _cells("td", [value]) for name, value in facts)
+        case Table():
+            shown = without_empty_columns(block)
+            rows = (_cells("td", (cell.text for cell in row)) for row in shown.rows)
+            caption = f"<p>{_escaped(block.caption)}</p>" if block.caption else ""
+            return caption + _table([_cells("th", shown.head), *rows])
+    return ""
+
+
+def _cells(kind: str, texts: Iterable[str]) -> str:
+    return "".join(f"<{kind}>{_escaped(text)}</{kind}>" for text in texts)
+
+
+def _table(rows: Iterable[str]) -> str:
+    return "<table>" + "".join(f"<tr>{row}</tr>" for row in rows) + "</table>"

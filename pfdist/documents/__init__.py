@@ -1,1 +1,0 @@
-"""Answers as parts, and what shows them: a terminal, an HTML page, a notebook."""

@@ -1,0 +1,340 @@
+"""A filter of real measurements, one after another."""
+
+import contextlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pfdist.common.arguments import whole_argument
+from pfdist.common.nearest import did_you_mean
+from pfdist.common.streams import stream_of
+from pfdist.errors import (
+    ArgumentError,
+    EngineWarning,
+    MeasurementsError,
+    ModelError,
+    TraceError,
+    shown,
+)
+from pfdist.filters.cloud import Cloud, Gaussian, Prior
+from pfdist.filters.draws import check_prior
+from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER, is_exact
+from pfdist.filters.filter_estimate import (
+    Belief,
+    Estimate,
+    Normal,
+    Particles,
+    estimate_of,
+    explained,
+    explained_by_normal,
+    quantity,
+    surprise_of_particles,
+)
+from pfdist.filters.kalman import matrices_of
+from pfdist.filters.measurements import checked_instant, checked_measurement
+from pfdist.filters.one_filter import OneFilter, formatted_instant
+from pfdist.filters.settings import check_filter
+from pfdist.filters.user_prior import as_prior
+from pfdist.filters.work import Estimation
+from pfdist.kernels.schemes import threshold_of
+from pfdist.models import StateSpaceModel, load_model
+
+Array = NDArray[np.float64]
+
+LAST = 32_000  # the largest horizon of a job
+# A surprise below `SUSPICIOUS` is computed again with `MANY` particles: 2 / 200,001 times 1,000
+# measurements is 1 %, the level of the alarm.
+SUSPICIOUS = 1e-3
+MANY = 200_000
+_LARGEST_DRAW = 2**32 - 1
+
+
+class Filter:
+    """A particle filter of one real system, to which measurements are given in the order of time.
+
+    It gives the bits of the filter that a run uses, for the same key of the noise.
+
+    Parameters
+    ----------
+    model : StateSpaceModel or str
+        The model, or a name that `pfdist.load_model` takes. If formulas read ``p.time`` or
+        ``p.dt``, give ``model.on_clock(times)``. The filter counts instants.
+    particles : int
+        The engine "kalman" has none.
+    seed : int
+        Seed of the filter's noise.
+    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    resample : str
+        "always", or "below 0.5" to resample only if the effective sample size falls below this
+        share of the particles.
+    engine : {"auto", "compiled", "numpy", "kalman"}
+        "auto" is the compiled engine, or NumPy for a model that cannot be traced. "kalman" is
+        exact, for models that declare themselves linear-Gaussian.
+    prior : Cloud, Gaussian, array or DataFrame, optional
+        The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
+        An array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud`
+        of a filter may go here.
+    draw : int
+        Index of the filter in the stream of its noise.
+    horizon : int
+        The last instant T that is allowed.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be loaded, does not fit a setting, or a formula failed.
+    PriorError
+        The prior does not fit the model.
+    ArgumentError
+        A setting has a value that is not allowed.
+
+    Examples
+    --------
+    >>> import pfdist
+    >>> walk = pfdist.Filter("random_walk", engine="kalman")
+    >>> walk.update(0, 3.0).mean.round(2).tolist()
+    [2.88]
+    >>> walk.predict(4).quantiles([0.25, 0.75]).round(2).tolist()
+    [[1.38], [4.39]]
+    >>> walk.now.t, round(walk.log_evidence, 3)
+    (0, -2.721)
+    """
+
+    def __init__(
+        self,
+        model: StateSpaceModel | str,
+        particles: int = 500,
+        seed: int = 0,
+        *,
+        resampling: str = "systematic",
+        resample: str = "always",
+        engine: str = AUTO,
+        prior: Prior | ArrayLike | None = None,
+        draw: int = 0,
+        horizon: int = LAST,
+    ) -> None:
+        if not isinstance(model, StateSpaceModel | str):
+            raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
+        self.model = load_model(model) if isinstance(model, str) else model
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
+            raise ArgumentError(f"seed must be an integer, got {shown(seed)}")
+        draw = whole_argument("draw", draw, 0, _LARGEST_DRAW)
+        horizon = whole_argument("horizon", horizon, 0, LAST)
+        if engine not in (AUTO, *ENGINES):
+            allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
+            meant = did_you_mean(engine, ENGINES)
+            raise ArgumentError(f"engine must be one of {allowed}, got {shown(engine)}{meant}")
+        self.horizon = horizon
+        self.stream = stream_of("filter", int(seed))
+        """Key of the filter's noise, 64 bits."""
+        start = None if prior is None else as_prior(prior, self.model)
+        if start is not None:
+            check_prior(start, self.model, horizon, by_particles=not is_exact(engine))
+        try:
+            threshold = threshold_of(resample)
+        except ValueError as error:
+            raise ArgumentError(str(error)) from error
+        settings = Estimation(particles, resampling, prior=start, threshold=threshold)
+        check_filter(self.model, self.model, settings)
+        self._filter, mean, variance = self._begun(settings, engine, draw)
+        self._ahead = self._filter
+        # A filter with many particles is slow, so it does not follow each measurement. It stays at
+        # the last suspicious one, and `_unseen_by_many` has all measurements since then.
+        many = replace(settings, particles=max(particles, MANY))
+        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, self._filter.engine)
+        """The filter before its first instant, from which other filters of the system start."""
+        self._many = replace(self.unmeasured, settings=many)
+        self._unseen_by_many: list[tuple[int, Array]] = []
+        self._evidence = 0.0
+        self._now = self._estimate(mean[-1], variance[-1])
+
+    @property
+    def now(self) -> Estimate:
+        """The filter's belief of z at the instant of the last update."""
+        return self._now
+
+    @property
+    def cloud(self) -> Prior:
+        """The particles at the instant of `now`, from which another filter may go on.
+
+        The measurement at this instant has changed them. The engine "kalman" has a normal
+        distribution in their place.
+        """
+        return _prior(self._filter)
+
+    @property
+    def log_evidence(self) -> float | None:
+        """Logarithm of the density or probability of all measurements so far, by this model.
+
+        None if the model does not declare its log-likelihood normalised; see `why_no_evidence`.
+        """
+        return None if self.why_no_evidence else self._evidence
+
+    @property
+    def why_no_evidence(self) -> str:
+        """Why there is no log evidence; empty if there is."""
+        if self.model.normalised or ENGINES[self._filter.engine].exact:
+            return ""
+        return (
+            f"the model {self.model.name} does not declare normalised=True, so its log_likelihood "
+            "may lack a constant"
+        )
+
+    def update(self, t: int, y: float | Sequence[float] | Array) -> Estimate:
+        """Move the filter to t and give it the measurement there.
+
+        Parameters
+        ----------
+        t : int
+            After the last measurement.
+        y : float or sequence of float, (m,)
+            The measurement. NaN marks a component that is missing, which a model must declare that
+            it takes. If all components are missing, t was not measured.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        MeasurementsError
+            The instant or the measurement is wrong, or no particle explains the measurement. The
+            filter stays where it was.
+        """
+        t = checked_instant(t, 0, self.horizon)
+        if t < self._filter.t or (t == self._filter.t and self._filter.measured):
+            after = "after" if self._filter.measured else "not before"
+            raise MeasurementsError(
+                f"measurements must be given in the order of time, each instant once: t must be "
+                f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
+            )
+        measurement = checked_measurement(y, self.model, self._formatted(t))
+        predicted, mean, variance = self._moved(t)
+        if measurement is None:
+            self._filter = self._ahead = predicted
+            self._now = self._estimate(mean[-1], variance[-1])
+            return self._now
+        # A proposal makes the step to t with the measurement, so the filter goes on from before t.
+        before = self._filter if self._filter.t < t and self.model.guided else predicted
+        moved, mean, variance = before.at(t, measurement)
+        belief, log_density, surprise = self._explained(
+            before, predicted, measurement, mean, variance
+        )
+        # The filter moves only here, after everything that may raise an error. So it stays where it
+        # was if a measurement is refused.
+        self._filter = self._ahead = moved
+        self._unseen_by_many.append((t, measurement))
+        self._evidence += log_density
+        is_angle = self.model.is_angle
+        self._now = estimate_of(t, mean[-1], variance[-1], is_angle, belief, surprise)
+        return self._now
+
+    def predict(self, t: int) -> Estimate:
+        """The filter's belief of z(t); the filter does not move.
+
+        Parameters
+        ----------
+        t : int
+            Not before the last measurement.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        MeasurementsError
+            The instant is wrong.
+        """
+        t = checked_instant(t, 0, self.horizon)
+        if t < self._filter.t:
+            first = self._formatted(self._filter.t)
+            raise MeasurementsError(f"t must not be before {first}, got {self._formatted(t)}")
+        if t == self._now.t:
+            return self._now
+        self._ahead, mean, variance = self._moved(t)
+        return self._estimate(mean[-1], variance[-1], self._ahead)
+
+    def _formatted(self, t: int) -> str:
+        return formatted_instant(self.model, t)
+
+    def _moved(self, t: int) -> tuple[OneFilter, Array, Array]:
+        """Predict up to t, from the last prediction if that is on the way."""
+        return (self._ahead if self._ahead.t <= t else self._filter).at(t)
+
+    def _begun(
+        self, settings: Estimation, engine: str, draw: int
+    ) -> tuple[OneFilter, Array, Array]:
+        """The filter at its first instant, compiled, with mean and variance of z."""
+        name = COMPILED.name if engine == AUTO else engine
+        if name == "kalman":
+            matrices_of(self.model, 0)
+        first = OneFilter(self.model, settings, self.stream, draw, name)
+        try:
+            with contextlib.suppress(MeasurementsError):  # it will be raised when it is at hand
+                if name == COMPILED.name and first.t < self.horizon:
+                    first.at(first.t + 1)  # the transition can be traced, too
+            return first.at(first.t)
+        except TraceError as error:
+            if engine != AUTO:
+                raise
+            warnings.warn(
+                f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
+                f"(engine={NUMPY.name!r} says that you know)",
+                EngineWarning,
+                stacklevel=3,
+            )
+        first = OneFilter(self.model, settings, self.stream, draw, NUMPY.name)
+        return first.at(first.t)
+
+    def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
+        """The estimate of an instant that is not measured."""
+        prior = _prior(self._filter if at is None else at)
+        belief: Belief = Normal(mean, np.sqrt(variance))
+        if isinstance(prior, Cloud):
+            weight = np.ones(prior.particles) if prior.weight is None else prior.weight
+            belief = Particles(quantity(self.model, prior, mean), weight)
+        return estimate_of(prior.t, mean, variance, self.model.is_angle, belief)
+
+    def _explained(
+        self, before: OneFilter, predicted: OneFilter, y: Array, mean: Array, variance: Array
+    ) -> tuple[Belief, float, float]:
+        """The belief after a measurement, the measurement's log-density, and its surprise."""
+        prior = _prior(predicted)
+        if isinstance(prior, Gaussian):
+            log_density, surprise = explained_by_normal(self.model, prior, y)
+            return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
+        weighted = explained(before, prior.t, y)
+        surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
+        if surprise < SUSPICIOUS:
+            surprise = self._confirmed(surprise, prior.t, y)
+        belief = Particles(quantity(self.model, weighted.cloud, mean[-1]), weighted.share)
+        return belief, weighted.log_density, surprise
+
+    def _confirmed(self, surprise: float, t: int, y: Array) -> float:
+        """Surprise of a measurement for the filter with many particles.
+
+        Few particles miss the tails of x(t), and few simulated measurements put a floor under the
+        p-value. The choice of measurements adds no false alarms: a result below `SUSPICIOUS` is
+        always a p-value of this filter, and a result above it follows a smaller p-value (Besag,
+        Clifford, "Sequential Monte Carlo p-values", Biometrika 78, 1991).
+        """
+        try:
+            # A measurement is forgotten after the filter has moved past it. If it raises an error,
+            # the filter stays there, and every later surprise is that of few particles.
+            while self._unseen_by_many:
+                self._many = self._many.at(*self._unseen_by_many[0])[0]
+                del self._unseen_by_many[0]
+            self._many = self._many.at(t)[0]
+        except MeasurementsError:  # one of many states may overflow
+            return surprise
+        cloud = cast(Cloud, _prior(self._many))
+        return surprise_of_particles(self.model, cloud, y, self.stream, self._many.draw)
+
+
+def _prior(at: OneFilter) -> Prior:
+    return cast(Prior, at.settings.prior)  # every filter has one after its first instant

@@ -1,0 +1,265 @@
+"""A filter's belief about z(t), how well it has predicted a measurement, and what a user gets."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtr, ndtri
+
+from pfdist.errors import ArgumentError, shown
+from pfdist.filters import kalman
+from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.one_filter import OneFilter, log_likelihood
+from pfdist.filters.plain import step
+from pfdist.kernels.variates import TRUTH_MEASUREMENT, variates
+from pfdist.models import StateSpaceModel
+from pfdist.models.base import within_half_turn
+from pfdist.models.twin import twin_of
+
+Array = NDArray[np.float64]
+
+PREDICTIVE = 20_000
+"""Least number of simulated measurements behind a p-value. The p-value of a component that lies
+beyond all of them is below 2 over their number."""
+_ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """Weighted values of z(t)."""
+
+    z: Array  # (q, P)
+    weight: Array  # (P,), in any unit
+
+    def effective_sample_size(self) -> float:
+        """The squared sum of the weights over the sum of their squares."""
+        return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
+
+    def quantiles(self, levels: Array) -> Array:
+        """The smallest values of z at which the cumulative weight reaches the levels, (L, q)."""
+        z, weight = self.z[:, self.weight > 0], self.weight[self.weight > 0]
+        quantiles = np.empty((levels.size, len(z)))
+        for component, values in enumerate(z):
+            order = np.argsort(values, kind="stable")
+            reached = np.cumsum(weight[order])
+            places = np.searchsorted(reached, levels * reached[-1])
+            quantiles[:, component] = values[order][np.minimum(places, order.size - 1)]
+        return quantiles
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal distributions of the components of z(t)."""
+
+    mean: Array  # (q,)
+    standard_deviation: Array  # (q,)
+
+    def effective_sample_size(self) -> None:
+        """None: there are no particles."""
+
+    def quantiles(self, levels: Array) -> Array:
+        """Quantiles of the normal distributions, (L, q)."""
+        quantiles: Array = self.mean + self.standard_deviation * ndtri(levels)[:, None]
+        return quantiles
+
+
+Belief = Particles | Normal
+"""A filter's belief about z(t): a distribution of each component."""
+
+
+# --- particles ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Particles that a measurement has weighted, and that are not resampled."""
+
+    cloud: Cloud  # at the instant of the measurement
+    share: Array  # (P,): weights after the measurement, with a sum of 1
+    # The logarithm of the mean weight before it is normalised: log p(y(t) | earlier measurements),
+    # if the model's log-likelihood is normalised.
+    log_density: float
+
+
+def explained(at: OneFilter, t: int, y: Array) -> Explained:
+    """The particles of a filter at t, weighted by the measurement y, (m,), there.
+
+    Some particle must have a finite log-likelihood. If the filter stands before t and has a
+    proposal, the proposal makes the step to t.
+    """
+    model, guide = at.model, np.zeros(1)
+    guides = at.t < t and at.settings.guides(model)
+    cloud = cast(Cloud, at.at(t - 1 if guides else t)[0].settings.prior)
+    own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
+    with np.errstate(all="ignore"):
+        if guides:
+            draws, seen = range(at.draw, at.draw + 1), tuple(np.full(len(own), v) for v in y)
+            twin = twin_of(model, range(t - 1, t + 1))
+            x, guide = step(twin, tuple(cloud.x), seen, t - 1, len(own), at.stream, draws)
+            cloud = Cloud(t, np.stack([np.broadcast_to(part, cloud.particles) for part in x]))
+        log_weight = guide + log_likelihood(model, cloud, y)
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
+    log_sum = float(logsumexp(log_weight))
+    share: Array = np.exp(log_weight - log_sum)
+    return Explained(cloud, share, log_sum - math.log(own.sum()))
+
+
+def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:
+    """Quantity of interest z of each particle, (q, P); angles at most half a turn from the mean."""
+    twin = twin_of(model, range(cloud.t, cloud.t + 1))
+    with np.errstate(all="ignore"):
+        z = twin.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
+    parts = [np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z]
+    around: Array = within_half_turn(np.stack(parts, axis=1), mean, model.is_angle)
+    return around.T
+
+
+def surprise_of_particles(
+    model: StateSpaceModel, cloud: Cloud, y: Array, stream: int, draw: int
+) -> float:
+    """The p-value of a measurement among simulated measurements of predicted particles.
+
+    If the model is right, the rank of each component among its simulated values is uniform. The
+    p-value of a component is two-sided, and ties are broken by chance. The result is the smallest
+    p-value of the components, times the number of components measured (Bonferroni).
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    cloud : Cloud
+        Particles, predicted for the instant of the measurement.
+    y : array of float64, (m,)
+        The measurement; NaN marks a missing component.
+    stream, draw : int
+        Key of the filter's noise. The simulated measurements have the role of the truth's
+        measurement noise, which the filter itself does not use.
+    """
+    copies = -(-PREDICTIVE // cloud.particles)
+    number, kinds = copies * cloud.particles, model.noise_of_measurements
+    v = tuple(
+        variates(kind, number, stream, draw, cloud.t, TRUTH_MEASUREMENT, component)
+        for component, kind in enumerate(kinds)
+    )
+    states = cloud.x
+    if cloud.weight is not None:  # of a filter that carries weights
+        (chosen,) = cloud.chosen_for_filters(cloud.particles, range(draw, draw + 1), stream)
+        states = states[:, chosen]
+    x = tuple(np.tile(states, copies))
+    twin = twin_of(model, range(cloud.t, cloud.t + 1))
+    with np.errstate(all="ignore"):
+        by_sensor = (part.model.measurement(x, cloud.t, v[part.v], model.p) for part in twin.parts)
+        simulated = tuple(chain.from_iterable(by_sensor))
+    measured = np.flatnonzero(~np.isnan(y))
+    smallest = 1.0
+    for component in measured:
+        values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
+        values = values[np.isfinite(values)]
+        key = stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
+        (tie,) = variates("uniform", 1, *key)
+        below, equal = np.sum(values < y[component]), np.sum(values == y[component])
+        rank = float((below + tie * (equal + 1)) / (values.size + 1))
+        smallest = min(smallest, 2 * rank, 2 * (1 - rank))
+    return min(1.0, measured.size * smallest)
+
+
+# --- normal distributions -----------------------------------------------------------------------
+
+
+def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tuple[float, float]:
+    """Log-density and p-value of a measurement, (m,), if x(t) has a normal distribution.
+
+    The model is linear-Gaussian, and `state` is the distribution of x(t) before the measurement.
+    NaN marks a missing component; at least one component is measured. The p-value is that of
+    `surprise_of_particles`, with exact probabilities in the place of ranks.
+    """
+    measured = ~np.isnan(y)
+    expected = kalman.predicted_measurement(model, state)
+    innovation = y[measured] - expected.mean[measured]
+    covariance = expected.covariance[np.ix_(measured, measured)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.abs(innovation) / np.sqrt(np.diag(covariance))
+    # A component without variance is as expected (0 / 0) or impossible (its distance is infinite).
+    distance = np.where(np.isnan(distance), 0.0, distance)
+    smallest = float(np.min(2 * ndtr(-distance)))
+    return _log_density(innovation, covariance), min(1.0, innovation.size * smallest)
+
+
+def _log_density(innovation: Array, covariance: Array) -> float:
+    """Log-density of a normal vector, in the space that its covariance spans."""
+    values, vectors = np.linalg.eigh(covariance)
+    spanned = values > _ROUNDING * max(float(values.max()), 0.0)
+    values, along = values[spanned], (innovation @ vectors)[spanned]
+    total = np.sum(np.log(2 * np.pi * values) + along**2 / values)
+    return float(-total / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A filter's belief of z at an instant.
+
+    Parameters
+    ----------
+    t : int
+    measured : bool
+        Whether the filter has the measurement at t.
+    mean, standard_deviation : array of float64, (q,)
+        For an angle the mean direction in -pi..pi, and sqrt(-2 log R), where R is the length of the
+        mean of the particles' unit vectors. For a narrow distribution, this is the usual standard
+        deviation.
+    effective_sample_size : float or None
+        Number of particles of equal weight that are worth as much as the weighted particles; None
+        for the engine "kalman", which has no particles.
+    surprise : float or None
+        The probability of a measurement at least as far out as that at t, if the model is right;
+        None if t was not measured. See `pfdist.filters.filter_estimate.surprise_of_particles`.
+    """
+
+    t: int
+    measured: bool
+    mean: Array
+    standard_deviation: Array
+    effective_sample_size: float | None
+    surprise: float | None
+    _belief: Belief = field(repr=False)
+
+    def quantiles(self, levels: float | Sequence[float]) -> Array:
+        """Quantiles of each component of z, (levels, q).
+
+        Parameters
+        ----------
+        levels : float or sequence of float
+            In 0..1, without the ends. Quantiles of an angle are at most half a turn from the mean.
+        """
+        try:
+            wanted = np.atleast_1d(np.array(levels, np.float64))
+        except (TypeError, ValueError):
+            wanted = np.array([np.nan])
+        if wanted.ndim != 1 or not ((wanted > 0) & (wanted < 1)).all():
+            raise ArgumentError(f"levels must lie between 0 and 1, got {shown(levels)}")
+        return self._belief.quantiles(wanted)
+
+
+def estimate_of(
+    t: int,
+    mean: Array,
+    variance: Array,
+    is_angle: Sequence[bool],
+    belief: Belief,
+    surprise: float | None = None,
+) -> Estimate:
+    """The estimate at t, by its moments; t was measured if there is a surprise."""
+    with np.errstate(all="ignore"):  # 1 - variance is below 0 where z is no angle
+        squares = np.where(is_angle, -2 * np.log1p(-variance), variance)
+    return Estimate(
+        t,
+        surprise is not None,
+        mean,
+        np.sqrt(squares),
+        belief.effective_sample_size(),
+        surprise,
+        belief,
+    )

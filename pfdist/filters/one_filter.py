@@ -1,0 +1,186 @@
+"""A filter of one system that stops at a measurement and goes on from there.
+
+It gives the same bits as a filter with the same keys that receives all measurements at once.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.formatted_times import formatted_time
+from pfdist.common.measurement_times import Times
+from pfdist.common.streams import stream_key
+from pfdist.errors import MeasurementsError, shown
+from pfdist.filters.cloud import Cloud, Gaussian, Prior
+from pfdist.filters.draws import Draws
+from pfdist.filters.engines import COMPILED, ENGINES
+from pfdist.filters.plain import step
+from pfdist.filters.work import Estimation
+from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.parameters import CLOCK, check_lengths
+from pfdist.models.twin import twin_of
+
+
+def formatted_instant(model: StateSpaceModel, t: int) -> str:
+    """The time of an instant as text: p.time[t] of a model on a clock, else the number t."""
+    on_clock = all(name in model.parameters for name in CLOCK)
+    times = model.parameters["time"] if on_clock else ()
+    return formatted_time(times[t]) if isinstance(times, tuple) and t < len(times) else str(t)
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OneFilter:
+    """A filter's knowledge of one system at an instant.
+
+    The error is the squared error: without a truth, a model's own error might fail.
+    """
+
+    model: StateSpaceModel  # the filter's model
+    # The prior in them is the distribution of x(t). Without a prior, the filter starts from
+    # `initial`.
+    settings: Estimation
+    stream: int  # key of the filter's noise, 64 bits
+    draw: int = 0  # index of the draw in the stream
+    engine: str = COMPILED.name  # "compiled", "numpy" or "kalman"
+    measured: bool = False  # whether the instant t was measured
+
+    def __post_init__(self) -> None:
+        if self.model.error is not squared_error:
+            object.__setattr__(self, "model", replace(self.model, error=squared_error))
+
+    @property
+    def t(self) -> int:
+        """The instant: 0, or the instant of the prior."""
+        return 0 if self.settings.prior is None else self.settings.prior.t
+
+    def at(self, t: int, y: Array | None = None) -> tuple["OneFilter", Array, Array]:
+        """The filter at t, and weighted mean and variance of z, (K, q), at K instants up to t.
+
+        The K instants are those from this filter's to t. t must not be before this filter's
+        instant, and must be after it if both are measured. y, (m,), is the measurement at t, if it
+        is measured. All components of a sensor are NaN if it did not measure.
+
+        Raises `MeasurementsError` if no particle explains the measurement, or if a state is not
+        finite. Raises `ModelError` if a formula failed.
+        """
+        filtered = self._filtered(t, y)
+        if ENGINES[self.engine].exact and not np.isfinite(filtered.mse[0]):
+            raise MeasurementsError(f"{self.model.name}: variances must stay finite up to t = {t}")
+        if y is not None and filtered.degenerate[0]:
+            raise MeasurementsError(self._unexplained(t, y))
+        if np.isinf(filtered.mse[0]):
+            raise MeasurementsError(self._not_finite(t))
+        (last,) = filtered.last
+        weight = None if filtered.weight is None else filtered.weight[0]
+        prior = last if isinstance(last, Gaussian) else Cloud(t, last, weight)
+        measured = y is not None or (self.measured and t == self.t)
+        after = replace(self, settings=replace(self.settings, prior=prior), measured=measured)
+        return after, filtered.estimate[0], filtered.variance[0]
+
+    def _filtered(self, t: int, y: Array | None = None) -> Any:
+        """The result of the engine's `filter_checked_draws` up to t, for this one system."""
+        check_lengths(self.model.parameters, t + 1)
+        measurements, quantities = self.model.components[1:]
+        measured_y = np.zeros((1, t + 1 - self.t, measurements))
+        if y is not None:
+            measured_y[0, -1] = y
+        draws = Draws(
+            self.model,
+            range(self.draw, self.draw + 1),
+            np.empty((1, 0, 0)),
+            measured_y,
+            np.zeros((*measured_y.shape[:2], quantities)),  # no truth is known
+            self.t,
+        )
+        times = () if y is None else made(self.model, t, y)
+        return ENGINES[self.engine].filters.filter_checked_draws(
+            self.model, draws, times, self.stream, self.settings, trajectories=True
+        )
+
+    def _unexplained(self, t: int, y: Array) -> str:
+        """Why no particle explains a measurement, by the log-likelihoods of predicted particles."""
+        values = log_likelihood(self.model, cast(Cloud, self.at(t)[0].settings.prior), y)
+        at = f"{shown(y.tolist())} at t = {formatted_instant(self.model, t)}"
+        if not (values < np.inf).all():  # a log-density may be infinite
+            got = "NaN" if np.isnan(values).any() else "infinity"
+            return f"log_likelihood of {self.model.name} must be a number, got {got} for {at}"
+        why = "more particles help, or the model is wrong about this system"
+        if values.max() == -np.inf:
+            why = "its likelihood is 0 for every particle, so the model excludes it"
+        return f"no particle of {self.settings.particles} explains the measurement {at}: {why}"
+
+    def _not_finite(self, t: int) -> str:
+        """Which formula first gives NaN or too large a value, and at which instant up to t."""
+        name, got, first = "initial or quantity_of_interest", "NaN or too large a value", self.t
+        if self.t < t and np.isfinite(self._filtered(self.t).mse[0]):
+            at, _, _ = self.at(self.t)
+            while at.t + 1 < t and np.isfinite(at._filtered(at.t + 1).mse[0]):
+                at, _, _ = at.at(at.t + 1)
+            model, first, last = self.model, at.t + 1, cast(Cloud, at.settings.prior).x
+            draws = range(self.draw, self.draw + 1)
+            twin = twin_of(model, range(at.t, at.t + 2))
+            with np.errstate(all="ignore"):
+                x, _ = step(twin, tuple(last), None, at.t, last.shape[1], self.stream, draws)
+                z = twin.quantity_of_interest(x, first, model.p)
+            is_finite = all(np.isfinite(each).all() for each in x)
+            name, values = ("quantity_of_interest", z) if is_finite else ("transition", x)
+            got = "NaN" if any(np.isnan(each).any() for each in values) else "too large a value"
+        instant = formatted_instant(self.model, first)
+        return f"{name} must stay finite, got {got} at t = {instant} (model {self.model.name})"
+
+
+def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
+    """Log-likelihood of a measurement, (m,), by all sensors that measured, for particles, (P,)."""
+    x, measured = tuple(cloud.x), tuple(np.full(cloud.particles, value) for value in y)
+    total = np.zeros(cloud.particles)
+    twin = twin_of(model, range(cloud.t, cloud.t + 1))
+    with np.errstate(all="ignore"):
+        for _, sensor, of_sensor, _ in twin.parts:
+            if not (model.sensors and np.isnan(y[of_sensor]).all()):  # it measured
+                total += sensor.log_likelihood(measured[of_sensor], x, cloud.t, model.p)
+    return total
+
+
+def filter_of_truths(first: OneFilter) -> OneFilter:
+    """A second filter of the same system, whose particles are the truths of simulated systems.
+
+    Simulated filters start from the particles of the first filter. Their truths must not depend on
+    these particles: a filter that contains its truth looks too good, and one that excludes it too
+    bad, in a finite state space even wrong for certain. Given the measurements, the particles of a
+    filter with independent noise are independent of those of the first.
+    """
+    return replace(first, stream=stream_key(first.stream, "truths"))
+
+
+def with_truths(
+    first: Prior | None, second: OneFilter, t: int, y: Array | None
+) -> tuple[Prior | None, OneFilter]:
+    """The prior of the first filter at t with its truths, and the filter of the truths there.
+
+    `y` is as for `OneFilter.at`. A normal distribution needs no second filter. If no particle of
+    the second filter explains y, it starts again from those of the first.
+    """
+    if not isinstance(first, Cloud):
+        return first, second
+    try:
+        second, *_ = second.at(t, y)
+    except MeasurementsError:
+        settings = replace(second.settings, prior=first)
+        second = replace(second, settings=settings, measured=y is not None)
+    return replace(first, truths=cast(Cloud, second.settings.prior)), second
+
+
+def made(model: StateSpaceModel, t: int, y: Array) -> Times:
+    """The possible measurements that y(t), (m,), has: those of sensors with a component.
+
+    Without sensors this is t.
+    """
+    if not model.sensors:
+        return (t,)
+    parts = enumerate(model.parts)
+    return tuple(t * len(model.parts) + k for k, part in parts if not np.isnan(y[part.y]).all())

@@ -1,0 +1,1 @@
+"""The models that ship. A job names each by the name of its module."""

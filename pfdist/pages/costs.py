@@ -1,0 +1,364 @@
+"""Costs: how close each search came to the best (the paper's figure 2), and how sets compare."""
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
+
+from pfdist.errors import JobError
+from pfdist.pages.figure import Plot, Tables, figure, one_number
+from pfdist.pages.panel import (
+    axes_for,
+    check_kind,
+    chosen,
+    height_of_rows,
+    legend_above,
+    marker,
+    minus,
+    styles_of,
+    table_of,
+    thin,
+    verbatim,
+    write_instead,
+)
+from pfdist.pages.style import GREY
+from pfdist.problem.methods import METHODS
+from pfdist.results import ComparisonStatistics, Run
+from pfdist.results.pairs import formatted_ranks
+from pfdist.results.reference import label
+from pfdist.results.stored_run import distrust_of, named_sets, own_estimation, statistics_of
+
+_PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
+_LONGEST_NAME = 12  # characters of a name with which the legend has two columns
+_ROW, _MOST_ROWS = 0.2, 40  # inches of a row of the comparison; rows up to which a figure grows
+_MOST_IN_TITLE = 3
+_MARKERS = "osD^vPX<>*"
+_LINEAR = 10.0  # per cent, up to which the axis of costs is linear
+Curve = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
+    """Average and minimum of the finite costs of each generation (the paper's curves)."""
+    alive = rows[np.isfinite(rows["expected_mse"])]
+    total = (alive["expected_mse"] * alive["copies"]).groupby(alive["generation"]).sum()
+    groups = alive.groupby("generation")
+    curve = pd.DataFrame(
+        {"average": total / groups["copies"].sum(), "minimum": groups["expected_mse"].min()}
+    )
+    population = rows.groupby("generation")["copies"].sum().cumsum()
+    return curve.set_index(population.reindex(curve.index))
+
+
+def _one_by_one(rows: pd.DataFrame) -> pd.DataFrame:
+    """Average and minimum of all evaluations so far."""
+    rows = rows.sort_values(["generation", "individual"])
+    cost = rows["expected_mse"].where(np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"average": cost.expanding().mean(), "minimum": cost.cummin().ffill()})
+    return curve.set_index(rows["copies"].cumsum())
+
+
+def _best_of_each_step(rows: pd.DataFrame) -> pd.DataFrame:
+    """Least cost of each generation, for sets that grow or shrink by one time a generation."""
+    return _by_generation(rows)[["minimum"]].rename(columns={"minimum": "best of a step"})
+
+
+def _best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
+    """Least cost of all complete sets so far that were evaluated on all draws.
+
+    Prefixes, and sets that were evaluated on fewer draws, only count as evaluations.
+    """
+    rows = rows.sort_values(["generation", "individual"])
+    whole = (rows["end"] == rows["end"].max()) & (rows["draws"] == rows["draws"].max())
+    cost = rows["expected_mse"].where(whole & np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"best so far": cost.cummin().ffill()})
+    return curve.set_index(rows["copies"].cumsum()).dropna()
+
+
+_CURVES: dict[str, Curve] = {
+    "generations": _by_generation,
+    "trials": _one_by_one,
+    "best so far": _best_so_far,
+    "best of a step": _best_of_each_step,
+}
+
+
+def curve_of(method: str) -> Curve:
+    """The curves of a search method; those of generations if the method is unknown."""
+    return _CURVES[METHODS[method].curve if method in METHODS else "generations"]
+
+
+@figure("cost", applies=lambda run: one_number(run) and bool(run.job["search"]))
+def cost_figure(tables: Tables) -> Plot:
+    """Estimated cost against the number of evaluations, relative to the best (paper, figure 2).
+
+    Costs of different estimators are not comparable, so each estimator has a panel. In the panel of
+    the searches that estimate costs as the comparison does, costs are relative to the least
+    expected MSE on fresh draws, and the reference is shown. Elsewhere they are relative to the
+    least estimated cost.
+    """
+    run = tables.run
+    groups, evaluations = groups_of(run), shown_evaluations(run)
+    on_fresh_draws = _on_fresh_draws(run, tables.statistics)
+
+    def draw(panels: Sequence[Axes]) -> None:
+        for ax, (difference, names) in zip(panels, groups.items(), strict=True):
+            lines = {} if difference else on_fresh_draws
+            cost(evaluations, _methods(run, names), **lines, title=_way(difference), ax=ax)
+
+    height = _PANEL + max(map(legend_inches, groups.values()))
+    title = _title(evaluations, _methods(run, [search["name"] for search in run.job["search"]]))
+    return Plot(height * len(groups), draw, len(groups), title=title)
+
+
+def _title(evaluations: pd.DataFrame, methods: Mapping[str, str]) -> str:
+    """Say how many evaluations each search needed to come close to its best."""
+    parts = []
+    for name, method in methods.items():
+        curve = curve_of(method)(evaluations[evaluations["phase"] == name]).min(axis=1).dropna()
+        if len(curve):
+            near = curve.index[(curve <= 1.01 * curve.min()).argmax()]
+            parts.append(f"{name} after {near:,} of {curve.index[-1]:,}")
+    if not parts:
+        return "No search has a finite cost."
+    left_out = f" and {len(parts) - _MOST_IN_TITLE} more" * (len(parts) > _MOST_IN_TITLE)
+    return (
+        "Evaluations until a search came within 1 % of the least cost in its curve: "
+        f"{', '.join(parts[:_MOST_IN_TITLE])}{left_out}."
+    )
+
+
+def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tuple[str, float]]:
+    """The reference and the best set, each with its expected MSE, as `cost` takes them."""
+    mse = {name: float(np.nan_to_num(statistics.mse[name].mean, nan=np.inf)) for name in run.names}
+    reference, best = run.names[0], min(mse, key=lambda name: mse[name])
+    return {"reference": (label(reference), mse[reference]), "best": (label(best), mse[best])}
+
+
+def _way(difference: str) -> str:
+    return f"estimated otherwise than the comparison:\n{difference}" if difference else ""
+
+
+def _methods(run: Run, names: Collection[str]) -> dict[str, str]:
+    methods = {search["name"]: search["method"] for search in run.job["search"]}
+    return {name: methods[name] for name in names}
+
+
+def groups_of(run: Run) -> dict[str, list[str]]:
+    """Names of the searches that estimate alike, by how they differ from the comparison."""
+    groups: dict[str, list[str]] = {}
+    for search in run.job["search"]:
+        own = own_estimation(run, search["name"])
+        parts = [str(own.get("estimator", ""))]
+        parts += [f"{own[key]} {key}" for key in ("particles", "resampling") if key in own]
+        difference = ", ".join(part.replace("_", " ") for part in parts if part)
+        groups.setdefault(difference, []).append(search["name"])
+    return dict(sorted(groups.items()))
+
+
+def shown_evaluations(run: Run) -> pd.DataFrame:
+    """The table of evaluations; of a search that was repeated, only the repetition."""
+    evaluations = run.table("evaluations")
+    names = [search["name"] for search in run.job["search"]]
+    repeated = {f"{name}.again": name for name in names if distrust_of(run, name)}
+    evaluations = evaluations[~evaluations["phase"].isin(repeated.values())]
+    return evaluations.assign(phase=evaluations["phase"].replace(repeated))
+
+
+def cost(
+    evaluations: Run | pd.DataFrame,
+    searches: Mapping[str, str] | Collection[str] = (),
+    *,
+    reference: tuple[str, float] | None = None,
+    best: tuple[str, float] | None = None,
+    title: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw how far estimated costs lie above the best, against the number of evaluations.
+
+    The difference is in per cent. Beyond 10 % the axis is logarithmic except near 0, so that
+    differences of 1 % are seen beside those of 100 %.
+
+    Parameters
+    ----------
+    evaluations : Run or DataFrame
+        A run, or the table of this name.
+    searches : mapping of str to str, or names
+        The searches to show: with a DataFrame the method of each search by its name. By default
+        the searches of a run that estimate the expected MSE as the comparison does, or else those
+        that estimate in another, common way. Costs of different estimators are not comparable.
+    reference : (str, float), optional
+        Label and expected MSE of the reference, drawn as a line; a run has its own.
+    best : (str, float), optional
+        Label and expected MSE of the set to which costs are relative: that of a run with the least
+        expected MSE on fresh draws. By default costs are relative to the least cost that is drawn.
+    title : str
+        Title of the legend; a run says how these searches estimate, if not as the comparison.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        The run has no such search, or the searches estimate differently.
+    TypeError
+        The evaluations are neither a run nor a table.
+    """
+    check_kind(evaluations, (Run, pd.DataFrame), "evaluations")
+    if isinstance(evaluations, Run):
+        run, way, names = evaluations, *_alike(groups_of(evaluations), list(searches))
+        searches, title = _methods(run, names), title or _way(way)
+        if not way and run.draws_compared and "budget" not in run.job:
+            lines = _on_fresh_draws(run, statistics_of(run))
+            reference, best = reference or lines["reference"], best or lines["best"]
+        evaluations = shown_evaluations(run)
+    methods = searches if isinstance(searches, Mapping) else dict.fromkeys(searches, "")
+    methods = methods or dict.fromkeys(map(str, evaluations["phase"].unique()), "")
+    curves = {
+        name: curve_of(method)(evaluations[evaluations["phase"] == name])
+        for name, method in methods.items()
+    }
+    ax = axes_for(ax)
+    least = min((curve.min().min() for curve in curves.values() if len(curve)), default=math.nan)
+    best = best if best is not None and 0 < best[1] < math.inf else None
+    base = least if best is None else best[1]
+    if not 0 < least < math.inf:
+        return write_instead(ax, "no search has a finite cost other than 0")
+    differences = []
+    styles = styles_of(evaluations, ["", *curves])  # none has that of the reference
+    colours = {name: styles[name]["color"] for name in curves}
+    if len({*colours.values()}) < len(curves):  # only a palette tells so many apart
+        colours = {name: colormaps["viridis"](k / len(curves)) for k, name in enumerate(curves)}
+    for position, (name, curve) in enumerate(curves.items()):
+        for kind, costs in curve.items():
+            above = 100 * (costs / base - 1)
+            differences += above.dropna().tolist()
+            dashes = "-" if kind == "average" else "--"
+            ax.plot(
+                above.index, above, color=colours[name], ls=dashes,
+                label=f"{verbatim(name)}, {kind}", marker=_MARKERS[position % len(_MARKERS)],
+                markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), mew=0,
+            )  # fmt: skip
+    by_label = {label(name): style["color"] for name, style in styles.items()}
+    for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
+        if line is not None and math.isfinite(line[1]):
+            text = verbatim(f"{line[0]}: {line[1]:.4g}")
+            differences.append(100 * (line[1] / base - 1))
+            colour = by_label.get(line[0], GREY)
+            ax.axhline(differences[-1], color=colour, lw=thin(0.9), ls=dashes, label=text)
+    _scale(ax, np.array(differences))
+    ax.set_xlabel("number of cost function evaluations")
+    of_what = "estimated cost" if best is None else "expected MSE"
+    ax.set_ylabel(f"estimated cost above\nthe least {of_what} [%]")
+    ax.set_xlim(left=0)
+    ax.margins(y=0.08)
+    legend_above(ax, columns=_columns(methods), title=title)
+    return ax
+
+
+def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
+    """Have a linear axis of small differences, and else an axis that is linear only near 0."""
+    sizes = np.abs(differences[differences != 0])
+    if sizes.size and sizes.max() > _LINEAR:
+        near = 10 ** np.floor(np.log10(np.clip(np.quantile(sizes, 0.1), 0.1, 1.0)))
+        ax.set_yscale("symlog", linthresh=near, linscale=0.5)
+        ax.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=near, subs=(1, 3)))
+        ax.yaxis.set_minor_locator(
+            SymmetricalLogLocator(base=10, linthresh=near, subs=range(1, 10))
+        )
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: minus(f"{value:g}")))
+
+
+def _alike(groups: Mapping[str, list[str]], names: list[str]) -> tuple[str, list[str]]:
+    """How some searches estimate, and their names; without names, those of the first group."""
+    way_of = {name: way for way, group in groups.items() for name in group}
+    names = [chosen(name, way_of, "searches") for name in names] or next(iter(groups.values()))
+    ways = {way_of[name] for name in names}
+    if len(ways) > 1:
+        each = "; ".join(f"{name}: {way_of[name] or 'as the comparison'}" for name in names)
+        raise JobError(f"searches must estimate costs alike, got {each}", argument="searches")
+    return ways.pop(), names
+
+
+def legend_inches(names: Collection[str]) -> float:
+    """Height of a panel's legend over searches of these names, which have two curves at most."""
+    return _LEGEND_LINE * max(3, math.ceil(2 * (1 + len(names)) / _columns(names)))
+
+
+def _columns(names: Collection[str]) -> int:
+    return 2 if max(map(len, names)) <= _LONGEST_NAME else 1
+
+
+@figure("compared", applies=lambda run: bool(named_sets(run)))
+def compared_figure(tables: Tables) -> Plot:
+    """Expected MSE of each compared set, with the 95 % interval of its difference to the best."""
+    ranks = tables.run.table("ranks")
+    best, *others = ranks.to_dict("records")
+    rivals = [str(each["name"]) for each in others if each["best_rank"] == 1]
+    if best["best_rank"] == best["worst_rank"]:
+        title = f"The times of {best['name']} are clearly the best of {len(ranks)} sets."
+    elif len(rivals) > _MOST_IN_TITLE:
+        title = f"The best may be any of {1 + len(rivals)} of {len(ranks)} sets."
+    else:
+        names = ", ".join([str(best["name"]), *rivals])
+        title = f"The best of {len(ranks)} sets may be any of these: {names}."
+    return Plot(_height(ranks), lambda panels: comparison(ranks, ax=panels[0]), title=title)
+
+
+def _height(ranks: pd.DataFrame) -> float:
+    return height_of_rows(min(len(ranks), _MOST_ROWS), _ROW)
+
+
+def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
+    """Draw the expected MSE of each set, the best on top, and how far it is from the best.
+
+    The bar of a set is the 95 % interval of the difference to the best set on the same draws. The
+    numbers on the right are the ranks.
+
+    Parameters
+    ----------
+    ranks : Run or DataFrame
+        A run, or its table ``ranks``.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    table = table_of(ranks, "ranks", "ranks")
+    ax = axes_for(ax, _height(table))
+    least = table["expected_mse"].iloc[0]
+    table = table[np.isfinite(table["difference"])]
+    if table.empty or not np.isfinite(least):
+        return write_instead(ax, "no expected MSE is finite")
+    at = least + table["difference"].to_numpy()
+    bars = np.stack([table["difference"] - table["low"], table["high"] - table["difference"]])
+    ax.axvline(least, color=GREY, lw=thin(0.6), ls=(0, (4, 1.5)), zorder=0)
+    styles = styles_of(table, table["name"])
+    for row, name in enumerate(table["name"]):
+        style = styles[name] | {"ls": "", "ms": marker(0.9)}
+        ax.errorbar(
+            at[row], row, xerr=np.nan_to_num(bars[:, [row]]), elinewidth=thin(1.2),
+            capsize=marker(0.5), capthick=thin(), **style,
+        )  # fmt: skip
+    ax.set_ylim(len(table) - 0.5, -0.5)
+    beside = ax.twinx()
+    beside.set_ylim(ax.get_ylim())
+    beside.set_ylabel("rank")
+    step = math.ceil(len(table) / _MOST_ROWS)
+    names = list(map(verbatim, table["name"]))
+    numbers = list(map(formatted_ranks, table["best_rank"], table["worst_rank"]))
+    for axis, labels in ((ax, names), (beside, numbers)):
+        axis.set_yticks(range(0, len(labels), step), labels[::step])
+        axis.tick_params(axis="y", length=0)
+    ax.set_xlabel("expected MSE (bars: 95 % of the difference to the best)")
+    return ax

@@ -1,0 +1,282 @@
+"""Figures of a run: how a figure is declared, which a run has, and their files.
+
+A module of `pfdist.plots` declares its figures. `pfdist plot` and the folder of a run have all of
+them; a report shows those that a chapter of `pfdist.questions` names.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Text
+
+from pfdist.common.registry import Registry
+from pfdist.common.stopping import check
+from pfdist.errors import StoreError, one_line, printable
+from pfdist.pages.panel import scaled
+from pfdist.pages.style import styled
+from pfdist.results import ComparisonStatistics, Run
+from pfdist.results.online import OnlineDraws, online_draws
+from pfdist.results.stored_run import statistics_of
+from pfdist.store import record_pages, write_file
+from pfdist.store.folder import FIGURES_FOLDER, FORMATS
+
+Applies = Callable[[Run], bool]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """The size of a figure, and what draws it.
+
+    Parameters
+    ----------
+    height : float
+        In inches, for a font of 8 points; it scales with the font of the style. The style gives
+        the width.
+    draw : callable
+        Draws into the panels, from above to below.
+    panels : int
+        Number of panels.
+    share_x : bool
+        Whether the panels share one horizontal axis.
+    title : str
+        One sentence that says what to see in the data. It is not drawn; reports show it beside the
+        figure, and files hold it as their title.
+    heights : sequence of float, optional
+        Relative heights of the panels; by default all are equal.
+    """
+
+    height: float
+    draw: Callable[[Sequence[Axes]], Any]
+    panels: int = 1
+    share_x: bool = False
+    title: str = ""
+    heights: Sequence[float] | None = None
+
+
+class Tables:
+    """A run, and the tables of it that several figures need, each read once.
+
+    Parameters
+    ----------
+    run : Run
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+
+    @cached_property
+    def statistics(self) -> ComparisonStatistics:
+        """Statistics of the comparison."""
+        return statistics_of(self.run)
+
+    @cached_property
+    def trajectories(self) -> pd.DataFrame:
+        """Truth, measurements and estimates of the first draws."""
+        return self.run.table("trajectories")
+
+    @cached_property
+    def gains_of_trajectories(self) -> pd.DataFrame:
+        """Relative gains of the draws that have trajectories, by draw."""
+        draws = int(self.trajectories["draw"].max()) + 1
+        return self.run.table("gains", draws).set_index("draw")
+
+    @cached_property
+    def online(self) -> OnlineDraws:
+        """The draws whose times were chosen one after another."""
+        return online_draws(self.run)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that a run can have.
+
+    Parameters
+    ----------
+    name : str
+        File name without suffix; with ``each_set`` the first part of it.
+    description : str
+        The figure in one line: what it shows of any run. Reports take it as alternative text.
+    plot : callable
+        The plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
+    applies : callable
+        Says whether a run has the figure.
+    each_set : bool
+        Whether there is a file ``<name>-<set>`` for each compared set but the reference.
+    """
+
+    name: str
+    description: str
+    plot: Callable[..., Plot]
+    applies: Applies
+    each_set: bool = False
+
+    def files(self, run: Run) -> list[str]:
+        """Names of the figure's files of a run, without suffix."""
+        return list(self._arguments(run))
+
+    def plots(self, tables: Tables) -> Iterator[tuple[str, Plot]]:
+        """The name of each file, without suffix, and the plot in it."""
+        for file, arguments in self._arguments(tables.run).items():
+            yield file, self.plot(tables, *arguments)
+
+    def _arguments(self, run: Run) -> dict[str, tuple[str, ...]]:
+        """Arguments of ``plot``, beside the tables, by the name of the file."""
+        if not self.applies(run):
+            return {}
+        if self.each_set:
+            return {f"{self.name}-{name}": (name,) for name in run.names[1:]}
+        return {self.name: ()}
+
+
+FIGURES: Registry[Figure] = Registry("pfdist.pages")
+
+
+def one_number(run: Run) -> bool:
+    """Whether the sets of a run have one number of measurements."""
+    return "budget" not in run.job
+
+
+def has_online(run: Run) -> bool:
+    """Whether a run has times that were chosen one after another."""
+    return "online" in run.tables
+
+
+def figure(
+    name: str, *, applies: Applies = lambda run: True, each_set: bool = False
+) -> Callable[[Callable[..., Plot]], Callable[..., Plot]]:
+    """Declare a function as a figure; the first line of the docstring describes the figure.
+
+    Parameters
+    ----------
+    name : str
+        File name without suffix; with ``each_set`` the first part of it.
+    applies : callable
+        Says whether a run has the figure; by default every run has it.
+    each_set : bool
+        Whether there is a file ``<name>-<set>`` for each compared set but the reference. The
+        function is then called with the name of a set, too.
+    """
+
+    def declare(plot: Callable[..., Plot]) -> Callable[..., Plot]:
+        description = (plot.__doc__ or "").partition("\n")[0]
+        FIGURES.declare(name, Figure(name, description, plot, applies, each_set))
+        return plot
+
+    return declare
+
+
+def draw_missing_figures(run: Run) -> None:
+    """Draw the figures of a run whose files are missing; its comparison has begun.
+
+    Parameters
+    ----------
+    run : Run
+    """
+    tables = Tables(run)
+    missing = (
+        figure
+        for figure in FIGURES.values()
+        if not all(file.exists() for name in figure.files(run) for file in _files(run, name))
+    )
+    save_plots(run, (plot for figure in missing for plot in figure.plots(tables)))
+
+
+def draw_figures(run: Run, only: str = "") -> list[Path]:
+    """Draw all figures of a run from its tables, or one, into its folder ``figures``.
+
+    Parameters
+    ----------
+    run : Run
+    only : str
+        Name of one figure of `FIGURES`; empty for all.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    StoreError
+        The comparison has not begun, so there is nothing to draw; a table cannot be read; or a
+        file cannot be written.
+    """
+    if run.state == "searching" or not run.draws_compared:
+        raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
+    tables, wanted = Tables(run), [FIGURES[only]] if only else FIGURES.values()
+    return save_plots(run, (plot for figure in wanted for plot in figure.plots(tables)))
+
+
+def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
+    """Draw plots in the style for print into the folder ``figures`` of a run; return the files.
+
+    Each plot comes with the name of its files, without suffix, and has a PNG and an SVG file.
+    """
+    saved = []
+    with styled():
+        for name, plot in plots:
+            canvas, files = drawn(plot), _files(run, name)
+            for file in files:
+                write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
+            saved += files
+    record_pages(run.path)
+    return saved
+
+
+def save_plot(path: Path, plot: Plot, title: str) -> None:
+    """Draw a plot in the style for print into any PNG file.
+
+    The title, in ASCII, is not drawn. The file has it near its start as metadata, by which a later
+    call recognises an earlier figure.
+    """
+    with styled():
+        write_file(path, partial(_save, drawn(plot), "png", title))
+
+
+def drawn(plot: Plot) -> Canvas:
+    """Draw a plot, as large as the style in use makes it, on a canvas without a window.
+
+    The layout is made here, once. A canvas with a layout engine would draw everything twice for
+    each format.
+    """
+    check()
+    size = rcParams["figure.figsize"][0], scaled(plot.height)
+    dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
+    canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots)
+    canvas.set_layout_engine("none")  # whatever the style says
+    panels = canvas.subplots(
+        plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
+    )
+    plot.draw(panels[:, 0].tolist())
+    _remove_control_characters(canvas)
+    ConstrainedLayoutEngine().execute(canvas)
+    return canvas
+
+
+def _remove_control_characters(canvas: Canvas) -> None:
+    """Replace the control characters that names in a run from elsewhere may hold."""
+    for axis in (axis for panel in canvas.axes for axis in (panel.xaxis, panel.yaxis)):
+        labels = [label.get_text() for label in axis.get_ticklabels()]
+        if (shown := [*map(printable, labels)]) != labels:
+            axis.set_ticks(axis.get_ticklocs(), shown)
+    for text in canvas.findobj(Text):
+        text.set_text(printable(text.get_text()))
+
+
+def _files(run: Run, name: str) -> list[Path]:
+    return [run.path / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS]
+
+
+def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:
+    about: dict[str, str | None] = {"Title": one_line(title)} if title else {}
+    if suffix == "svg":
+        about["Date"] = None  # without a date, the same figure gives the same bytes
+    canvas.savefig(path, format=suffix, metadata=about)

@@ -1,0 +1,159 @@
+"""A filter's belief about z over time, from real measurements, with 50 and 90 % bands."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pfdist.common.formatted_times import by_sensor, time_and_sensor
+from pfdist.pages.figure import Plot, save_plot
+from pfdist.pages.panel import (
+    MOST_COMPONENTS,
+    axes_for,
+    chosen,
+    label_quantity,
+    label_times,
+    legend_above,
+    marker,
+    name_row,
+    stack,
+    table_of,
+    thin,
+)
+from pfdist.pages.style import BLUE, GREY, ORANGE, RED
+from pfdist.store.files import begins_with, check_replaceable
+from pfdist.store.schema import components_in
+
+_TITLE = "pfdist: filtered measurements"
+_START = 4096  # number of bytes at the start of a file that contain its title
+_BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))  # percentiles, opacity and label
+_LEVEL, _ROW = 0.035, 0.07  # first row of markers, and distance of two, as shares of the height
+
+
+Times = tuple[Sequence[float | str], ...]
+"""Measured times, planned times that were not measured, measured times that were not planned, and
+planned times after the last measurement. With sensors each is written with its sensor."""
+
+
+def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
+    """Plot of each component of z: mean, bands, and the times of measurements.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With the columns of `pfdist.store.filtered_schema`.
+    times : tuple of four sequences of int, float or str
+        Measured times, planned times that were not measured, measured times that were not planned,
+        and planned times after the last measurement.
+    """
+    quantities = components_in(table, "mean_")
+    number = min(len(quantities), MOST_COMPONENTS)
+    last, first = table.iloc[-1], quantities[0]
+    mean, low, high = (f"{last[f'{name}_{first.suffix}']:.3g}" for name in ("mean", "q05", "q95"))
+    unit = f" {first.unit}" if first.unit else ""
+
+    def draw(panels: Sequence[Axes]) -> None:
+        for component, ax in enumerate(panels):
+            belief(table, component=component, times=times, ax=ax)
+        stack(panels, len(quantities))
+
+    title = (
+        f"In the end the filter believes {first.name or 'z'} to be {mean}{unit}, and with 90 % "
+        f"between {low} and {high}{unit}."
+    )
+    return Plot(1.3 + 1.45 * number, draw, number, share_x=True, title=title)
+
+
+def draw_filtered(path: Path, plot: Plot) -> None:
+    """Draw the plot of filtered measurements to a PNG file.
+
+    Parameters
+    ----------
+    path : Path
+    plot : Plot
+        As of `filtered_plot`.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written, or a file of another kind has this name.
+    """
+    check_figure_replaceable(path)
+    save_plot(path, plot, _TITLE)
+
+
+def check_figure_replaceable(path: Path) -> None:
+    """Raise an error if a file may not be replaced by a figure.
+
+    Raises
+    ------
+    StoreError
+        The file exists, and is no earlier figure of filtered measurements.
+    """
+    check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))
+
+
+def belief(
+    source: object, *, component: int = 0, times: Times | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the mean of a component of z with its 50 and 90 % bands, and the measurement times.
+
+    Parameters
+    ----------
+    source : DataFrame or object
+        A table of filtered measurements, with the columns of `pfdist.store.filtered_schema`, or an
+        object that has it as ``table``, such as the result of `pfdist.filter_measurements`.
+    component : int
+        Component of z.
+    times : tuple of four sequences of int, float or str, optional
+        Measured times, planned times that were not measured, measured times that were not planned,
+        and planned times after the last measurement; by default the object's ``measured``,
+        ``missing``, ``extra`` and ``to_come``. With sensors, which have a row each, `12 x-ray`.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        There is no such component.
+    """
+    table = table_of(source, "source", "table")
+    at_instants = table["t"][table["measured"].to_numpy(bool)].tolist()
+    keys = (("measured", at_instants), ("missing", ()), ("extra", ()), ("to_come", ()))
+    measured, missing, extra, to_come = times or (getattr(source, *each) for each in keys)
+    quantities = components_in(table, "mean_")
+    suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
+    t, ax = table["t"].to_numpy(), axes_for(ax)
+    for low, high, alpha, label in _BANDS:
+        below, above = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
+        ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
+    ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
+    label_quantity(ax, quantities, component)
+    sensors = [*by_sensor([*measured, *missing, *to_come])]
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
+    levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
+    for each, shape, colour, label in (
+        ([at for at in measured if at not in extra], "|", "black", "measured as planned"),
+        (extra, "D", ORANGE, "measured, not planned"),
+        (missing, "x", RED, "planned, not measured"),
+        (to_come, "o", GREY, "planned, to come"),
+    ):
+        at, sensors_of = zip(*map(time_and_sensor, each), strict=True) if each else ((), ())
+        if at:
+            ax.plot(
+                at, [levels[sensor] for sensor in sensors_of], shape, ms=marker(1.2),
+                mew=thin(0.9), color=colour, mfc="white", transform=ax.get_xaxis_transform(),
+                label=label, clip_on=False,
+            )  # fmt: skip
+    for sensor, level in levels.items():
+        name_row(ax, level, sensor, share=True)
+    label_times(ax, table)
+    legend_above(ax)
+    return ax

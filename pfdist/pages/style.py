@@ -1,0 +1,67 @@
+"""Matplotlib, imported such that no setting of the machine changes a figure; styles and colours.
+
+The package imports this module first, and no module outside the package imports Matplotlib.
+
+Sets of times differ for colour-blind readers and in grey. The styles ``print.mplstyle`` and
+``screen.mplstyle`` hold fonts and sizes. Figures take their sizes from the style in use, so these
+two and any other style of Matplotlib apply.
+"""
+
+import contextlib
+import logging
+import os
+import sys
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from types import MappingProxyType
+from typing import Any
+
+# Matplotlib warns if it cannot write a folder for settings; a run needs no such folder.
+logging.getLogger("matplotlib").addHandler(logging.NullHandler())
+
+# A backend shows windows, which runs never open. An unknown backend would fail the import.
+_backend = None if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", None)
+try:
+    import matplotlib as mpl
+    from matplotlib import style
+finally:
+    if _backend is not None:
+        os.environ["MPLBACKEND"] = _backend
+if _backend:
+    with contextlib.suppress(ValueError):  # an unknown backend is as good as none
+        mpl.rcParams["backend"] = _backend
+
+BLUE, RED, ORANGE, GREEN, PURPLE = "#0077bb", "#bb2211", "#dd8800", "#228833", "#cc79a7"
+GREY = "#666666"
+SENSORS = ("o", "s", "^", "D", "v", "P", "X", "*")  # markers, one for each possible sensor
+SERIES = (RED, BLUE, ORANGE, GREEN, PURPLE)
+
+COLUMN_INCHES = 3.5  # width of a printed figure
+PRINT, SCREEN = "pfdist.pages.print", "pfdist.pages.screen"
+
+_SETS: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "ls": (0, (4, 1.5)), "marker": "o", "mfc": "white"},
+    {"color": RED, "ls": "-", "marker": "o", "mfc": RED},
+    {"color": ORANGE, "ls": (0, (6, 1.5, 1, 1.5)), "marker": "s", "mfc": ORANGE},
+    {"color": GREEN, "ls": (0, (1, 1)), "marker": "^", "mfc": GREEN},
+    {"color": PURPLE, "ls": (0, (7, 1)), "marker": "D", "mfc": "white"},
+)
+
+
+def set_style(position: int) -> dict[str, Any]:
+    """Colour, dashes and marker of a set of times; position 0 is the reference, hollow and blue.
+
+    No other set is blue: after the last style follows that of position 1.
+    """
+    return dict(_SETS[position and 1 + (position - 1) % (len(_SETS) - 1)])
+
+
+def styled(
+    name: str = PRINT, settings: Mapping[str, Any] = MappingProxyType({})
+) -> AbstractContextManager[Any]:
+    """Context in which files are drawn: the defaults of Matplotlib, and a style of pfdist.
+
+    `settings` replace those of the style. No figure has a layout engine: it is laid out once.
+    """
+    once = {"figure.constrained_layout.use": False}
+    return style.context(["default", name, once, dict(settings)])

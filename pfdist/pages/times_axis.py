@@ -1,0 +1,290 @@
+"""When to measure: the error of each set over time, and its measurement times on one axis."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+
+from pfdist.common.clock import Clock
+from pfdist.common.formatted_times import by_sensor
+from pfdist.errors import JobError, shown
+from pfdist.pages.figure import Plot, Tables, figure
+from pfdist.pages.panel import (
+    BAND,
+    axes_for,
+    check_kind,
+    chosen,
+    cut_outliers,
+    height_of_rows,
+    label_instants,
+    label_quantity,
+    label_times,
+    legend_above,
+    marker,
+    points,
+    stack,
+    styles_of,
+    thin,
+    verbatim,
+    write_instead,
+)
+from pfdist.pages.style import GREY, set_style
+from pfdist.results import Run
+from pfdist.results.reference import label
+from pfdist.results.stored_run import problem_of
+from pfdist.store.schema import components_in
+
+_MOST_LINES = 5  # sets that differ in colours and dashes
+_MOST_COMPONENTS = 3  # of z, each with a panel above the times
+_ROW, _PANEL = 0.17, 1.6  # inches
+_MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
+_LONGEST_OF_TWO = 16  # characters of a name with which the legend has two columns
+_MARGIN = 0.03  # part of the axis beside times that are not whole
+_LEADING = 1.25  # distance of two names over the size of their font
+
+
+@figure("times")
+def times_figure(tables: Tables) -> Plot:
+    """Root mean square error of the estimates over time, and the measurement times of every set."""
+    run, sets = tables.run, tables.run.sets
+    rows = times_inches(sum(len(_rows_of(name, at)) for name, at in sets.items()))
+    if "budget" in run.job or len(sets) < 2 or "trajectories" not in run.tables:
+        numbers = sorted({len(times) for times in sets.values()})
+        each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
+        title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
+        return Plot(rows, lambda panels: times(run, ax=panels[0]), title=title)
+    reference, *others = run.names
+    mse = {name: tables.statistics.mse[name].mean for name in others}
+    best = min(mse, key=lambda name: np.nan_to_num(mse[name], nan=np.inf))
+    names = run.names if len(run.names) <= _MOST_LINES else [reference, best]
+    components = components_in(tables.trajectories, "z_")
+    number = min(len(components), _MOST_COMPONENTS)
+
+    def draw(panels: Sequence[Axes]) -> None:
+        *above, below = panels
+        for component, ax in enumerate(above):
+            uncertainty(tables.trajectories, names, component=component, ax=ax)
+        times(run, ax=below)
+        stack([*above, below], 1 + len(components))
+
+    return Plot(
+        0.3 + _PANEL * number + rows, draw, number + 1, share_x=True,
+        title=_title(tables.trajectories, best, reference),
+        heights=[*[_PANEL] * number, rows - 0.75],
+    )  # fmt: skip
+
+
+def _title(trajectories: pd.DataFrame, best: str, reference: str) -> str:
+    """Say at how many instants the best set has the lower error."""
+    suffixes = [each.suffix for each in components_in(trajectories, "z_")]
+    errors = [
+        sum(_squared_errors(trajectories, name, suffix) for suffix in suffixes)
+        for name in (best, reference)
+    ]
+    both = pd.DataFrame({"t": trajectories["t"], "best": errors[0], "reference": errors[1]})
+    means = both.dropna().groupby("t").mean()
+    lower = int((means["best"] < means["reference"]).sum())
+    return (
+        f"The root mean square error with the times of {best} is lower than with "
+        f"{label(reference)} at {lower} of {len(means)} instants, over "
+        f"{trajectories['draw'].nunique()} fresh draws."
+    )
+
+
+def _squared_errors(trajectories: pd.DataFrame, name: str, suffix: str) -> "pd.Series[float]":
+    with np.errstate(over="ignore"):
+        return (trajectories[f"estimate_{name}_{suffix}"] - trajectories[f"z_{suffix}"]) ** 2
+
+
+def uncertainty(
+    trajectories: Run | pd.DataFrame,
+    names: Sequence[str] = (),
+    *,
+    component: int = 0,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the root mean square error of the estimates of z over time, with 95 % bands.
+
+    Parameters
+    ----------
+    trajectories : Run or DataFrame
+        A run, or its table ``trajectories``: truth and estimates of fresh draws.
+    names : sequence of str
+        Sets that are drawn, the reference first; by default all in the table, which must be at
+        most five.
+    component : int
+        Component of z.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        There is no such set or component, or there are more than five sets.
+    TypeError
+        The trajectories are neither a run nor a table.
+    """
+    check_kind(trajectories, (Run, pd.DataFrame), "trajectories")
+    table = trajectories.table("trajectories") if isinstance(trajectories, Run) else trajectories
+    quantities = components_in(table, "z_")
+    suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
+    ends = [each.suffix for each in components_in(table, "estimate_")]
+    every = [
+        name
+        for name in (end.removesuffix(f"_{suffix}") for end in ends if end.endswith(f"_{suffix}"))
+        if all(f"{name}_{each.suffix}" in ends for each in quantities)
+    ]
+    names = [chosen(name, every, "names") for name in names] or every
+    if len(names) > _MOST_LINES:
+        raise JobError(
+            f"names must be at most {_MOST_LINES} sets, got {len(names)}", argument="names"
+        )
+    squares = {name: _squared_errors(table, name, suffix) for name in names}
+    errors = pd.DataFrame(squares).assign(t=table["t"]).dropna()  # the same draws for all sets
+    ax, curves = axes_for(ax), []
+    if errors.empty:
+        return write_instead(ax, "no draw with a trajectory has an estimate")
+    styles = styles_of(table, names)
+    for name in names:
+        style, at_each = styles[name], errors.groupby("t")[name]
+        mean, half = at_each.mean(), BAND * at_each.sem().fillna(0.0)
+        error, low, high = (np.sqrt(np.maximum(0.0, mean + side * half)) for side in (0, -1, 1))
+        ax.fill_between(mean.index, low, high, color=style["color"], alpha=0.12, lw=0)
+        ax.plot(
+            mean.index, error, color=style["color"], ls=style["ls"], lw=thin(0.9),
+            label=verbatim(name),
+        )  # fmt: skip
+        curves.append(points(mean.index, error, style["color"], name))
+    cut_outliers(ax, curves, zero=True)
+    label_quantity(ax, quantities, component, "root mean square error of {}")
+    label_times(ax, table)
+    longest = max(map(len, names))
+    columns = 3 if longest <= 12 else 2 if longest <= _LONGEST_OF_TWO else 1
+    legend_above(ax, columns=columns, title="bands: 95 %")
+    return ax
+
+
+def times(
+    sets: Run | Mapping[str, Sequence[float]],
+    *,
+    horizon: float | None = None,
+    forbidden: Iterable[float] = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw sets of measurement times on one axis, a row for each; forbidden instants are grey.
+
+    The reference of a run has hollow markers. A new figure grows with the sets, up to 40. Axes
+    without room for all names show every second, third, ... name, and say so.
+
+    Parameters
+    ----------
+    sets : Run or mapping of str to sequence of int or float
+        A run, or times by the name of their set, from above to below.
+    horizon : int or float, optional
+        The last instant T, or time of the clock; by default that of the run, or else the last
+        measurement time.
+    forbidden : iterable of int or float
+        Instants or times that may not be measured; a run adds its own. Without a run, times that
+        are not whole are shaded halfway to the next given time.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    TypeError
+        The sets are neither a run nor times by name.
+    """
+    check_kind(sets, (Run, Mapping), "sets")
+    barred, references, clock = set[float](forbidden), set[str](), None
+    if is_of_run := isinstance(sets, Run):
+        run, clock = sets, problem_of(sets).clock
+        barred.update(_forbidden_times(run))
+        sets = run.sets
+        references = {*run.names} - {*run.references}
+    for name, at in sets.items():
+        check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
+    rows = [row for name, at in sets.items() for row in _rows_of(name, at)]
+    if clock is None:
+        given = {t for _, _, at in rows for t in at} or {0}
+        clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
+    ax = axes_for(ax, times_inches(len(rows)))
+    others = [name for name in sets if name not in references]
+    size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(rows)))
+    each_differs = len(references) < 2
+    for row, (name, _, at) in enumerate(rows):
+        position = 1 + others.index(name) * each_differs if name in others else 0
+        style = set_style(position) | {"ls": ""}
+        if len(rows) <= _MOST_NAMED:
+            ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
+        ax.plot(
+            at, [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, clip_on=False, **style
+        )
+    _shade(ax, barred, clock)
+    first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
+    beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
+    if not (is_of_run or clock.counts):  # the steps of this clock are those of the given times
+        beside = min(beside, _MARGIN * (last - first))
+    ax.set_xlim(first - beside, last + beside)
+    ax.set_ylim(len(rows) - 0.5, -0.5)  # the first set on top
+    inches = ax.get_window_extent().height / ax.figure.dpi
+    room = 72 * inches / (_LEADING * 0.875 * rcParams["font.size"])
+    step = -(-len(rows) // max(1, int(room)))
+    labels = [verbatim(label) for _, label, _ in rows]
+    ax.set_yticks(range(0, len(rows), step), labels[::step])
+    if step > 1:
+        ax.set_ylabel(f"{len(rows)} sets, 1 of {step} is named")
+    ax.tick_params(axis="y", length=0)
+    label_instants(ax, clock.unit, whole=clock.counts)
+    legend_above(ax, ax.patches[:1])
+    return ax
+
+
+def times_inches(sets: int) -> float:
+    """Height of the figure `times`, in which each of up to 40 sets has its name."""
+    return height_of_rows(min(sets, _MOST_NAMED), _ROW)
+
+
+def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, str, list[float]]]:
+    """Name, label and times of each row of a set: one row, or one for each of its sensors."""
+    return [
+        (name, f"{name}, {sensor}" if sensor else name, at)
+        for sensor, at in by_sensor(measurements).items()
+    ]
+
+
+def _forbidden_times(run: Run) -> list[float]:
+    """The times at which no sensor may measure."""
+    feasible, clock = problem_of(run).feasible, problem_of(run).clock
+    counts = Counter(time // feasible.sensors for time in feasible.forbidden)
+    return clock.times_of(t for t, count in counts.items() if count == feasible.sensors)
+
+
+def _clock_of(times: Iterable[float], last: float) -> Clock:
+    """The clock of times without a run: whole numbers from 0 on, or else only these times."""
+    instants = {0, last, *(t for t in times if t <= last)}
+    if all(t == int(t) for t in instants):
+        return Clock.counting(int(last))
+    return Clock(tuple(sorted(map(float, instants))))
+
+
+def _shade(ax: Axes, forbidden: set[float], clock: Clock) -> None:
+    """Shade each stretch of successive forbidden instants, half a step beyond both ends."""
+    at = np.array(clock.times, np.float64)
+    middles = (at[1:] + at[:-1]) / 2 if at.size > 1 else at + 0.5
+    edges = np.concatenate([[2 * at[0] - middles[0]], middles, [2 * at[-1] - middles[-1]]])
+    instants = np.flatnonzero([time in forbidden for time in clock.times])
+    for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
+        if stretch.size:
+            ends = edges[stretch[0]], edges[stretch[-1] + 1]
+            ax.axvspan(*ends, color=GREY, alpha=0.25, lw=0, zorder=-1, label="forbidden")

@@ -1,0 +1,288 @@
+"""Why these times: the expected error over time, and what limits the filters (`pfdist why`)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pfdist.common.formatted_times import formatted_time, measurement_of
+from pfdist.pages.figure import Plot, Tables, figure
+from pfdist.pages.measurements import shifts, worth
+from pfdist.pages.panel import (
+    BAND,
+    axes_for,
+    check_kind,
+    cut_outliers,
+    label_times,
+    legend_above,
+    marker,
+    points,
+    rows_of_sets,
+    stack,
+    table_of,
+    thin,
+    verbatim,
+    write_instead,
+)
+from pfdist.pages.style import set_style
+from pfdist.results import Run
+from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
+from pfdist.results.reference import label
+
+_MOST_SETS = 5  # in the figure of the filters
+_LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
+
+
+def _is_explained(run: Run) -> bool:
+    return "profile" in run.tables and "worth" in run.tables
+
+
+def _has_particles(run: Run) -> bool:
+    return _is_explained(run) and bool(run.table("profile")["effective_sample_size"].notna().any())
+
+
+@figure("why", applies=_is_explained, each_set=True)
+def why_figure(tables: Tables, name: str) -> Plot:
+    """Expected error over time, and its rise if a measurement is removed or shifted."""
+    run = tables.run
+    profile, measurements, names = run.table("profile"), run.table("worth"), (run.names[0], name)
+    of_both = measurements[measurements["name"].isin(names)]  # a set may measure nothing
+
+    def draw(panels: Sequence[Axes]) -> None:
+        error_profile(profile, names, ax=panels[0])
+        worth(of_both, ax=panels[1])
+        shifts(of_both, ax=panels[2])
+        stack(panels)
+
+    return Plot(5.2, draw, panels=3, share_x=True, title=_title(measurements, names))
+
+
+def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
+    """Say which measurement of each set is worth most."""
+    reference, name = names
+    rows = measurements.dropna(subset="removed").sort_values("removed").groupby("name").last()
+    if name not in rows.index:
+        return f"The set {name} measures nothing."
+    most = rows.loc[name].to_dict()
+    at = formatted_time(measurement_of(most))
+    title = (
+        f"The measurement of {name} at t = {at} is worth most: without it, the expected MSE rises "
+        f"by {most['removed']:.3g}."
+    )
+    if reference not in rows.index:
+        return title
+    most = rows.loc[reference].to_dict()
+    rise = f"at most {most['removed']:.3g}, without t = {formatted_time(measurement_of(most))}"
+    return f"{title[:-1]}; that of {label(reference)} rises by {rise}."
+
+
+@figure("filters", applies=_has_particles)
+def filters_figure(tables: Tables) -> Plot:
+    """Effective sample size of the filters over time, and degenerate draws if there are any."""
+    run = tables.run
+    profile, particles = run.table("profile"), run.job["filter"]["particles"]
+    sizes = profile.dropna(subset="effective_sample_size")
+    names = [name for name in run.names if name in set(sizes["name"])][:_MOST_SETS]
+    sizes = sizes[sizes["name"].isin(names)]
+    is_degenerate = bool(profile["degenerate_draws"].any())
+
+    def draw(panels: Sequence[Axes]) -> None:
+        effective_sample_size(sizes, particles=particles, ax=panels[0])
+        if is_degenerate:
+            degenerate_draws(profile, names, ax=panels[1])
+            stack(panels)
+
+    least = sizes.iloc[sizes["effective_sample_size"].argmin()]
+    title = (
+        f"The fewest particles count at t = {formatted_time(least['t'])} of {least['name']}: on "
+        f"average {least['effective_sample_size']:.0f} of {particles}."
+    )
+    if is_degenerate:
+        return Plot(3.4, draw, panels=2, share_x=True, title=title)
+    return Plot(2.0, draw, title=f"{title} No draw is degenerate.")
+
+
+def error_profile(
+    profile: object, names: Sequence[str] = (), *, draws: int | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the expected error over time with its 95 % band, and the measurement times.
+
+    Parameters
+    ----------
+    profile : DataFrame or object
+        A table with the columns name, t, measured, error and standard_error, or an object that has
+        it as ``profile``, such as the result of `pfdist.why`. The column weight, if there is one,
+        weighs the mean in the legend.
+    names : sequence of str
+        Sets that are drawn, the reference first; by default all.
+    draws : int, optional
+        Number of draws behind the estimates, for the legend; 0 if they are exact. By default
+        that of the table's column of this name, if there is one.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        The table has no set of this name.
+    """
+    table, curves = table_of(profile, "profile", "profile"), []
+    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    if table.empty:
+        return write_instead(ax, "there is no table of errors over time")
+    for name, rows, style in sets:
+        t, error = rows["t"].to_numpy(), rows["error"].to_numpy()
+        weights = rows["weight"].to_numpy() if "weight" in rows else np.ones(len(rows))
+        counts = weights > 0  # an error of weight 0 may be unknown
+        mean = np.average(error[counts], weights=weights[counts])
+        half = BAND * rows["standard_error"].to_numpy()
+        ax.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
+        ax.plot(
+            t, error, markevery=np.flatnonzero(rows["measured"]), ms=marker(0.9), lw=thin(0.9),
+            label=f"{verbatim(name)}, mean {mean:.4g}", **style,
+        )  # fmt: skip
+        curves.append(points(t, error, style["color"], name))
+    cut_outliers(ax, curves, zero=True)
+    ax.set_ylabel("expected error $e(t)$")
+    label_times(ax, table)
+    if draws is None:
+        draws = int(table["draws"].max()) if "draws" in table else 0
+    drawn = f"on {draws:,} draws of their own; " if draws else ""
+    legend_above(ax, title=f"{drawn}band: 95 %; markers: measured there")
+    return ax
+
+
+def effective_sample_size(
+    profile: object,
+    names: Sequence[str] = (),
+    *,
+    particles: int | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the effective sample size of filters over time.
+
+    The axis is logarithmic if the sizes differ by more than a factor of 20.
+
+    Parameters
+    ----------
+    profile : DataFrame or object
+        A table with the columns t and effective_sample_size, and name if there are several sets.
+        Instants without a value are left out. Or an object that has it as ``profile``, such as the
+        result of `pfdist.why`, or as ``table``, such as that of `pfdist.filter_measurements`.
+    names : sequence of str
+        Sets that are drawn, the reference first; by default all.
+    particles : int, optional
+        Number of particles, drawn as a line: no effective sample size is larger.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        The table has no set of this name.
+    """
+    table = table_of(profile, "profile", "profile", "table").dropna(subset="effective_sample_size")
+    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    if table.empty:
+        return write_instead(ax, "exact filters have no effective sample size")
+    for name, rows, style in sets:
+        size = rows["effective_sample_size"].to_numpy()
+        ax.plot(rows["t"], size, ms=marker(), lw=thin(), label=verbatim(name) or None, **style)
+    sizes = table["effective_sample_size"]
+    is_logarithmic = sizes.max() > _LINEAR * sizes.min()
+    ax.set_yscale("log" if is_logarithmic else "linear")
+    if particles is not None:
+        ax.axhline(particles, color="black", ls=":", lw=thin(), label=f"{particles:,} particles")
+    ax.set_ylim(bottom=float(is_logarithmic))  # last: the upper end no longer follows the lines
+    ax.set_ylabel("effective sample size")
+    label_times(ax, table)
+    legend_above(ax, columns=3)
+    return ax
+
+
+def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
+    """Draw the share of the draws that are degenerate by each instant.
+
+    Parameters
+    ----------
+    profile : DataFrame or object
+        A table with the columns name, t, draws and degenerate_draws (their number up to t), or an
+        object that has it as ``profile``, such as the result of `pfdist.why`.
+    names : sequence of str
+        Sets that are drawn, the reference first; by default all.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        The table has no set of this name.
+    """
+    table = table_of(profile, "profile", "profile")
+    table = table[table["draws"] > 0]
+    sets, ax = rows_of_sets(table, names), axes_for(ax)
+    if table.empty:
+        return write_instead(ax, "exact filters have no degenerate draws")
+    for name, rows, style in sets:
+        share = 100 * rows["degenerate_draws"].to_numpy() / rows["draws"].to_numpy()
+        ax.step(
+            rows["t"], share, where="post", color=style["color"], ls=style["ls"], lw=thin(),
+            label=f"{verbatim(name)}, in the end {share[-1]:.2g} %" if name else None,
+        )  # fmt: skip
+    ax.set_ylim(0, ax.get_ylim()[1] if table["degenerate_draws"].any() else 1.0)
+    ax.set_ylabel("degenerate draws [%]")
+    label_times(ax, table)
+    legend_above(ax)
+    return ax
+
+
+def particle_losses(losses: pd.DataFrame, *, ax: Axes | None = None) -> Axes:
+    """Draw the loss against the number of particles, by two filters and at most.
+
+    Dotted lines are the limits of ``filter.particles = "auto"``, 1 and 5 %.
+
+    Parameters
+    ----------
+    losses : DataFrame
+        A table as `pfdist.particle_losses` gives it.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    check_kind(losses, (pd.DataFrame,), "losses")
+    table, ax = losses.sort_values("particles"), axes_for(ax)
+    ax.set_xscale("log")
+    ax.set_yscale("log", nonpositive="clip")
+    for column, errors, most, style, name in (
+        ("particle_loss", "particle_loss_error", SMALL, set_style(1), "two filters"),
+        ("particle_loss_limit", None, SMALL_AT_MOST, set_style(0), "at most (95 %)"),
+    ):
+        share = 100 * table[column].where(table[column] > 0)  # a logarithmic axis has no 0
+        half = None if errors is None else 100 * BAND * table[errors]
+        ax.errorbar(
+            table["particles"], share, half, lw=thin(), ms=marker(), elinewidth=thin(), label=name,
+            **style,
+        )  # fmt: skip
+        ax.axhline(100 * most, color=style["color"], ls=":", lw=thin())
+    ax.xaxis.set_major_formatter("{x:,.0f}")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.set_xlabel("number of particles")
+    ax.set_ylabel("loss [% of the MSE]")
+    legend_above(ax)
+    return ax

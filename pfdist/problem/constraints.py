@@ -1,0 +1,264 @@
+"""Constraints on a set of measurement times: which times, how many or at what cost, how far apart.
+
+Every error and every sentence begins with the name of the value that is wrong, so that a caller can
+add where the value came from: ``forbidden must lie in 0..60, got 61``.
+"""
+
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
+from functools import cached_property
+from itertools import pairwise
+from math import gcd, lcm
+
+from pfdist.common.clock import Clock
+from pfdist.common.formatted_times import formatted_time
+from pfdist.common.measurement_times import Times
+from pfdist.problem.spacing import Spacing
+
+Money = int | Decimal
+"""A price, exactly as the user has written it."""
+
+
+def money(number: float) -> Money:
+    """The exact price that a number is written for: 0.1 means one tenth, not its binary value."""
+    return number if isinstance(number, int) else Decimal(repr(number))
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Constraints on the measurements of one sensor."""
+
+    most: int | None = None  # the largest number of its measurements in a set
+    spacing: Spacing | None = None  # which instants are far enough apart for it
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """The constraints on a set of N times in 0..T, or of as many times as a sum of money buys.
+
+    With S sensors, the clock names them, and a time is the number ``t * S + sensor`` of a possible
+    measurement. So the measurements of an instant follow each other in the order of the sensors.
+
+    They are not checked here: `Feasible` refuses constraints that contradict
+    each other, or that no set satisfies.
+    """
+
+    horizon: int
+    measurement_budget: int | None = None  # N
+    forbidden: Times = ()  # times that no set may contain, sorted
+    required: Times = ()  # times that every set must contain, sorted
+    # smallest difference of two times of a set: instants, or time on the clock
+    minimum_spacing: int | float = 1
+    # (S (T+1),): cost of a measurement at each time, above 0
+    cost: tuple[Money, ...] | None = None
+    # largest cost of all measurements together; given with `cost`, in place of N
+    total_cost: Money | None = None
+    clock: Clock | None = None  # by default instants are counted
+    # Constraints on each sensor alone; none if no sensor has any. The bound leaves them out.
+    limits: tuple[Limit, ...] = ()
+    cheapest: int = 0  # number of the sensor that measures at regular times
+
+    @property
+    def counted(self) -> bool:
+        """Whether the number of measurements is given, and not their total cost."""
+        return self.measurement_budget is not None
+
+    @cached_property
+    def spacing(self) -> Spacing:
+        """Which times are far enough apart; with sensors, 0 allows several at one instant."""
+        if self.clock is None:
+            return Spacing.constant(int(self.minimum_spacing), self.horizon)
+        if self.sensors > 1 and not self.minimum_spacing:
+            return Spacing.constant(1, self.possible - 1)
+        return Spacing.of_sensors(self.clock.successors(self.minimum_spacing), self.sensors)
+
+    @property
+    def sensors(self) -> int:
+        """The number S of ways to measure at an instant."""
+        return 1 if self.clock is None else max(1, len(self.clock.sensors))
+
+    @property
+    def possible(self) -> int:
+        """The number of possible measurements, S (T + 1)."""
+        return self.sensors * (self.horizon + 1)
+
+    @cached_property
+    def allowed(self) -> Times:
+        """Times that a set may contain: neither forbidden nor too near to a required time."""
+        barred = {*self.forbidden} | (self.spacing.near(self.required) - {*self.required})
+        return tuple(time for time in range(self.possible) if time not in barred)
+
+    @cached_property
+    def index(self) -> dict[int, int]:
+        """Index of each time in `allowed`."""
+        return {time: index for index, time in enumerate(self.allowed)}
+
+    @cached_property
+    def optional(self) -> Times:
+        """Allowed times that are not required."""
+        return tuple(time for time in self.allowed if time not in self.required)
+
+    @cached_property
+    def price(self) -> tuple[int, ...]:
+        """Price of each possible measurement, in units of `total`; 1 if times are counted."""
+        costs = self.cost or (1,) * self.possible
+        return tuple(int(Fraction(cost) / self.unit) for cost in costs)
+
+    @cached_property
+    def total(self) -> int:
+        """The sum to spend: N, or money in the largest unit in which all costs are whole.
+
+        Money is at most what all allowed times cost together.
+        """
+        if self.measurement_budget is not None:
+            return self.measurement_budget
+        affordable = Fraction(self.total_cost or 0) // self.unit
+        return min(affordable, self.spent(self.allowed))
+
+    def spent(self, times: Iterable[int]) -> int:
+        """The sum of the prices of some times."""
+        return sum(self.price[time] for time in times)
+
+    def with_required(self, times: Iterable[int]) -> Times:
+        """These times and the required times, sorted."""
+        return tuple(sorted({*times, *self.required}))
+
+    def compatible(self, times: Times) -> bool:
+        """Whether these sorted times are allowed and far enough apart."""
+        apart = self.spacing.apart(times) and self._allowed.issuperset(times)
+        return apart and self.is_within_limits(times)
+
+    def of_sensor(self, sensor: int, times: Iterable[int]) -> Times:
+        """The instants at which a sensor measures."""
+        return tuple(time // self.sensors for time in times if time % self.sensors == sensor)
+
+    def is_within_limits(self, times: Iterable[int]) -> bool:
+        """Whether these sorted times satisfy the constraints on each sensor."""
+        return not any(self._beyond_limits(times))
+
+    def _beyond_limits(self, times: Iterable[int]) -> Iterator[str]:
+        """Yield a sentence for each constraint on a sensor that these sorted times break."""
+        chosen = tuple(times)
+        for sensor, limit in enumerate(self.limits):
+            own, name = self.of_sensor(sensor, chosen), f"sensors.{self._sensor(sensor)}"
+            if limit.most is not None and len(own) > limit.most:
+                yield f"{name}.most is {limit.most}, got {len(own)} measurements"
+            if limit.spacing is not None and not limit.spacing.apart(own):
+                yield f"{name}.minimum_spacing is broken"
+
+    def _sensor(self, sensor: int) -> str:
+        return self.clock.sensors[sensor] if self.clock and self.clock.sensors else ""
+
+    def allows(self, times: Iterable[int]) -> bool:
+        """Whether these and the required times are compatible and can be paid for."""
+        complete = self.with_required(times)
+        return self.spent(complete) <= self.total and self.compatible(complete)
+
+    def broken(self, times: Iterable[int]) -> list[str]:
+        """The constraints that a set of times in 0..T breaks, one sentence each.
+
+        Each sentence begins with the name of the constraint. A set may leave money over.
+
+        >>> Constraints(horizon=9, measurement_budget=2, forbidden=(4,)).broken([1, 4, 9])
+        ['measurement_budget is 2, got 3 times', 'forbidden: 4 is measured']
+        """
+        chosen = sorted({*times})
+        sentences, cost = list[str](), self.cost_of(chosen)
+        if self.measurement_budget not in (None, len(chosen)):
+            sentences.append(
+                f"measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
+            )
+        if self.total_cost is not None and cost > self.total_cost:
+            sentences.append(f"total_cost is {self.total_cost}, got times that cost {cost}")
+        forbidden = [time for time in chosen if time in self.forbidden]
+        missing = [time for time in self.required if time not in chosen]
+        for name, wrong, is_ in (("forbidden", forbidden, ""), ("required", missing, "not ")):
+            if wrong:
+                verb = "is" if len(wrong) == 1 else "are"
+                listed = ", ".join(map(self.formatted, wrong))
+                sentences.append(f"{name}: {listed} {verb} {is_}measured")
+        near = [
+            f"{self.formatted(time)} and {self.formatted(later)}"
+            for time, later in pairwise(chosen)
+            if not self.spacing.apart((time, later))
+        ]
+        if near:
+            sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
+        return [*sentences, *self._beyond_limits(chosen)]
+
+    def cost_of(self, times: Iterable[int]) -> Money:
+        """The cost of a set, in the unit of `cost`; its size if times are counted."""
+        return sum(self.cost[time] if self.cost else 1 for time in times)
+
+    def affordable(self, times: Iterable[int]) -> list[int]:
+        """The optional times that could still be added to these and the required times."""
+        complete = self.with_required(times)
+        left, near = self.total - self.spent(complete), self.spacing.near(complete)
+        return [
+            time
+            for time in (self.optional if left > 0 else ())
+            if self.price[time] <= left
+            and time not in near
+            and (not self.limits or self.is_within_limits(sorted({*complete, time})))
+        ]
+
+    def distance(self, time: int, times: Times) -> int:
+        """The distance to the nearest of these times in instants; T + 1 if there are none."""
+        index, instant = bisect_left(times, time), time // self.sensors
+        neighbours = times[max(0, index - 1) : index + 1]
+        distances = (abs(instant - neighbour // self.sensors) for neighbour in neighbours)
+        return min(distances, default=self.horizon + 1)
+
+    def formatted(self, time: int) -> str:
+        """A time as the user reads it."""
+        return str(time) if self.clock is None else formatted_time(self.clock.written(time))
+
+    def capacity(self, times: Iterable[int]) -> int:
+        """The largest number of compatible times that contain these and the required times."""
+        complete = self.with_required(times)
+        if self.limits:
+            return len(complete) + len(self.fitting(complete, self.allowed))
+        gaps = pairwise((-1, *complete, self.possible))  # every time is far from both ends
+        return len(complete) + sum(self.capacity_between(first, last) for first, last in gaps)
+
+    def capacity_between(self, first: int, last: int) -> int:
+        """The largest number of compatible times that fit between two times."""
+        if (first, last) not in self._capacities:
+            self._capacities[first, last] = len(self.spacing.packed(first, last, self.allowed))
+        return self._capacities[first, last]
+
+    def fitting(self, times: Times, among: Times) -> Times:
+        """As many of some allowed times as fit beside these; all are sorted.
+
+        With limits the sensors do not depend on each other, because these are asked without a
+        spacing of all.
+        """
+        if not self.limits:
+            return self.spacing.fitting(times, among)
+        chosen = list[int]()
+        for sensor, limit in enumerate(self.limits):
+            own, spacing = self.of_sensor(sensor, times), limit.spacing
+            spacing = spacing or Spacing.constant(1, self.horizon)
+            new = spacing.fitting(own, self.of_sensor(sensor, among))
+            left = len(new) if limit.most is None else max(0, limit.most - len(own))
+            chosen += [t * self.sensors + sensor for t in new[:left]]
+        return tuple(sorted(chosen))
+
+    @cached_property
+    def unit(self) -> Fraction:
+        """The largest unit of money in which all costs are whole."""
+        costs = [Fraction(cost) for cost in self.cost or (1,)]
+        parts = lcm(*(cost.denominator for cost in costs))
+        return Fraction(gcd(*(int(cost * parts) for cost in costs)), parts)
+
+    @cached_property
+    def _capacities(self) -> dict[tuple[int, int], int]:
+        """The results of `capacity_between`, by its arguments."""
+        return {}
+
+    @cached_property
+    def _allowed(self) -> frozenset[int]:
+        return frozenset(self.allowed)

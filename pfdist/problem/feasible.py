@@ -1,0 +1,356 @@
+"""The feasible sets of measurement times: all of them, random ones, and neighbours of a set."""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from heapq import merge
+from itertools import chain, combinations, cycle, pairwise
+from math import comb
+
+import numpy as np
+
+from pfdist.common.measurement_times import Times, random, random_below, regular
+from pfdist.errors import MeasurementTimesError
+from pfdist.problem.affordable import Affordable, nearest
+from pfdist.problem.completions import Completions
+from pfdist.problem.constraints import Constraints
+from pfdist.problem.contradictions import check
+
+_MOST_COUNTED = 1_000_000  # sets that are counted one by one
+
+
+@dataclass(frozen=True)
+class Feasible(Constraints):
+    """The feasible sets, all sorted: N times, or as many times as a sum of money pays for.
+
+    A `MeasurementTimesError` says that the constraints contradict each other, or that no set
+    satisfies them. It begins with the name of the wrong parameter.
+    """
+
+    # Only with money: whether a set is feasible to which a measurement can be added, even the empty
+    # set. One more measurement does no harm, in expectation, to a filter that knows the truth, so a
+    # best set is among the others. To a filter that is wrong it may do harm.
+    smaller: bool = False
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def accepts(self, times: Times) -> bool:
+        """Whether a set is feasible."""
+        if self.counted and len(times) != self.total:
+            return False
+        complete = set(self.required).issubset(times) and self.allows(times)
+        return complete and (self.counted or self.smaller or not self.affordable(times))
+
+    @cached_property
+    def measurements(self) -> int:
+        """N; with money the number of times in the set that `regular` gives."""
+        return len(self.regular())
+
+    @cached_property
+    def size(self) -> int:
+        """Number of feasible sets; if sensors have limits, many sets are only bounded above."""
+        if self._free:
+            return comb(len(self.optional), self.total - len(self.required))
+        size = sum(completions.size for completions in self._completions)
+        return size if not self.limits or size > _MOST_COUNTED else sum(1 for _ in self.every())
+
+    def every(self) -> Iterator[Times]:
+        """All feasible sets, in lexicographic order."""
+        if self._free:
+            chosen = combinations(self.optional, self.total - len(self.required))
+            return (self.with_required(times) for times in chosen)
+        sets = merge(*(completions.every() for completions in self._completions))
+        return filter(self.is_within_limits, sets)
+
+    def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
+        """Draw feasible sets, each with the same probability; a set may come twice.
+
+        If sensors have limits, sets that break them are repaired, so the probabilities differ.
+        """
+        if self.limits:
+            unlimited = replace(self, limits=())
+            return [self.repair(times, rng) for times in unlimited.random(sets, rng)]
+        if self._free:
+            number = self.total - len(self.required)
+            rows = random(len(self.optional) - 1, number, sets, rng).tolist()
+            return [self.with_required(self.optional[index] for index in row) for row in rows]
+        return [self._at(random_below(self.size, rng)) for _ in range(sets)]
+
+    def regular(self) -> Times:
+        """The regular times, or in their place a feasible set like them.
+
+        With N measurements these are the times of the paper's equation 13; a single time is in the
+        middle. On an uneven clock they are the instants nearest to evenly spaced times. With money,
+        or if they are not feasible, see `pfdist.problem.affordable.Affordable.nearest`.
+        """
+        return self._nearest_regular
+
+    @cached_property
+    def references(self) -> dict[str, Times]:
+        """Other sets to compare with, by name: each sensor alone at regular times, and in rotation.
+
+        There are none without sensors. A set that cannot be made is left out.
+        """
+        every = tuple(range(self.sensors)) if self.sensors > 1 else ()
+        turns: dict[str, Times] = {f"alone_{self._sensor(sensor)}": (sensor,) for sensor in every}
+        turns |= {"rotation": every} if every else {}
+        return {
+            name.lower().replace("-", "_"): times
+            for name, sensors in turns.items()
+            if (times := self._in_turn(sensors)) is not None
+        }
+
+    def is_regular(self, times: Times) -> bool:
+        """Whether times are the regular times of their number, feasible or not."""
+        return times == self._regular_times(len(times))
+
+    def additions(self, times: Times) -> list[Times]:
+        """The sets with one time more that can still be completed to a feasible set."""
+        if not self.allows(times):
+            return []
+        lacking = {*self.required} - {*times}
+        new = sorted({*lacking, *self.affordable(times)})
+        if self.counted and not self._free and not self.limits:
+            new = self._leaving_capacity(times, new)
+        larger = [tuple(sorted({*times, time})) for time in new]
+        return [*filter(self._can_be_completed, larger)] if self.limits else larger
+
+    def removals(self, times: Times) -> list[Times]:
+        """The sets with one time less that still contain a feasible set."""
+        contained = self._contained_in(times)
+        if contained is None:
+            return []
+        smaller = {out: tuple(time for time in times if time != out) for out in times}
+        return [
+            smaller_set
+            for out, smaller_set in smaller.items()
+            if out not in contained or self._contained_in(smaller_set)
+        ]
+
+    def extensions(self, times: Times) -> Sequence[int]:
+        """The times, sorted, that may follow a prefix of a feasible set.
+
+        The prefix has the first times of the set, sorted; it may be empty.
+        """
+        if not self.counted:
+            followers = (completions.extensions(times) for completions in self._completions)
+            after = sorted(set().union(*followers))
+            return (
+                [t for t in after if self.is_within_limits((*times, t))] if self.limits else after
+            )
+        if self.limits:
+            return [t for t in self.allowed if self._may_follow(times, t)]
+        left, last = self.total - len(times), times[-1] if times else -1
+        required = self.required[bisect_right(self.required, last) :]
+        if left <= 0 or len(required) > left:
+            return ()
+        start = bisect_left(self.allowed, self.spacing.after(last))
+        stop = bisect_right(self._negative_capacities, -left)
+        if required:
+            index = bisect_left(self.allowed, required[0])
+            start, stop = (index if len(required) == left else start), min(stop, index + 1)
+        return self.allowed[start:stop]
+
+    def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
+        """The feasible sets in which one time is exchanged for another.
+
+        `reach` is the largest distance between the two; by default it is not limited. With money, a
+        new time may cost too much or lie too near to others. Then the times nearest to it are
+        removed. In every case the money left buys other times, each as far from the rest as can be.
+        The exchanged time may come back. If smaller sets are feasible, nothing is bought, and the
+        sets with one time more or less follow, however far that time lies.
+        """
+        exchanged = [
+            neighbour
+            for out in times
+            if out not in self.required
+            for new in self._near(out, reach)
+            if new not in times
+            and (neighbour := self._exchanged({*times} - {out}, new)) is not None
+        ]
+        if self.counted:
+            return exchanged
+        exchanged += (*self.additions(times), *self.removals(times)) if self.smaller else ()
+        return [neighbour for neighbour in dict.fromkeys(exchanged) if neighbour != times]
+
+    def completed(self, times: Iterable[int]) -> Times:
+        """A feasible set with these and the required times, which can be paid for together.
+
+        Unless smaller sets are feasible, the money left over buys times, each as far from the rest
+        as can be.
+        """
+        completed = self.with_required(times)
+        while not self.smaller and (more := self.affordable(completed)):
+            farthest = max(more, key=lambda time: self.distance(time, completed))
+            completed = self.with_required({*completed, farthest})
+        return completed
+
+    def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
+        """A feasible set that shares times with a given set of times in 0..T.
+
+        The given times are tried in random order. A time is accepted if a feasible set can contain
+        it with those accepted before; another order may accept more. Then random times are added
+        until the set is feasible. A feasible set is returned unchanged, and draws no random number.
+        """
+        repaired, original = Times(), tuple(sorted(times))
+        if self.accepts(original):
+            return original
+        for time in rng.permutation(original).tolist():
+            larger = tuple(sorted({*repaired, time}))
+            repaired = larger if self._can_be_completed(larger) else repaired
+        while not self.accepts(repaired):
+            larger_sets = self.additions(repaired)
+            repaired = larger_sets[rng.integers(len(larger_sets))]
+        return repaired
+
+    def _may_follow(self, times: Times, t: int) -> bool:
+        """Whether a possible measurement may follow a prefix within the limits of sensors."""
+        last, longer = times[-1] if times else -1, (*times, t)
+        if not last < t <= min((r for r in self.required if r > last), default=t):
+            return False
+        complete = self.with_required(longer)
+        if len(complete) > self.total or not self.is_within_limits(complete):
+            return False
+        later = [other for other in self.allowed if other > t]
+        return len(complete) + len(self.fitting(complete, tuple(later))) >= self.total
+
+    @property
+    def _free(self) -> bool:
+        """Whether all sets of N allowed times that contain the required times are feasible."""
+        return self.counted and self.spacing.is_free and not self.limits
+
+    @cached_property
+    def _negative_capacities(self) -> list[int]:
+        """For each allowed time, minus the most times that fit from it on; sorted for bisect."""
+        negated = [0] * (len(self.allowed) + 1)
+        for index in reversed(range(len(self.allowed))):
+            after = bisect_left(self.allowed, self.spacing.after(self.allowed[index]))
+            negated[index] = negated[after] - 1
+        return negated[:-1]
+
+    @cached_property
+    def _completions(self) -> list[Completions]:
+        return self._completions_of(self.allowed)
+
+    def _completions_of(self, usable: Times) -> list[Completions]:
+        """The parts of all feasible sets, one for each range of the money left over.
+
+        A time is cheap if a set must not leave over the money for it. In one range the same times
+        are cheap. If smaller sets are feasible, no time is cheap.
+        """
+        prices = () if self.smaller else sorted({self.price[time] for time in self.optional})
+        bounds = [0, 1] if self.counted else [0, *prices, self.total + 1]
+        return [
+            Completions(
+                horizon=self.possible - 1,
+                usable=usable,
+                required=self.required,
+                cheap=tuple(time for time in self.optional if self.price[time] <= least),
+                spacing=self.spacing,
+                cost=self.price,
+                total=self.total,
+                left_over=range(least, min(more, self.total + 1)),
+            )
+            for least, more in pairwise(bounds)
+            if least <= self.total
+        ]
+
+    def _at(self, index: int) -> Times:
+        for completions in self._completions:
+            if index < completions.size:
+                break
+            index -= completions.size
+        return completions.at(index)
+
+    def _can_be_completed(self, times: Times) -> bool:
+        if not self.allows(times):
+            return False
+        return self._free or not self.counted or self.capacity(times) >= self.total
+
+    def _leaving_capacity(self, times: Times, new: list[int]) -> list[int]:
+        """The new times that, added to a set, leave a capacity of N times in all."""
+        complete = self.with_required(times)
+        ends, spare = (-1, *complete, self.possible), self.capacity(times) - self.total
+
+        def lost(time: int) -> int:
+            if time in complete:
+                return 0
+            index = bisect_left(complete, time)
+            before, after = ends[index], ends[index + 1]
+            beside = self.capacity_between(before, time) + self.capacity_between(time, after)
+            return self.capacity_between(before, after) - beside - 1
+
+        return [time for time in new if lost(time) <= spare]
+
+    def _contained_in(self, times: Times) -> Times | None:
+        """A feasible set that has no other times than these; None if there is none."""
+        usable = tuple(time for time in self.allowed if time in times)
+        if not set(self.required).issubset(usable):
+            return None
+        if not self.counted:
+            every = (completions.every() for completions in self._completions_of(usable))
+            return next(chain.from_iterable(every), None)
+        packed = self.fitting(self.required, usable)
+        contained = self.with_required(packed[: self.total - len(self.required)])
+        return contained if len(contained) == self.total else None
+
+    def _regular_times(self, number: int, sensors: Times = ()) -> Times:
+        """Regular times, feasible or not, at which some sensors measure in turn.
+
+        By default the cheapest sensor measures.
+        """
+        if self.clock is not None and not self.clock.is_even:
+            times = self.clock.regular_times(number)
+        else:
+            times = regular(self.horizon, number)
+        turn = cycle(sensors or (self.cheapest,))
+        return tuple(t * self.sensors + sensor for t, sensor in zip(times, turn, strict=False))
+
+    def _in_turn(self, sensors: Times) -> Times | None:
+        """Some sensors in turn at regular times, or a compatible set like that; None if none is."""
+        own = (t for t in self.allowed if t % self.sensors in sensors)
+        usable = tuple(sorted({*self.required, *own}))
+        cheap = min((self.price[t] for t in usable), default=1)
+        most = min(self.total // cheap, self.horizon + 1, len(usable))
+        if self.counted and most < self.total:
+            return None
+        for number in range(most, self.total - 1 if self.counted else 0, -1):
+            wanted = self._regular_times(number, sensors)
+            with suppress(MeasurementTimesError):
+                times = nearest(wanted, usable, self.required, self.spacing)
+                if self.allows(times):
+                    return times
+        return None
+
+    @cached_property
+    def _nearest_regular(self) -> Times:
+        if self.sensors > 1:
+            times = self._in_turn((self.cheapest,))
+            number = min(self.total, self.horizon + 1)
+            start = self._regular_times(number) if times is None else times
+            return self.repair(start, np.random.default_rng(0))
+        if self.counted:  # quicker if regular times are feasible
+            wanted = self._regular_times(self.total)
+            if self.accepts(wanted):
+                return wanted
+        affordable = Affordable(self.allowed, self.required, self.spacing, self.price, self.total)
+        return affordable.nearest(self._regular_times)
+
+    def _near(self, time: int, reach: int | None) -> Times:
+        if reach is None:
+            return self.allowed
+        instant = time // self.sensors
+        first, stop = ((instant + far) * self.sensors for far in (-reach, reach + 1))
+        return self.allowed[bisect_left(self.allowed, first) : bisect_left(self.allowed, stop)]
+
+    def _exchanged(self, others: set[int], new: int) -> Times | None:
+        if self.counted:
+            exchanged = tuple(sorted({*others, new}))
+            return exchanged if self._free or self.compatible(exchanged) else None
+        leaving = sorted(others - {*self.required}, key=lambda time: (-abs(time - new), time))
+        while leaving and not self.allows({*others, new}):
+            others = others - {leaving.pop()}
+        return self.completed({*others, new}) if self.allows({*others, new}) else None

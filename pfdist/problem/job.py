@@ -1,0 +1,445 @@
+"""A job: all sections of a job file, checked together, and the functions that read it."""
+
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from functools import cached_property
+from numbers import Integral
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
+
+import tomli_w
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
+
+from pfdist.common.arguments import mapping_argument, path_argument, texts_argument
+from pfdist.common.measurement_times import REGULAR, Times
+from pfdist.common.nearest import did_you_mean, did_you_mean_path
+from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
+from pfdist.common.section import Section, explained
+from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.problem.covariates import with_columns
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import DEFAULT_METHOD, METHODS
+from pfdist.problem.online_section import Online, Search
+from pfdist.problem.problem_section import ProblemSection
+from pfdist.problem.scenarios_section import Scenarios
+from pfdist.problem.sections import (
+    RESERVED,
+    Budget,
+    Comparison,
+    EvaluationSection,
+    Execution,
+    Filter,
+    Model,
+)
+from pfdist.problem.written import validated_instants
+
+if TYPE_CHECKING:  # a job is read without Numba
+    from pfdist.models import NamedModel
+
+
+def override(data: dict[str, Any], change: str) -> None:
+    """Change a value in the data of a job file, in place.
+
+    The change is ``key=value``, with a dotted key and a TOML value; see `load_job`.
+    Raises `JobError` if it is no such text, or if the job has no such section or search.
+    """
+    key, equals, text = change.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or not all(path) or "\n" in change:
+        raise JobError(
+            f"changes must be key=value, for instance seed=3, got {shown(change)}", argument="set"
+        )
+    if len(path) > MOST_LEVELS:
+        raise JobError(
+            f"keys of changes must have at most {MOST_LEVELS} parts, got {len(path):,}",
+            argument="set",
+        )
+    value = _value(text.strip(), change)
+    section: Any = data
+    if path[0] == "search" and len(path) > 1:
+        section, path = _search_named(data, path[1], change), path[2:]
+    for part in path[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise _wrong(change, f"{shown_text(part)} is no section, so it has no keys")
+    if not path:
+        raise _wrong(change, "name a key of the search, search.NAME.KEY=value")
+    section[path[-1]] = value
+
+
+def _wrong(change: str, why: str) -> JobError:
+    return JobError(f"change {shown_text(change)}: {why}", argument="set")
+
+
+def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
+    """Set typed values in the data of a job file, in place, and return the changes as text.
+
+    `settings` has a value for each key, or a mapping of keys to values for each section. An empty
+    mapping makes a section. None leaves the value as it is. The texts are for errors.
+    """
+    changes = []
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            section = data.get(name, {})
+            given = {key: each for key, each in value.items() if each is not None}
+            if isinstance(section, dict) and (given or not value):  # others are refused later
+                section = data[name] = dict(section)
+                changes += [f"{name}.{change}" for change in set_values(section, given)]
+        elif value is not None:
+            is_index = isinstance(value, Integral) and not isinstance(value, bool)
+            data[name] = int(value) if is_index else value  # a section takes no NumPy integer
+            changes.append(f"{name}={value if isinstance(value, str) else shown(data[name])}")
+    return changes
+
+
+def _value(text: str, change: str) -> Any:
+    """The TOML value that a text spells, or the text itself if it spells none."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise JobError(f"changes must be UTF-8 text, got {shown(change)}") from error
+    try:
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError as error:
+        if text[:1] in ("[", "{") or text.strip("+-").isdecimal():
+            raise JobError(f"change {shown_text(change)}: {error}") from error
+    return text  # a bare word: filter.resampling=systematic
+
+
+def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any]:
+    searches = data.get("search")
+    searches = searches if isinstance(searches, list) else []
+    searches = [search for search in searches if isinstance(search, dict)]
+    names = [str(search.get("name", search.get("method"))) for search in searches]
+    if name not in names:
+        allowed = ", ".join(names) or "none, there is no [[search]]"
+        meant = did_you_mean(name, names)
+        raise _wrong(change, f"the job has no search {shown(name)}, allowed: {allowed}{meant}")
+    section: dict[str, Any] = searches[names.index(name)]
+    return section
+
+
+# --- the job --------------------------------------------------------------------------------------
+
+ONLINE: Final = "online"
+"""Name of the times that are chosen one after another; no search has it."""
+MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
+_NOTHING: Mapping[str, Any] = {}
+
+
+class Origin(NamedTuple):
+    """Where a job comes from."""
+
+    path: Path = Path("job.toml")  # paths of models are relative to its folder; a run has its name
+    names_searches: bool = False  # whether the file has a [[search]]; else the job has the default
+    names_online: bool = False  # whether the file has a section [online]
+    # Models that were given as objects, for the parts "model" and "filter_model".
+    models: Mapping[str, "NamedModel"] = _NOTHING
+    is_file: bool = True  # a problem in Python has no job file
+
+
+_NO_FILE = Origin()
+
+
+class Job(Section):
+    """A validated job: everything that identifies a run, and where to compute it.
+
+    Use `load_job` to read a job file.
+
+    Parameters
+    ----------
+    origin : Origin
+        Where the job comes from.
+    seed : int
+        The number from which every random number follows.
+    **data
+        The sections, as in a job file.
+
+    Raises
+    ------
+    JobError
+        A value is wrong, or values contradict each other.
+    """
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    model: Model = Model()
+    problem: ProblemSection
+    filter: Filter = Filter()
+    evaluation: EvaluationSection = EvaluationSection()
+    scenarios: Scenarios | None = None
+    search: tuple[Search, ...] = Field(
+        default=(METHODS[DEFAULT_METHOD].section(),),
+        max_length=MOST_SEARCHES,
+        strict=False,
+    )
+    comparison: Comparison = Comparison()
+    budget: Budget | None = None
+    online: Online | None = None
+    execution: Execution = Execution()
+    _origin: Origin = PrivateAttr()
+
+    def __init__(self, origin: Origin = _NO_FILE, /, **data: Any) -> None:
+        if "model" in data:
+            data["model"] = with_columns(data["model"], origin.path.parent)
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise JobError(explained(error, Job)) from error
+        self._origin = origin._replace(path=origin.path.absolute())  # a model may move the process
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        """Check the names of searches and of given sets, and that the reference is one of these."""
+        named, names = self.comparison.named, [search.name for search in self.search]
+        for name in names:
+            if name in RESERVED:
+                raise ValueError(
+                    f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
+                )
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"search names must be unique, got {name!r} twice: give one of these searches "
+                    'another name with name = "..."'
+                )
+            if name in named:
+                raise ValueError(
+                    f"comparison.sets must have other names than the searches, got {name!r} in both"
+                )
+        reference = self.comparison.reference
+        if isinstance(reference, str) and reference not in (REGULAR, *named):
+            sets = ", ".join(map(repr, named)) or "which names none"
+            raise ValueError(
+                f"comparison.reference must be {REGULAR!r}, a list of times, for instance "
+                f"[0, 3, 6], or the name of a set of comparison.sets ({sets}), got {reference!r}"
+            )
+        if not names and not named:
+            raise ValueError(
+                "search must name at least one search, unless comparison.sets gives sets to "
+                "compare, got none"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _can_have_scenarios(self) -> Self:
+        if self.scenarios is None:
+            return self
+        if self.online is not None:
+            raise ValueError("a job with scenarios must have no section online, got one")
+        if self.budget is not None and self.scenarios.is_worst:
+            raise ValueError("a job with the worst scenario must have no section budget, got one")
+        for search in self.search:
+            if self.scenarios.is_worst and METHODS[search.method].additive and not search.polish:
+                others = ", ".join(name for name, each in METHODS.items() if not each.additive)
+                raise ValueError(
+                    "scenarios.criterion = 'worst' needs searches that compare whole sets "
+                    f"({others}), or polish = true, got {search.name} of method {search.method!r}: "
+                    "it adds errors of instants, so it seeks the best mean"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _has_sets_of_every_number(self) -> Self:
+        if self.budget is None:
+            return self
+        if self.comparison.reference != REGULAR or self.comparison.named:
+            got = "comparison.sets" if self.comparison.named else "a single set of times"
+            raise ValueError(f"budget needs comparison.reference = {REGULAR!r}, got {got}")
+        if not self.problem.feasible.counted:
+            raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
+        methods = [search.method for search in self.search]
+        if methods != [DEFAULT_METHOD]:
+            raise ValueError(
+                f"budget needs one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"
+            )
+        if self.search[0].polish:
+            raise ValueError("budget needs a search with polish = false, got true")
+        for number in (self.budget.least, self.budget.most):
+            try:
+                self.feasible(number)
+            except MeasurementTimesError as error:
+                raise ValueError(f"budget of {number} measurements: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _has_draws_to_compare(self) -> Self:
+        if self.online is None:
+            return self
+        if self.budget is not None:
+            raise ValueError("online needs a job with one measurement budget, got a budget section")
+        if not self.search:
+            raise ValueError("online needs a search, whose times are the plan, got search = []")
+        if any(search.name == ONLINE for search in self.search):
+            raise ValueError(f"online needs searches of other names, got a search {ONLINE!r}")
+        if ONLINE in self.comparison.named:
+            raise ValueError(f"online needs sets of other names, got comparison.sets.{ONLINE}")
+        if self.online.draws > self.comparison.draws:
+            raise ValueError(
+                f"online.draws must be at most comparison.draws = {self.comparison.draws}, got "
+                f"{self.online.draws}: the same draws are compared"
+            )
+        if self.comparison.until.half_width:
+            raise ValueError(
+                "online needs comparison.until.half_width = 0, got "
+                f"{self.comparison.until.half_width:g}: the comparison must not end early"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _compares_sensors(self) -> Self:
+        """Compare with each sensor alone and with rotation, unless the job names its own sets.
+
+        The times of all given sets must be those of the clock.
+        """
+        feasible = self.problem.feasible
+        if self.problem.sensors and self.comparison.sets is None and self.budget is None:
+            sets = {
+                name: (name,)
+                for name, times in feasible.references.items()
+                if times != feasible.regular()
+            }
+            comparison = self.comparison.model_copy(update={"sets": sets or None})
+            object.__setattr__(self, "comparison", comparison)
+        try:
+            self.given_sets  # noqa: B018  made here, because it checks the times
+        except MeasurementTimesError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @cached_property
+    def given_sets(self) -> dict[str, Times | None]:
+        """Instants of the sets that the job gives, the reference first; None: regular times.
+
+        Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock,
+        or stands twice; it names the key.
+        """
+        comparison, references = self.comparison, self.problem.feasible.references
+        first, named = comparison.reference_name, comparison.named
+        written = {name: (f"comparison.sets.{name}", times) for name, times in named.items()}
+        own = written.pop(first, ("comparison.reference", comparison.reference))
+        return {
+            name: None if times == REGULAR
+            else references[times[0]] if len(times) == 1 and times[0] in references
+            else validated_instants(times, self.problem.clock, key, key)
+            for name, (key, times) in {first: own, **written}.items()
+        }  # fmt: skip
+
+    def feasible(self, measurement_budget: int) -> Feasible:
+        """The feasible sets of another number of measurements."""
+        return replace(self.problem.feasible, measurement_budget=measurement_budget)
+
+    @property
+    def origin(self) -> Origin:
+        """Where the job comes from."""
+        return self._origin
+
+    @property
+    def path(self) -> Path:
+        """The job file. Paths of models are relative to its folder, and a run has its name."""
+        return self._origin.path
+
+    @property
+    def judged_apart(self) -> int:
+        """Number of scenarios that are judged each by its own draws; 1 if a mean decides."""
+        return len(self.scenarios.each) if self.scenarios and self.scenarios.is_worst else 1
+
+    def with_changes(
+        self,
+        overrides: Iterable[str] = (),
+        sections: Mapping[str, Any] = _NOTHING,
+        settings: Mapping[str, Any] = _NOTHING,
+    ) -> "Job":
+        """The job with some keys changed; parameters and errors as of `load_job`."""
+        data = self.model_dump(mode="json", exclude_none=True)
+        return _validated(data, self._origin, overrides, sections, settings)
+
+    def identity(self) -> dict[str, Any]:
+        """Everything that identifies a run of this job: all sections but [execution]."""
+        return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
+
+
+def load_job(
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
+) -> Job:
+    """The job of a job file, read and validated.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, or the folder of a run, which keeps its job and its models.
+    overrides : iterable of str
+        ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
+        ``search.genetic.generations=5``, where ``genetic`` is the name of a search.
+    sections : mapping of str to object, optional
+        Whole sections that replace those of the file, before the overrides.
+    settings : mapping of str to object, optional
+        Values that replace those of the file, after the overrides: by section and key, as in
+        ``{"filter": {"particles": 100}, "seed": 3}``. None leaves the value as it is.
+
+    Returns
+    -------
+    Job
+
+    Raises
+    ------
+    JobError
+        The file cannot be read or is no TOML, a value is wrong, or values contradict each other.
+    """
+    path = path_argument("path", path)
+    if path.is_dir():
+        from pfdist.store import check_entries, holds_run  # noqa: PLC0415  most jobs are files
+
+        if holds_run(path):
+            check_entries(path)
+            path /= "job.toml"
+    data = toml_of_file(path)
+    if "job" in data:
+        raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
+    origin = Origin(path, "search" in data, "online" in data)
+    return _validated(data, origin, overrides, sections, settings)
+
+
+def toml_of_file(path: Path) -> dict[str, Any]:
+    """The data of a job file or a sweep file.
+
+    Raises `JobError` if the file cannot be read, or is no TOML.
+    """
+    try:
+        return parse_toml(read_text(path))
+    except IsADirectoryError as error:
+        raise JobError(f"a job must be a job file, got the folder {path}") from error
+    except OSError as error:
+        folders = path.parent, Path("jobs")
+        meant = did_you_mean_path(path, folders, lambda other: other.suffix == ".toml")
+        raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error
+    except ValueError as error:
+        raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
+
+
+def job_toml(identity: Mapping[str, Any]) -> str:
+    """The identity of a run as TOML. The same identity gives the same text."""
+    return tomli_w.dumps(identity)
+
+
+def _validated(
+    data: dict[str, Any],
+    origin: Origin,
+    overrides: Iterable[str],
+    sections: Mapping[str, Any],
+    settings: Mapping[str, Any],
+) -> Job:
+    changes_as_text = texts_argument("changes", overrides)
+    data = deepcopy(data | mapping_argument("sections", sections))
+    settings = mapping_argument("settings", settings)
+    for change in changes_as_text:
+        override(data, change)
+    changes_as_text += set_values(data, settings)
+    try:
+        return Job(origin, **data)
+    except JobError as error:
+        changes = f"with {shown_text(' '.join(changes_as_text))}" if changes_as_text else ""
+        where = f"{origin.path} {changes}".strip() if origin.is_file else changes
+        raise JobError(f"{error} ({where})" if where else str(error)) from error

@@ -1,0 +1,55 @@
+"""The section [online] of a job file: times that are chosen one after another."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from pydantic import Field, field_validator
+
+from pfdist.common.section import Section
+from pfdist.problem.methods import METHODS, any_section
+from pfdist.problem.search_section import CommonNoiseSettings, SearchSection
+
+_QUICK: Mapping[str, Any] = {"rounds": 1, "reach": 2.0}
+PLANNING: Final = METHODS["corridor"].section(
+    evaluation=CommonNoiseSettings(draws=64, particles=64), **_QUICK
+)
+"""A quick search that plans the remaining measurements, unless a job names another search."""
+if TYPE_CHECKING:
+    Search = SearchSection
+    OnlineSearch = SearchSection
+else:
+    Search, OnlineSearch = any_section(), any_section(online=True)
+
+
+class Online(Section):
+    """Times that are chosen one after another, each when the last measurement has been seen.
+
+    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` have no effect.
+    Unless it names another method, the keys that are not given are those of a quick corridor
+    search.
+
+    Parameters
+    ----------
+    draws : int
+        Number of first draws of the comparison whose times are chosen one after another; at most
+        ``comparison.draws``.
+    judging_draws : int
+        Number of fresh simulated systems that decide between the plan at hand and a new plan.
+    search : section
+        The search that plans the remaining measurements: the keys of a ``[[search]]``.
+    """
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
+    judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 1024
+    search: OnlineSearch = PLANNING
+
+    @field_validator("search", mode="before")
+    @classmethod
+    def _quick_unless_given(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or value.get("method", PLANNING.method) != PLANNING.method:
+            return value
+        quick = PLANNING.model_dump()
+        evaluation = value.get("evaluation", {})
+        if isinstance(evaluation, dict):
+            value = {**value, "evaluation": {**quick["evaluation"], **evaluation}}
+        return {**quick, **value}

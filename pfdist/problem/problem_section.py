@@ -1,0 +1,384 @@
+"""The section [problem] of a job file: the horizon, the clock, and the feasible sets of times.
+
+The keys have the names of the parameters of `Constraints`. An error about such a value begins with
+its name, and this module puts ``problem.`` before it.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cached_property
+from itertools import chain
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from pfdist.common.clock import Clock, Time, plain_time
+from pfdist.common.measurement_times import Times
+from pfdist.common.section import Section
+from pfdist.errors import MeasurementTimesError, shown
+from pfdist.problem.constraints import Limit, Money, money
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.sections import is_list_of
+from pfdist.problem.spacing import Spacing
+from pfdist.problem.written import RANGES, instants_of, measurements_of
+
+_MOST_INSTANTS = 32_001
+_MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
+_LONGEST_UNIT = 40  # characters
+_Numbers = tuple[Time, ...]
+_Cost = _Numbers | dict[str, Time]
+_Budget = Annotated[int, Field(ge=1, lt=2**63)]
+
+
+def _checked_times(value: Any, key: str) -> Any:
+    if value is not None and not isinstance(value, (list, tuple)):
+        raise ValueError(
+            f"{key} must be a list of times and of ranges as {RANGES}, got {shown(value)}"
+        )
+    for entry in value or ():
+        if type(entry) not in (int, float, str):
+            raise ValueError(
+                f"{key} must name times, as 20, and ranges, as {RANGES}, got {shown(entry)}"
+            )
+    return None if value is None else tuple(map(plain_time, value))
+
+
+def _checked_costs(value: Any, key: str) -> Any:
+    if value is not None and not isinstance(value, (list, tuple, dict)):
+        raise ValueError(
+            f"{key} must be a list with a number for each instant, or a section of "
+            f'ranges as "20:30" = 2, got {shown(value)}'
+        )
+    for cost in value.values() if isinstance(value, dict) else value or ():
+        if type(cost) not in (int, float) or not abs(cost) < np.inf:
+            raise ValueError(f"{key} must be finite numbers, got {shown(cost)}")
+    if isinstance(value, dict):
+        return {key: plain_time(cost) for key, cost in value.items()}
+    return None if value is None else tuple(map(plain_time, value))
+
+
+def _sensor(name: str, section: Any) -> Any:
+    """The section of a sensor, with checked times and costs."""
+    if not isinstance(section, dict):
+        return section
+    times: Any = section.get("forbidden")
+    cost: Any = section.get("cost")
+    if type(cost) in (int, float) and abs(cost) < np.inf:
+        cost = plain_time(cost)
+    else:
+        cost = _checked_costs(cost, f"problem.sensors.{name}.cost")
+    times = _checked_times(times, f"problem.sensors.{name}.forbidden")
+    return {**section, "forbidden": times, "cost": cost}
+
+
+class SensorSection(Section):
+    """The price of a sensor's measurements, and constraints on them.
+
+    The lower bound leaves out `most` and `minimum_spacing`.
+
+    Parameters
+    ----------
+    cost : number or list or section of ranges
+        Price of a measurement by this sensor, or at each instant, or in each range.
+    forbidden : list of times and ranges, clock
+        Times at which this sensor does not measure.
+    most : int
+        Largest number of measurements by this sensor.
+    minimum_spacing : number, clock
+        Smallest difference of two times of this sensor.
+    """
+
+    cost: Time | _Cost | None = None
+    forbidden: tuple[Time | str, ...] | None = None
+    most: _Budget | None = None
+    minimum_spacing: Time | None = None
+
+
+class ProblemSection(Section):
+    """The horizon, and constraints on the measurement times: how many, at what cost, and when.
+
+    Without a clock, the horizon and all times count instants. With `time_step`, `time_unit` or
+    `times` there is a clock, and all times are times on the clock.
+
+    Parameters
+    ----------
+    horizon : number, clock
+        T, the last instant or its time: 1 to 32,000 steps. Required unless ``times`` is given.
+    time_step : float, time_unit
+        Time from an instant to the next. Without a clock, instants are counted.
+    time_unit : str
+        Name of the unit of time, such as "h", for tables, figures and reports.
+    times : list of numbers, time_unit
+        The time of every instant, 2 to 32,001 in ascending order, in the place of ``horizon``.
+    instant_weights : list of numbers
+        Weight of the error of each instant in the MSE, at least 0; only ratios matter.
+    measurement_budget : int
+        N, the exact number of measurements, at most the number of allowed instants.
+    forbidden : list of times and ranges, clock
+        Times without a measurement.
+    required : list of times and ranges, clock
+        Times that every set contains.
+    minimum_spacing : number, clock
+        Smallest difference of two measurement times.
+    cost : list or section of ranges
+        Cost of a measurement at each instant, or in each range: numbers, at least 0.
+    total_cost : number, that of cost
+        Largest sum of the costs of a set, in the place of ``measurement_budget``.
+    sensors : section of sections
+        Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
+    """
+
+    horizon: Time | None = None
+    time_step: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=False)] | None = None
+    time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
+    times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
+    instant_weights: _Numbers | None = None
+    measurement_budget: _Budget | None = None
+    forbidden: tuple[Time | str, ...] | None = None
+    required: tuple[Time | str, ...] | None = None
+    minimum_spacing: Time | None = None
+    cost: _Cost | None = None
+    total_cost: Annotated[Time, Field(gt=0, lt=2**63)] | None = None
+    sensors: dict[str, SensorSection] | None = None
+
+    @field_validator("horizon", "minimum_spacing", "total_cost", mode="before")
+    @classmethod
+    def _is_number(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and type(value) not in (int, float):
+            raise ValueError(f"problem.{info.field_name} must be a number, got {shown(value)}")
+        return value if value is None else plain_time(value)
+
+    @field_validator("times", "instant_weights", mode="before")
+    @classmethod
+    def _are_numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is None:
+            return None
+        if not is_list_of(value, int, float):
+            raise ValueError(
+                f"problem.{info.field_name} must be a list of numbers, got {shown(value)}"
+            )
+        return tuple(map(plain_time, value))
+
+    @field_validator("forbidden", "required", mode="before")
+    @classmethod
+    def _are_times(cls, value: Any, info: ValidationInfo) -> Any:
+        return _checked_times(value, f"problem.{info.field_name}")
+
+    @field_validator("cost", mode="before")
+    @classmethod
+    def _are_costs(cls, value: Any) -> Any:
+        return _checked_costs(value, "problem.cost")
+
+    @field_validator("sensors", mode="before")
+    @classmethod
+    def _are_sensors(cls, value: Any) -> Any:
+        if is_list_of(value, str):
+            value = {name: {} for name in value}
+        if value is not None and not (isinstance(value, dict) and len(value) > 1):
+            raise ValueError(
+                "problem.sensors must be the names of two sensors or more, or a section for each "
+                f"of them, got {shown(value)}"
+            )
+        return None if value is None else {name: _sensor(name, value[name]) for name in value}
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        try:
+            self.feasible, self.weights  # noqa: B018  made here: they check the values together
+        except MeasurementTimesError as error:
+            raise ValueError(f"problem.{error}") from error
+        return self
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether times are times on a clock."""
+        return any(value is not None for value in (self.time_step, self.time_unit, self.times))
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The time of each instant, and the sensors; without a clock, the number of the instant.
+
+        Raises `MeasurementTimesError` if the values contradict each other; it begins with the key.
+        """
+        clock = replace(self._clock, sensors=tuple(self.sensors or ()))
+        if clock.possible > _MOST_POSSIBLE:
+            raise MeasurementTimesError(
+                f"sensors times instants must be at most {_MOST_POSSIBLE:,}, got {clock.possible:,}"
+            )
+        return clock
+
+    @property
+    def _clock(self) -> Clock:
+        if self.times is not None:
+            for name in ("horizon", "time_step"):
+                if getattr(self, name) is not None:
+                    raise MeasurementTimesError(
+                        f"{name} must be left out, because times say every instant; got "
+                        f"{getattr(self, name):g}"
+                    )
+            return Clock(tuple(map(float, self.times)), self.time_unit or "")
+        if self.horizon is None:
+            raise MeasurementTimesError("horizon must be given, or times in the place of it")
+        if not self.has_clock:
+            return Clock.counting(self._whole("horizon", self.horizon))
+        step = self.time_step or 1.0
+        if not 1 <= round(self.horizon / step) < _MOST_INSTANTS:
+            raise MeasurementTimesError(
+                f"horizon must be 1 to {_MOST_INSTANTS - 1:,} steps of time_step = {step:g}, got "
+                f"{self.horizon:g}"
+            )
+        return Clock.regular(self.horizon, step, self.time_unit or "")
+
+    @cached_property
+    def feasible(self) -> Feasible:
+        """The feasible sets of measurement times, which count instants."""
+        clock, spacing = self.clock, self.minimum_spacing
+        if spacing is not None and self.has_clock and not 0 < spacing < np.inf:
+            raise MeasurementTimesError(f"minimum_spacing must be above 0, got {spacing:g}")
+        if not self.has_clock and not (spacing is None and self.sensors):
+            spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
+        limits = self._limits
+        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
+        return Feasible(
+            horizon=clock.horizon,
+            measurement_budget=self.measurement_budget,
+            forbidden=self._forbidden,
+            required=tuple(sorted({*measurements_of(self.required or (), clock, "required")})),
+            minimum_spacing=spacing or 0.0,
+            cost=self._costs_of_instants,
+            total_cost=None if self.total_cost is None else money(self.total_cost),
+            clock=clock if self.has_clock or self.sensors else None,
+            # To sets within limits, money left over may buy nothing.
+            smaller=bool(limits) and self.total_cost is not None,
+            limits=limits,
+            cheapest=costs.index(min(costs)),  # the first sensor if none has a cost
+        )
+
+    @property
+    def _forbidden(self) -> Times:
+        times = {*measurements_of(self.forbidden or (), self.clock, "forbidden", of_all=True)}
+        for number, (name, sensor) in enumerate((self.sensors or {}).items()):
+            instants = instants_of(sensor.forbidden or (), self.clock, f"sensors.{name}.forbidden")
+            times.update(t * len(self.clock.sensors) + number for t in instants)
+        return tuple(sorted(times))
+
+    @property
+    def _limits(self) -> tuple[Limit, ...]:
+        limits = []
+        for name, sensor in (self.sensors or {}).items():
+            spacing = sensor.minimum_spacing
+            if spacing is not None and not 0 < spacing < np.inf:
+                raise MeasurementTimesError(
+                    f"sensors.{name}.minimum_spacing must be above 0, got {spacing:g}"
+                )
+            apart = None if spacing is None else Spacing(self.clock.successors(spacing))
+            limits.append(Limit(sensor.most, apart))
+        return tuple(limits) if any(limit != Limit() for limit in limits) else ()
+
+    @property
+    def _costs_of_sensors(self) -> list[tuple[Money, ...]]:
+        """The cost of each sensor at each instant; empty for a sensor without a cost."""
+        sensors = (self.sensors or {}).items()
+        return [self._costs(f"sensors.{name}.cost", sensor.cost) for name, sensor in sensors]
+
+    @cached_property
+    def weights(self) -> tuple[float, ...] | None:
+        """Weight of each instant's error in the MSE, (T+1,), with mean 1; None if all are equal.
+
+        Raises `MeasurementTimesError` if the number of weights is wrong, or if a weight is below 0.
+        """
+        instants, given = len(self.clock.times), self.instant_weights
+        if given is None:
+            if self.clock.is_even:
+                return None
+            given = self.clock.trapezoids
+        if len(given) != instants:
+            raise MeasurementTimesError(
+                f"instant_weights needs {instants} values, one for each instant, got {len(given)}"
+            )
+        weights = np.array(given, np.float64)
+        if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):
+            raise MeasurementTimesError(
+                "instant_weights must be finite, none below 0 and one above, got "
+                f"{shown(list(given))}"
+            )
+        return tuple((weights / weights.mean()).tolist())
+
+    @property
+    def is_constrained(self) -> bool:
+        """Whether a constraint excludes sets that have as many measurements, or cost no more."""
+        sets = self.feasible
+        return bool(sets.forbidden or sets.required or sets.limits) or not sets.spacing.is_free
+
+    def broken(self, times: Iterable[Time | str]) -> list[str]:
+        """The constraints that a set of times breaks, one sentence each.
+
+        The times are instants, or times on the clock. Each sentence begins with the key, for
+        instance ``problem.forbidden: 4 is measured``.
+        """
+        measured = self.clock.measurements(times)
+        return [f"problem.{sentence}" for sentence in self.feasible.broken(measured)]
+
+    @property
+    def _costs_of_instants(self) -> tuple[Money, ...] | None:
+        """The cost of each possible measurement; None if measurements are counted."""
+        if not self.sensors:
+            return None if self.cost is None else self._costs("cost", self.cost)
+        if self.cost is not None:
+            raise MeasurementTimesError(
+                "cost must be left out with sensors: each has a cost of its own, "
+                f"sensors.{next(iter(self.sensors))}.cost"
+            )
+        if self.total_cost is None:
+            return None
+        lacking = [name for name, sensor in self.sensors.items() if sensor.cost is None]
+        if lacking:
+            raise MeasurementTimesError(f"sensors.{lacking[0]}.cost must be given with total_cost")
+        return tuple(chain.from_iterable(zip(*self._costs_of_sensors, strict=True)))
+
+    def _costs(self, name: str, given: Time | _Cost | None) -> tuple[Money, ...]:
+        """The cost of each instant; empty if no cost is given."""
+        clock, costs = self.clock, dict[int, Money]()
+        if given is None:
+            return ()
+        if isinstance(given, int | float):
+            return (money(given),) * len(clock.times)
+        if not isinstance(given, dict):
+            if len(given) != len(clock.times):
+                raise MeasurementTimesError(
+                    f"{name} needs {len(clock.times)} values, one for each instant, got "
+                    f"{len(given)}"
+                )
+            return tuple(map(money, given))
+        ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
+        for key, cost in given.items():
+            for t in instants_of(key, clock, name):
+                is_instant = 0 <= t <= clock.horizon
+                if t in costs or not is_instant:
+                    what = "twice" if t in costs else f"for a horizon of {clock.horizon}"
+                    time = f"{clock.times[t]:.10g}" if is_instant else t
+                    raise MeasurementTimesError(
+                        f"{name} must name every time in {ends} once, got {time} {what}"
+                    )
+                costs[t] = money(cost)
+        lacking = [t for t in range(clock.horizon + 1) if t not in costs]
+        if lacking:
+            raise MeasurementTimesError(
+                f"{name} must name every time in {ends} once, got none for "
+                f"{clock.times[lacking[0]]:.10g}"
+            )
+        return tuple(costs[t] for t in range(clock.horizon + 1))
+
+    def _whole(self, name: str, value: Time) -> int:
+        """A number of instants; the error about another number names the keys of a clock."""
+        if not isinstance(value, int):
+            raise MeasurementTimesError(
+                f"{name} must be an integer, or in the unit of a clock (time_step, time_unit or "
+                f"times), got {shown(value)}"
+            )
+        most = _MOST_INSTANTS - 1 if name == "horizon" else 2**63 - 1
+        if not 1 <= value <= most:
+            bound = "at least 1" if value < 1 else f"at most {most}"
+            raise MeasurementTimesError(f"{name} must be {bound}, got {shown(value)}")
+        return value

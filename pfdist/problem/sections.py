@@ -1,0 +1,361 @@
+"""The sections of a job file, without [problem] and [[search]], with bounds and defaults."""
+
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainSerializer,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
+
+from pfdist.common.clock import Time, plain_time
+from pfdist.common.measurement_times import REGULAR
+from pfdist.common.section import Section
+from pfdist.errors import shown
+from pfdist.filters.engines import AUTO, ENGINES
+from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.schemes import ALWAYS, threshold_of
+from pfdist.pools.kinds import AUTO as AUTO_POOL
+from pfdist.pools.kinds import POOLS
+from pfdist.problem.search_section import Degenerate, Estimator, Resampling
+
+REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
+MOST_SETS: Final = 100
+"""Largest number of sets that a job may give by name: these have almost 5000 pairs."""
+LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
+_SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{LONGEST_SET_NAME - 1}}}")
+RESERVED: Final = (REGULAR, REFERENCE, "comparison")
+"""Names that no search may have, and no given set; only regular times may be called "regular"."""
+_LONGEST_TEXT = 4096  # characters of a path
+if TYPE_CHECKING:
+    EngineName = str
+    PoolName = str
+else:
+    EngineName = Literal[(AUTO, *ENGINES)]
+    PoolName = Literal[(AUTO_POOL, *POOLS)]
+
+
+def _checked_text(text: str) -> str:
+    if "\0" in text or len(text) > _LONGEST_TEXT:
+        raise ValueError(
+            f"names must have at most {_LONGEST_TEXT:,} characters, and none that is NUL, got "
+            f"{shown(text)}"
+        )
+    return text
+
+
+def is_list_of(value: Any, *kinds: type) -> bool:
+    """Whether a value is a list whose entries have exactly one of these types."""
+    return isinstance(value, list | tuple) and all(type(entry) in kinds for entry in value)
+
+
+def checked_parameters(values: Any, section: str) -> Any:
+    """Parameters, with tuples for lists; others than numbers and lists of numbers are refused."""
+    if not isinstance(values, dict):
+        return values
+    checked = {}
+    for name, given in values.items():
+        value = given.tolist() if hasattr(given, "tolist") else given
+        is_list = is_list_of(value, int, float) and len(value) > 0
+        if not is_list and type(value) not in (int, float):
+            raise ValueError(
+                f"{section}.{name} must be a number, a list with a number for each instant, or "
+                f'a column of a table, as {{file = "weather.csv", column = "rain"}}, got '
+                f"{shown(value)}"
+            )
+        checked[name] = tuple(map(float, value)) if is_list else float(value)
+    return checked
+
+
+def _checked_set_name(name: Any) -> str:
+    if not (isinstance(name, str) and _SET_NAME.fullmatch(name)):
+        raise ValueError(
+            "names of comparison.sets must be lower-case letters, digits and underscores, a letter "
+            f"first and at most {LONGEST_SET_NAME}, got {shown(name)}"
+        )
+    return name
+
+
+def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
+    """The times of a set as the job writes them, of a right type; the clock reads them later."""
+    if name in RESERVED and not name == written == REGULAR:
+        raise ValueError(
+            f"comparison.sets must not name a set {name!r}, because pfdist uses this name; got "
+            f"{shown(written)}"
+        )
+    if isinstance(written, str):
+        return written if written == REGULAR else (written,)
+    if not is_list_of(written, int, float, str):
+        raise ValueError(
+            f"comparison.sets.{name} must be {REGULAR!r}, or times, as [0, 3, 6], and ranges, as "
+            f"'0:60:3', got {shown(written)}"
+        )
+    return tuple(map(plain_time, written))
+
+
+def _number_or_auto(value: Any, number: ValidatorFunctionWrapHandler) -> Any:
+    if isinstance(value, str) and value != AUTO:
+        raise ValueError(f"filter.particles must be an integer or {AUTO!r}, got {shown(value)}")
+    return value if value == AUTO else number(value)
+
+
+Parameter = float | tuple[float, ...]
+Text = Annotated[str, AfterValidator(_checked_text)]
+
+
+class FilterModel(Section):
+    """The filter's model, if it differs from the truth: another model, or other parameters.
+
+    Parameters
+    ----------
+    name : str
+        The model of the filter, named as the truth is. It starts from its own parameters.
+    parameters : dict of str to float
+        Parameters of the filter's model that replace its own, or those of the truth.
+    """
+
+    name: Text = ""
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _are_numbers(cls, values: Any) -> Any:
+        return checked_parameters(values, "model.filter.parameters")
+
+
+class Model(Section):
+    """The system: a model that ships, an entry point, or ``path/file.py:object``.
+
+    Parameters
+    ----------
+    name : str
+        A model that ships, an entry point of the group ``pfdist.models``, or
+        ``path/file.py:object``, relative to the job file.
+    parameters : dict of str to float, the model's unit
+        Values that replace those of the model: a number, a list with a number for each instant, or
+        a column of a table, as in ``{file = "weather.csv", column = "rain"}``.
+    """
+
+    name: Text = "ungm"
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
+    filter: FilterModel = FilterModel()
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _are_numbers(cls, values: Any) -> Any:
+        return checked_parameters(values, "model.parameters")
+
+
+class Filter(Section):
+    """The particle filter.
+
+    `pfdist.runner.build.build` puts a number in the place of ``particles = "auto"``. So particles
+    are an integer wherever something is computed.
+
+    Parameters
+    ----------
+    particles : int or "auto"
+        Number of particles; "auto" finds a number that is enough. Exact engines have none.
+    resampling : str
+        The resampling scheme.
+    resample : str
+        "always" (by default), or "below 0.5": only if fewer than this share of the particles count.
+    engine : str
+        The engine, which computes the filter.
+    dtype : str
+        "float32" computes states and log-likelihoods with half the digits, in less time. Errors and
+        sums of weights are float64. It is for the engines "auto" and "compiled".
+    """
+
+    particles: Annotated[
+        int,
+        Field(ge=1, le=10_000_000),
+        WrapValidator(_number_or_auto),
+        PlainSerializer(lambda value: value),
+    ] = 500
+    resampling: Resampling = "multinomial"
+    resample: str | None = None  # None stands for "always", which is not written into a job
+    engine: EngineName = AUTO
+    dtype: Literal["float64", "float32"] = "float64"
+
+    @property
+    def is_automatic(self) -> bool:
+        """Whether the number of particles is still to be found."""
+        return isinstance(self.particles, str)
+
+    @field_validator("resample", mode="before")
+    @classmethod
+    def _is_always_or_below(cls, value: Any) -> Any:
+        try:
+            return None if value is None or threshold_of(value) == ALWAYS else value
+        except ValueError as error:
+            raise ValueError(f"filter.{error}") from error
+
+    @property
+    def threshold(self) -> float:
+        """The share of the particles below which the effective sample size must fall."""
+        return threshold_of(self.resample or "always")
+
+
+class EvaluationSection(Section):
+    """How a search estimates the expected MSE of a set of times.
+
+    Parameters
+    ----------
+    draws : int
+        K, the number of draws on which a set of times is evaluated.
+    noise : str
+        Whether each evaluation has draws of its own, or all share theirs.
+    degenerate_draws : str
+        Whether a degenerate draw makes the cost of a set infinite ("kill"). By default only genetic
+        and random searches read it.
+    estimator : str
+        How the error of a draw is estimated.
+    """
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
+    noise: Literal["fresh", "common"] = "fresh"
+    degenerate_draws: Degenerate = "kill"
+    estimator: Estimator = SQUARED_ERROR.name
+
+
+class Until(Section):
+    """The precision at which a comparison ends before it has all draws.
+
+    Parameters
+    ----------
+    half_width : float, gain (0.01 is 1 %)
+        The comparison ends when the 95 % intervals of the mean relative gains are this narrow on
+        each side. 0 means after all draws.
+    """
+
+    half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+
+
+class Comparison(Section):
+    """The comparison of sets of times with the reference, on the same fresh draws.
+
+    The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
+    "regular", which stands for the feasible set nearest to the regular times, or any set of times
+    in 0..T, or on the clock, or the name of a given set. A given set may break constraints.
+
+    Parameters
+    ----------
+    draws : int
+        Number of fresh draws on which all sets are compared.
+    reference : str or list of times, clock
+        The set with which the others are compared.
+    sets : dict of str to times, clock
+        At most 100 sets of your own, by names of lower-case letters, digits and underscores.
+    """
+
+    draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
+    until: Until = Until()
+    reference: str | tuple[Time | str, ...] = REGULAR
+    sets: dict[str, Literal["regular"] | tuple[Time | str, ...]] | None = None
+
+    @field_validator("reference", mode="before")
+    @classmethod
+    def _is_name_or_times(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            return value
+        if not is_list_of(value, int, float, str):
+            raise ValueError(
+                f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
+                f"[0, 3, 6], got {shown(value)}"
+            )
+        times = tuple(map(plain_time, value))
+        return times if any(isinstance(time, str) for time in times) else tuple(sorted(times))
+
+    @field_validator("sets", mode="before")
+    @classmethod
+    def _are_named_times(cls, sets: Any) -> Any:
+        if not isinstance(sets, dict):
+            return sets
+        if len(sets) > MOST_SETS:
+            raise ValueError(f"comparison.sets must have at most {MOST_SETS} sets, got {len(sets)}")
+        return {_checked_set_name(name): _written_times(name, sets[name]) for name in sets} or None
+
+    @property
+    def named(self) -> dict[str, str | tuple[Time | str, ...]]:
+        """The sets that the job gives by name, as it writes them; "regular": its regular times."""
+        return {**(self.sets or {})}
+
+    @property
+    def reference_name(self) -> str:
+        """Name of the reference in tables and figures."""
+        return self.reference if isinstance(self.reference, str) else REFERENCE
+
+
+class Budget(Section):
+    """The numbers of measurements of a budget study; `pfdist budget` writes them.
+
+    They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
+
+    Parameters
+    ----------
+    least : int
+        Smallest number of measurements.
+    most : int
+        Largest number of measurements.
+    numbers : list of int
+        These numbers alone, in ascending order from ``least`` to ``most``. If it is not given, all.
+    """
+
+    least: Annotated[int, Field(ge=1, lt=2**63)]
+    most: Annotated[int, Field(ge=1, lt=2**63)]
+    numbers: Annotated[tuple[int, ...], Field(strict=False)] | None = None
+
+    @property
+    def each(self) -> Sequence[int]:
+        """The numbers of measurements, from the least to the largest."""
+        return range(self.least, self.most + 1) if self.numbers is None else self.numbers
+
+    @model_validator(mode="after")
+    def _are_in_order(self) -> Self:
+        if self.least > self.most:
+            raise ValueError(
+                f"budget.least must be at most budget.most = {self.most}, got {self.least}"
+            )
+        numbers = self.numbers
+        if numbers is None:
+            return self
+        ends = numbers[:1] + numbers[-1:]
+        if ends != (self.least, self.most) or any(a >= b for a, b in pairwise(numbers)):
+            raise ValueError(
+                "budget.numbers must be in ascending order, from budget.least = "
+                f"{self.least} to budget.most = {self.most}, got {shown(list(numbers))}"
+            )
+        return self
+
+
+class Execution(Section):
+    """Where a run is computed; not a part of the identity of a run.
+
+    Parameters
+    ----------
+    pool : str
+        The pool, which computes the tasks.
+    workers : int
+        Number of workers or threads, at most 1,000 on one machine; 0 means all cores that the
+        process may use.
+    address : str
+        Address of a Ray cluster, as HOST:PORT, ``auto`` or ``local``.
+    wait_for_cores : int
+        Number of cores that the Ray cluster must have before the command begins.
+    failures : int
+        Number of tasks that may fail. Each is done once more.
+    """
+
+    pool: PoolName = AUTO_POOL
+    workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    address: Text = ""
+    wait_for_cores: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

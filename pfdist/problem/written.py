@@ -1,0 +1,176 @@
+"""Times as users write them: numbers, ranges such as ``20:30``, and lists of these."""
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pfdist.common.arguments import listed_argument
+from pfdist.common.clock import Clock, Time
+from pfdist.common.measurement_times import Times, validated
+from pfdist.common.parsing import finite_number, ranges, whole_numbers
+from pfdist.errors import MeasurementTimesError, shown
+
+RANGES = "'20:30', '0:60:3' or '20-30'"
+"""Examples of ranges, for errors and help."""
+_SEPARATOR = re.compile(r"[\s,]+")
+_WITH_HYPHEN = re.compile(r"(\d{1,6}(?:\.\d+)?)-(\d{1,6}(?:\.\d+)?)")
+_WHOLE = (int, np.integer)
+_NUMBER = (*_WHOLE, float, np.floating)
+
+
+def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
+    """The instants of a number, of a text, or of several of these, in the order of writing.
+
+    A text has times and ranges, with commas or spaces between them. ``FIRST:LAST`` and
+    ``FIRST-LAST`` stand for all instants from FIRST to LAST, and ``FIRST:LAST:STEP`` for the times
+    FIRST, FIRST + STEP, ... If the clock counts instants, only whole numbers are times, and they
+    may lie outside 0..T. A `MeasurementTimesError`, which begins with `name`, says what else is
+    written, or names the nearest times of the clock.
+
+    >>> instants_of([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
+    [2, 5, 6, 7, 8]
+    """
+    if isinstance(written, str):
+        return list(_instants_of_text(written, clock, name))
+    if isinstance(written, Iterable):
+        return [t for entry in written for t in instants_of(entry, clock, name)]
+    allowed = _WHOLE if clock.counts else _NUMBER
+    if isinstance(written, bool) or not isinstance(written, allowed):
+        raise MeasurementTimesError(
+            f"{name} must name times, as 20, and ranges, as {RANGES}, got {shown(written)}"
+        )
+    return [int(written) if clock.counts else clock.instant(float(written), name)]
+
+
+def measurements_of(
+    written: Any, clock: Clock, name: str = "measurement_times", *, of_all: bool = False
+) -> list[int]:
+    """The possible measurements that a text, or several entries, name.
+
+    Without sensors these are instants; see `instants_of`. With sensors, the name of a sensor
+    follows the times at which it measures. If `of_all`, times without a name mean all sensors.
+
+    >>> clock = Clock((0, 1, 2, 3), counts=True, sensors=("ct", "x-ray"))
+    >>> measurements_of("0 3 ct, 3 x-ray", clock)
+    [0, 6, 7]
+    """
+    if not clock.sensors:
+        return instants_of(written, clock, name)
+    if isinstance(written, Iterable) and not isinstance(written, str):
+        entries = (measurements_of(entry, clock, name, of_all=of_all) for entry in written)
+        return [measurement for entry in entries for measurement in entry]
+    sensors = {sensor: [number] for number, sensor in enumerate(clock.sensors)}
+    if of_all:
+        sensors[""] = [*range(len(clock.sensors))]
+    found, waiting = list[int](), list[str]()
+    for word in [*_SEPARATOR.split(str(written).strip(", ")), ""]:
+        if word and word not in sensors:
+            waiting.append(word)
+            continue
+        if waiting and (word not in sensors or any(each[0].isalpha() for each in waiting)):
+            raise MeasurementTimesError(
+                f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
+                f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
+            )
+        for t in instants_of(waiting, clock, name):
+            if not 0 <= t <= clock.horizon:
+                raise MeasurementTimesError(f"{name} must lie in 0..{clock.horizon}, got {t}")
+            found += [t * len(clock.sensors) + sensor for sensor in sensors[word]]
+        waiting = []
+    return found
+
+
+def validated_instants(
+    written: Iterable[Time | str] | str,
+    clock: Clock,
+    name: str = "measurement_times",
+    where: str = "",
+) -> Times:
+    """A set of measurement times on a clock, as sorted instants after a check.
+
+    Errors are those of `instants_of`, `pfdist.common.arguments.listed_argument` and
+    `pfdist.common.measurement_times.validated`.
+    """
+    if not isinstance(written, Iterable):
+        raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
+    entries: list[Any] = [written] if isinstance(written, str) else listed_argument(name, written)
+    if clock.sensors or not clock.counts or any(isinstance(entry, str) for entry in entries):
+        entries = measurements_of(entries, clock, name)
+    if clock.sensors or not clock.counts:
+        twice = [t for t, following in pairwise(sorted(entries)) if t == following]
+        if twice:
+            got = clock.written(twice[0]) if clock.sensors else clock.formatted(twice[0])
+            raise MeasurementTimesError(
+                f"{name} must differ from each other, got {got} twice"
+                f"{f' ({where})' if where not in ('', name) else ''}"
+            )
+    return validated(entries, clock.possible - 1, where)
+
+
+def clock_of(text: str) -> Clock:
+    """The clock whose instants a text lists, as times and ranges in ascending order.
+
+    ``FIRST:LAST`` has an instant at each unit of time, and ``FIRST:LAST:STEP`` at each step. A
+    `MeasurementTimesError` says that something else is written, that there are fewer than two
+    times, or another order, or that no step leads to the end of a range.
+
+    >>> clock_of("0 0.25 0.5 1:3").times
+    (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
+    """
+    try:
+        entries = ranges(text, finite_number, by_ones=True)
+    except ValueError as error:
+        raise MeasurementTimesError(f"times {error}") from error
+    times = [time for entry in entries for time in _stepped(*entry, text)]
+    if len(times) < 2:
+        raise MeasurementTimesError(f"times must be at least two, got {shown(text)}")
+    return Clock(tuple(times))
+
+
+def _stepped(first: float, last: float, step: float, text: str) -> list[float]:
+    """The times of a range; a step of 0 means 1."""
+    step = step or 1.0
+    steps = round((last - first) / step)
+    if not math.isclose(first + steps * step, last, rel_tol=1e-12, abs_tol=1e-9 * step):
+        raise MeasurementTimesError(
+            f"times must have ranges FIRST:LAST:STEP (STEP is 1 if there is none) whose steps lead "
+            f"from FIRST to LAST, got {first:.10g} to {last:.10g} in steps of {step:.10g}: "
+            f"{shown(text)}"
+        )
+    return [float(f"{first + k * step:.12g}") for k in range(steps + 1)]  # 3 * 0.1 is 0.3
+
+
+def _instants_of_text(text: str, clock: Clock, name: str) -> Sequence[int]:
+    with_hyphen = _WITH_HYPHEN.fullmatch(text)
+    spelt = f"{with_hyphen[1]}:{with_hyphen[2]}" if with_hyphen else text
+    try:
+        if clock.counts:
+            return whole_numbers(spelt)
+        entries = ranges(spelt, finite_number)
+        return [t for entry in entries for t in _instants_between(entry, clock, name)]
+    except MeasurementTimesError:
+        raise
+    except ValueError as error:
+        if ":" in text:
+            raise MeasurementTimesError(f"{name} {error}") from error
+        what = f"name times, as 20, and ranges, as {RANGES}"
+        if with_hyphen:
+            what = "have ranges from a time to a later one"
+        raise MeasurementTimesError(f"{name} must {what}, got {shown(text)}") from error
+
+
+def _instants_between(entry: tuple[float, float, float], clock: Clock, name: str) -> Sequence[int]:
+    """The instants of a range of times; a step of 0 means all instants."""
+    first, last, step = entry
+    if first == last:
+        return [clock.instant(first, name)]
+    if not step:
+        for end in (first, last):
+            clock.check_is_within(end, name)
+        return clock.between(first, last)
+    steps = int((last - first + clock.slack) / step)
+    return [clock.instant(first + k * step, name) for k in range(steps + 1)]

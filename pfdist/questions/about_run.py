@@ -1,0 +1,221 @@
+"""The question of a run, how it was computed, how to load its tables, and how to cite."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import tomli_w
+
+from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.parts import Code, Facts, Section, Text
+from pfdist.problem.problem_section import ProblemSection
+from pfdist.questions.subject import Subject, number_of, without_folder
+from pfdist.results import read_recorded
+from pfdist.results.stored_run import problem_of, version_of
+from pfdist.store import run_key
+
+_WHAT = (
+    "A filter follows a quantity that it cannot see, by a few measurements and a model of the "
+    "system. This report says at which times to measure so that the filter's error is least on "
+    "average: the mean squared error (MSE) of its estimate over all instants. A draw is one "
+    "simulated system with its measurements. The errors are averages over draws that were "
+    "simulated afresh, after the times had been chosen."
+)
+_MOST_VALUES = 8  # of a parameter that are shown
+_LOAD = """\
+import pfdist
+
+run = pfdist.open_run({name})  # the folder of the run
+run.summary()
+run.table("gains").describe()  # a row for each draw
+
+# The tables are plain Parquet, so pandas alone reads them, too:
+import pandas as pd
+
+pd.read_parquet({table})
+"""
+_CITE = """\
+A. Aspeel, A. Gouverneur, R. M. Jungers, B. Macq, "Optimal measurement budget allocation for
+particle filtering", IEEE International Conference on Image Processing (ICIP), 2020.
+
+The pfdist developers, "pfdist: when to measure", version {version}.
+"""
+
+
+def problem(subject: Subject) -> Section:
+    """The question of a run's job."""
+    return Section("What was asked", [Text(_WHAT), Facts(list(_facts(subject)))])
+
+
+def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
+    job, problem = subject.run.job, subject.run.job["problem"]
+    yield "system", _model(job["model"])
+    if job["model"].get("filter", {}).get("name"):
+        yield "model of the filter", _model(job["model"]["filter"])
+    names = read_recorded(subject.run.path)[0]["provenance"].get("names", {})
+    for key, what in (("z", "quantity of interest"), ("y", "what is measured")):
+        if names.get(key):
+            yield what, ", ".join(names[key])
+    yield "instants", _instants(subject)
+    yield from _weights(problem, problem_of(subject.run))
+    yield "measurements", _measurements(job)
+    for key, name in (("forbidden", "not measured at"), ("required", "always measured at")):
+        if problem.get(key):
+            yield name, formatted_spelling(problem[key], subject.unit)
+    if problem.get("minimum_spacing"):
+        what = "time" if problem_of(subject.run).has_clock else "instants"
+        spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
+        yield f"{what} between measurements, at least", spacing
+    for name, keys in problem.get("sensors", {}).items():
+        text = "; ".join(f"{key} {formatted_spelling(value, '')}" for key, value in keys.items())
+        yield f"sensor {name}", text or "no price"
+    filtering = job["filter"]
+    particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
+    yield "filter", "Kalman filter (exact)" if subject.summary.is_exact else particles
+
+
+def _model(section: Mapping[str, Any]) -> str:
+    changed = ", ".join(f"{key} = {_values(value)}" for key, value in section["parameters"].items())
+    name = without_folder(section["name"])
+    return f"{name} ({changed})" if changed else name
+
+
+def _values(value: Any) -> str:
+    """A parameter of a job; the number and the range of many values.
+
+    >>> _values(0.5), _values([0.0, 80.0]), _values([0.0, 80.0, 25.0] * 16)
+    ('0.5', '[0.0, 80.0]', '48 values from 0 to 80')
+    """
+    if not isinstance(value, list | tuple) or len(value) <= _MOST_VALUES:
+        return str(value)
+    return f"{len(value)} values from {min(value):g} to {max(value):g}"
+
+
+def _measurements(job: Mapping[str, Any]) -> str:
+    problem, budget = job["problem"], job.get("budget")
+    if budget and budget.get("numbers"):
+        return ", ".join(map(str, budget["numbers"]))
+    if budget:
+        return f"every number from {budget['least']} to {budget['most']}"
+    if problem.get("total_cost"):
+        return f"as many as a total cost of {problem['total_cost']:,} allows"
+    return str(problem["measurement_budget"])
+
+
+def _instants(subject: Subject) -> str:
+    clock = problem_of(subject.run).clock
+    last = formatted_times(clock.times[-1:], clock.unit)
+    ends = f"t = {formatted_time(clock.times[0])} to {last}"
+    if clock.counts:
+        return ends
+    if clock.is_even:
+        step = formatted_times([clock.times[1] - clock.times[0]], clock.unit)
+        return f"{ends}, in steps of {step}"
+    return f"{len(clock.times)} instants, {ends}"
+
+
+def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
+    """Say how the errors of instants are weighted in the MSE, if they are."""
+    weights = section.weights
+    if weights is None:
+        return
+    least, most = (f"{weight:.4g}" for weight in (min(weights), max(weights)))
+    if problem.get("instant_weights"):
+        text = f"given by the job, from {least} to {most}; their mean is 1"
+    else:
+        text = f"by the trapezoidal rule, because the steps differ, from {least} to {most}"
+    yield "weights of instants in the MSE", text
+
+
+def formatted_spelling(value: Any, unit: str) -> str:
+    """Times as the job spells them, with the unit."""
+    entries = value if isinstance(value, list | tuple) else [value]
+    text = ", ".join(map(str, entries))
+    return f"{text} {unit}" if unit else text
+
+
+def computed(subject: Subject) -> Section:
+    """Versions, seeds, processor and time of a run, and its job."""
+    about, job = read_recorded(subject.run.path)
+    identity = [
+        ("seed", str(job["seed"])),
+        ("engine", about["engine"]),
+        ("identity of the run", str(run_key(subject.run.path))),
+    ]
+    return Section(
+        "How it was computed",
+        [
+            Facts([*_versions(about), *_work(subject), *identity]),
+            Code(tomli_w.dumps(_sendable(_without_none(job))), "The job, with all its defaults"),
+        ],
+    )
+
+
+def tables(subject: Subject) -> Section:
+    """Say how to load the tables."""
+    name = subject.run.path.name
+    quoted = {"name": _quoted(name), "table": _quoted(f"{name}/tables/comparison")}
+    return Section("How to load the tables", [Code(_LOAD.format(**quoted))])
+
+
+def citation(subject: Subject) -> Section:
+    """Say how to cite the method and the program."""
+    version = version_of(subject.run)
+    text = "Please cite the paper whose method pfdist implements, and the program."
+    return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])
+
+
+def _versions(about: dict[str, Any]) -> list[tuple[str, str]]:
+    provenance = about["provenance"]
+    libraries = ", ".join(f"{name} {version}" for name, version in provenance["libraries"].items())
+    processor = provenance["processor"]
+    return [
+        ("pfdist", f"{about['pfdist']}, kernel {about['kernel']}"),
+        ("Python and libraries", f"Python {provenance['python']}, {libraries}"),
+        ("processor", f"{processor['model']} ({processor['compiled_for']})"),
+        ("started", provenance["started"]),
+    ]
+
+
+def _work(subject: Subject) -> list[tuple[str, str]]:
+    if "timings" not in subject.run.tables:
+        return []
+    rows = subject.run.table("timings")
+    seconds = rows.groupby("session")["seconds"].sum()
+    workers = rows[["node", "worker"]].drop_duplicates()
+    facts = [("time of all workers", _seconds(seconds.sum()))]
+    facts.append(("workers", f"{len(workers)}"))
+    if len(seconds) > 1:
+        *earlier, _ = seconds.sort_index()
+        starts = number_of(len(seconds), "start")
+        facts.append(("saved by resuming", f"{_seconds(sum(earlier))}, in {starts} of the program"))
+    failures = int(rows["failures"].sum())
+    if failures:
+        facts.append(("tasks that failed and were done again", f"{failures:,}"))
+    return facts
+
+
+def _sendable(job: dict[str, Any]) -> dict[str, Any]:
+    """A job whose models are named without folders of this machine."""
+    model = {**job["model"], "name": without_folder(job["model"]["name"])}
+    if "filter" in model:
+        model["filter"] = {**model["filter"], "name": without_folder(model["filter"]["name"])}
+    return {**job, "model": model}
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _seconds(seconds: float) -> str:
+    minutes, rest = divmod(seconds, 60)
+    return f"{minutes:.0f} min {rest:.0f} s" if minutes else f"{rest:.1f} s"
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(entry) for entry in value]
+    return value if not (isinstance(value, float) and math.isnan(value)) else "nan"

@@ -1,0 +1,78 @@
+"""The pool of a run or a sweep, entered and left, and the word of a process that it may crash."""
+
+import contextlib
+import os
+from collections.abc import Iterable, Iterator
+from time import perf_counter
+
+from pfdist.errors import SilenceError
+from pfdist.filters.engines import COMPILED, ENGINES
+from pfdist.pools.base import Pool
+from pfdist.pools.kinds import POOLS
+from pfdist.problem.sections import Execution
+from pfdist.runner.build import chosen_pool, make_pool
+from pfdist.runner.door import Session
+from pfdist.runner.progress import Say
+from pfdist.store import remove_file, write_file
+
+_BEGUN = ".begun"
+_SAYS = "A process computes here, or has ended without a word.\n"
+_CRASHED = (
+    "the last process that computed here ended without a word: it was killed, or the model crashed "
+    "it (--pool processes isolates the model)"
+)
+
+
+@contextlib.contextmanager
+def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[Pool]:
+    """Enter the pool of a run, and say that its workers are ready, and why it is this pool.
+
+    Parameters
+    ----------
+    execution : Execution
+    engines : iterable of str
+        Names as in ``filter.engine``. Formulas that are compiled release Python's lock.
+    say : callable
+
+    Raises
+    ------
+    PoolError
+        The pool does not start. If its workers fall silent, the error says what to do.
+    """
+    start, threaded = perf_counter(), _release_the_lock(engines)
+    execution, reason = chosen_pool(execution, threaded=threaded)
+    kind, why = POOLS[execution.pool], f" ({reason})" if reason else ""
+    with make_pool(execution) as pool:
+        workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
+        say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s{why}")
+        try:
+            yield pool
+        except SilenceError as error:
+            isolate = "" if kind.isolated else "; --pool processes isolates the model"
+            raise SilenceError(
+                f"{error}; run the same command again to go on from what is committed{isolate}"
+            ) from error
+
+
+@contextlib.contextmanager
+def noted(session: Session) -> Iterator[None]:
+    """Note in a run's locked folder that formulas run in this process, for as long as they do.
+
+    A formula that crashes the process leaves no word, so the next process speaks in its place.
+    """
+    begun = session.store.path / _BEGUN
+    if os.path.lexists(begun):
+        session.say(_CRASHED)
+    threaded = _release_the_lock([session.built.evaluator.engine])
+    execution, _ = chosen_pool(session.built.job.execution, threaded=threaded)
+    if not POOLS[execution.pool].isolated:
+        write_file(begun, lambda path: path.write_text(_SAYS, encoding="utf-8"))
+    try:
+        yield
+    finally:
+        remove_file(begun)
+
+
+def _release_the_lock(engines: Iterable[str]) -> bool:
+    """Whether the formulas of all engines are compiled, and so release Python's lock."""
+    return all(ENGINES.get(name, COMPILED).compiled for name in engines)

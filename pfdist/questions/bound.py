@@ -1,0 +1,201 @@
+"""A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+from pfdist.common.parts import Page
+from pfdist.common.shown import Shown
+from pfdist.problem.source import JobSource
+from pfdist.questions.at_work import at_work, noted
+from pfdist.questions.bound_page import bound_page
+from pfdist.questions.options import Chosen, Options, following, with_options
+from pfdist.questions.report import renew_report
+from pfdist.questions.run_of_job import finished_run, own_store, run_and_job
+from pfdist.results import Run, finite
+from pfdist.results.particle_loss import ParticleLoss
+from pfdist.results.stored_run import particle_losses_of
+from pfdist.runner.bound_settings import MEMORY, BoundSettings
+from pfdist.runner.build import check_pool
+from pfdist.runner.door import Session, complete
+from pfdist.runner.prover import Look, Prover
+from pfdist.search.proof import Gap
+from pfdist.search.relaxation import WINDOW
+
+
+@dataclass(frozen=True, repr=False)
+class Bound(Shown):
+    """Result of `bound`.
+
+    Parameters
+    ----------
+    run : Path
+    window, longest_gap, windows : int
+        Measurements of a window at first; the number of instants for which the error of a window
+        counts at most (also on a clock); and how many windows the relaxation knows in the end.
+    particles, draws : int
+        Settings of the bound's filter; 0 where the engine is exact.
+    confidence : float
+        Confidence of the limit of each gap.
+    within_reached : bool or None
+        Whether the limits of all found sets are as small as demanded; None if nothing was demanded.
+    gaps : list of Gap
+        One for each compared set of the run.
+    losses : dict of str to ParticleLoss
+        The loss by the number of particles of the job's own filter, for each compared set; empty
+        where it is not known.
+    is_constrained : bool
+        Whether the job excludes some times, beside their number or cost.
+    leaves_out_limits : bool
+        Whether sensors have limits of their own, which the bound leaves out.
+    has_scenarios : bool
+        Whether the job has scenarios. Then the bound is that of a filter that is told the scenario.
+    shares : tuple of float
+        Shares of the scenarios on the draws of the bound, if the worst scenario decides; else
+        empty.
+    within : float or None
+        The limit of the gaps that was demanded.
+    """
+
+    run: Path
+    window: int
+    longest_gap: int
+    windows: int
+    particles: int
+    draws: int
+    confidence: float
+    within_reached: bool | None
+    gaps: list[Gap]
+    losses: dict[str, ParticleLoss]
+    is_constrained: bool = False
+    leaves_out_limits: bool = False
+    has_scenarios: bool = False
+    shares: tuple[float, ...] = ()
+    within: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The whole result as JSON values; an unknown value is None."""
+        apart = ("run", "gaps", "losses", "within")
+        own = {key: value for key, value in vars(self).items() if key not in apart}
+        sets = {gap.name: gap.columns() for gap in self.gaps}
+        for row in sets.values():
+            del row["name"]
+        for name, loss in self.losses.items():
+            sets[name] |= loss.columns() | {"warning": loss.warning}
+        return finite({"run": str(self.run), **own, "sets": sets})
+
+    def _page(self) -> Page:
+        return bound_page(self.as_json(), self.within)
+
+
+@with_options
+def bound(
+    job: JobSource | Run,
+    draws: int | None = None,
+    *,
+    within: float | None = None,
+    particles: int | None = None,
+    window: int = WINDOW,
+    work: float | None = None,
+    memory: int = MEMORY,
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
+    **options: Unpack[Options],
+) -> Bound:
+    """Prove how much lower the expected MSE of any other times can be.
+
+    The model is run on draws that neither chose the times nor compared them, and the tables
+    ``bound`` and ``error_sums`` of the run are written. The same call goes on where it was stopped.
+
+    Parameters
+    ----------
+    job : Problem, Job, str, Path or Run
+        A job file, whose run is meant, or the folder of a run.
+    draws : int, optional
+        Number of draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default
+        1,920. With more draws the bound is higher, because the least of many noisy costs is too
+        low. Exact engines ignore it.
+    within : float, optional
+        Double the number of draws until the upper limits of the gaps are at most this fraction, or
+        until there are `draws` draws, by default 30,720. The gaps of the references do not count,
+        and with searches the gaps of all sets that the job gives do not count.
+    particles : int, optional
+        Number of particles of the bound's filter; by default that of the job's filter.
+    window : int
+        Largest number of measurements of the first windows, before windows grow.
+    work : float, optional
+        Particle-steps after which no window grows; 0 if no window is to grow. By default twice
+        those that the first windows take on 480 draws; exact engines have no limit. Windows also
+        stop growing when no set of the relaxation is better than the run's sets by more than 0.1 %,
+        on the draws that choose the windows; with an exact engine, when none is better at all.
+    memory : int
+        Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
+    results : str or Path, optional
+        Folder of the run; by default that in which run and plan put it.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+    options
+        See `Options`.
+
+    Returns
+    -------
+    Bound
+
+    Raises
+    ------
+    StoreError
+        There is no finished run of the job, or the run is of another job or of other models.
+    JobError, ModelError
+        The model defines an error of its own; the relaxation is too large; or the model cannot be
+        loaded.
+    TaskError, PoolError
+        A task failed, or no worker answers. All committed sums are kept.
+    """
+    chosen = Chosen(**options)
+    settings = BoundSettings(draws, within, particles, window, work, memory)
+    with following(chosen.progress, chosen.say) as (show, tell):
+        proved, built = run_and_job(job, results, changes, tell, chosen.execution)
+        if built.evaluator.exact:  # there is nothing to compute in a pool
+            serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
+            built = replace(built, job=serial)
+        check_pool(built.job.execution)
+        prover, clock = Prover(built, settings), built.job.problem.clock
+        with own_store(proved, built, tell) as store:
+            session = Session(built, store, show, tell)
+            session.reporter.foresee(prover.steps)
+            proof = prover.prove(session, finished_run(proved))  # it may have been found damaged
+            with noted(session):
+                workers_at_work = at_work(built.job.execution, [built.evaluator.engine], tell)
+                look: Look = complete(proof, workers_at_work)
+            session.reporter.finish()
+            if chosen.figures and store.path == proved.path:
+                from pfdist.pages.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+                draw_figures(proved, "bound")
+        if chosen.report is not False:
+            renew_report(proved.path, tell)
+    return Bound(
+        proved.path,
+        window,
+        prover.relaxation.longest_gap,
+        len(prover.relaxation.windows),
+        prover.particles,
+        look.draws,
+        prover.confidence,
+        None if within is None else look.is_within(within, built.unjudged),
+        [
+            replace(
+                gap,
+                measurement_times=tuple(clock.written_of(gap.measurement_times)),
+                path=tuple(clock.written_of(gap.path)),
+            )
+            for gap in look.gaps
+        ],
+        particle_losses_of(proved),
+        built.job.problem.is_constrained,
+        bool(built.feasible.limits),
+        built.job.scenarios is not None,
+        prover.shares,
+        within,
+    )

@@ -1,0 +1,130 @@
+"""The budget curve: the expected MSE against the measurement budget N, and which N is enough."""
+
+from collections.abc import Iterable, Sequence, Set
+from pathlib import Path
+from typing import Any, Unpack
+
+from pfdist.common.arguments import listed_argument, number_argument, whole_argument
+from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.source import JobSource, as_job
+from pfdist.questions.options import MOST_DRAWS, Chosen, Options, with_options
+from pfdist.questions.report import try_report
+from pfdist.questions.run import run
+from pfdist.questions.run_of_job import folder_of
+from pfdist.results import Run
+from pfdist.runner.bound_settings import LEAST_DRAWS
+
+DRAWS = 4000
+
+
+@with_options
+def budget(
+    job: JobSource,
+    measurements: tuple[int, int] | range | Set[int],
+    results: str | Path | None = None,
+    draws: int = DRAWS,
+    target: float | None = None,
+    bound_draws: int = LEAST_DRAWS,
+    changes: Sequence[str] = (),
+    reuse: str | Path | Iterable[str | Path] = (),
+    **options: Unpack[Options],
+) -> Run:
+    """Find times for each number of measurements, and compare them with regular times.
+
+    One dynamic programme finds the times for all numbers. The found times and the regular times
+    of each number then filter the same fresh draws. Another programme proves for each number how
+    much lower the error of any other times can be.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A job file, as ``jobs/plan.toml``, or the folder of a run. The job's searches, its
+        measurement budget, its number of compared draws and its section [online] are ignored.
+    measurements : (int, int), range or set of int
+        Numbers of measurements, as ``5:41``, ``5:41:4`` or ``10,20,30``; in Python a pair of the
+        least and the largest, a range, or a set.
+    results : str or Path, optional
+        Folder of the run; by default ``results/NAME-budget`` of a job ``NAME.toml``.
+    draws : int
+        Draws of the comparison. A larger number resumes a run with more draws.
+    target : float, optional
+        An expected MSE. The answer, the report and a figure ``budget-target-MSE`` also show the
+        least number of measurements that reaches it, and the largest number that is proved not to
+        reach it.
+    bound_draws : int
+        Number of draws of the lower bound for each number of measurements; 0 for no bound.
+    changes : sequence of str, optional
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
+    options
+        See `Options`.
+
+    Returns
+    -------
+    Run
+        Its table ``budget`` has a row for each number of measurements and each kind of times, with
+        the lower bound beside the found times.
+
+    Raises
+    ------
+    PfdistError
+        As `pfdist.run` raises.
+    """
+    draws = whole_argument("draws", draws, 2, MOST_DRAWS)
+    if target is not None:
+        number_argument("target", target)
+    numbers = _section(measurements)
+    fixed_sections = {"budget": numbers, "comparison": {"draws": draws}}
+    search = [{"method": DEFAULT_METHOD, "polish": False}]
+    job = as_job(job, changes, sections={"search": search, "online": None, **fixed_sections})
+    if job.with_changes(sections=fixed_sections) != job:
+        raise JobError(
+            "changes of a budget must leave [budget] and [comparison] as measurements and draws "
+            f"say, got {' '.join(changes)}",
+            argument="set",
+        )
+    # The run must not depend on the measurement budget that the job file names.
+    job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
+    chosen = Chosen(**options)
+    if target is not None:
+        options["report"] = False  # it is written below: the run knows no target
+    finished = run(
+        job, folder_of(job, results, "-budget"), bound_draws=bound_draws, reuse=reuse, **options
+    )
+    if target is not None and chosen.figures:
+        from pfdist.pages.plots import draw_target  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+        draw_target(finished, target)
+    if target is not None and chosen.has_report:
+        try_report(finished, chosen.say, target)
+    return finished
+
+
+def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]:
+    """The section [budget] of a job.
+
+    Numbers without a gap give the same section as a pair, a range or a set, and so the same run.
+    """
+    is_pair = isinstance(measurements, tuple | list) and len(measurements) == 2
+    if not is_pair and not isinstance(measurements, range | Set):
+        raise ArgumentError(
+            "measurements must be a pair (least, most), or a range or set of numbers, got "
+            f"{shown(measurements)}",
+            argument="measurements",
+        )
+    for number in listed_argument("measurements", measurements):
+        whole_argument("measurements", number, -(2**63), 2**63 - 1)
+    if is_pair:
+        least, most = measurements
+        return {"least": int(least), "most": int(most)}
+    numbers = sorted(map(int, measurements))
+    if not numbers or numbers[0] < 1:
+        got = numbers[0] if numbers else "none"
+        raise JobError(
+            f"numbers of measurements must be at least 1, got {got}", argument="measurements"
+        )
+    least, most = numbers[0], numbers[-1]
+    gaps = {} if len(numbers) == most - least + 1 else {"numbers": numbers}
+    return {"least": least, "most": most, **gaps}

@@ -1,0 +1,158 @@
+"""The expected MSE of sets of measurement times, computed in this process."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import overload
+
+import numpy as np
+
+from pfdist.common.clock import Time
+from pfdist.common.measurement_times import REGULAR, Times
+from pfdist.common.streams import stream_of
+from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import Result, joined
+from pfdist.problem.job import Job
+from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.written import validated_instants
+from pfdist.questions.options import following
+from pfdist.runner.build import Built, build
+from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.progress import Progress, silent
+from pfdist.runner.searches import Settings
+
+UNNAMED = ""
+"""Name of a set to which the user gives no name."""
+
+OneSet = Iterable[Time | str] | str
+Written = OneSet | Mapping[str, OneSet]
+
+
+@overload
+def evaluate(
+    job: JobSource,
+    measurement_times: Mapping[str, Iterable[Time | str] | str],
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> dict[str, Evaluation]: ...
+
+
+@overload
+def evaluate(
+    job: JobSource,
+    measurement_times: Iterable[Time] | str,
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> Evaluation: ...
+
+
+def evaluate(
+    job: JobSource,
+    measurement_times: Written,
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> Evaluation | dict[str, Evaluation]:
+    """Estimate the expected MSE of a set of measurement times, or of several, in this process.
+
+    A terminal and a notebook show the progress from the fifth second on.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+    measurement_times : iterable of int or float, or str; or mapping of str to these
+        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3";
+        "regular" stands for the regular times of the job. They may break the job's constraints:
+        ``load_job(path).problem.broken(times)`` lists the broken ones. Sets with names share their
+        draws and the noise of their filters.
+    draws, particles, seed : int, optional
+        Replace the job's evaluation.draws, filter.particles and seed.
+
+    Returns
+    -------
+    Evaluation, or dict of str to Evaluation
+        ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and the per-draw
+        values ``mse``; of sets with names, by name.
+
+    Raises
+    ------
+    JobError, ModelError, MeasurementTimesError
+        The job, the model or the times are not possible.
+    """
+    compute = prepare(job, measurement_times, draws, particles, seed)
+    return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
+
+
+def prepare(
+    job: JobSource,
+    measurement_times: Written,
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> Callable[[], dict[str, Evaluation]]:
+    """Compile what `evaluate` needs, and return a function that evaluates without delay.
+
+    The name of a set without a name is empty.
+    """
+    settings = {"evaluation": {"draws": draws}, "filter": {"particles": particles}, "seed": seed}
+    job = as_job(job, settings=settings)
+    written, are_named = {UNNAMED: measurement_times}, False
+    if isinstance(measurement_times, Mapping):
+        written, are_named = {**measurement_times}, True
+    sets = {name: instants_of(job, name, times) for name, times in written.items()}
+    if not sets:
+        raise JobError("evaluate needs at least one set of times, got none", argument="times")
+    # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
+    fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
+    stream = stream_of("evaluate", job.seed, *fresh)
+    return partial(_evaluated, build(job), sets, stream)
+
+
+def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
+    """The instants of a set; the error names the option, and the set if it has a name."""
+    if isinstance(written, str) and written == REGULAR:
+        return job.problem.feasible.regular()
+    place = f"times of {name}" if name else "measurement_times"
+    try:
+        return validated_instants(written, job.problem.clock, place, where=name and place)
+    except MeasurementTimesError as error:
+        error.argument = "times"
+        raise
+
+
+def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str, Evaluation]:
+    """The evaluation of each set by name, with times on the clock."""
+    evaluator, times, count = built.evaluator, tuple(sets.values()), len(sets)
+    exact, scenarios = [None] * count, None
+    if evaluator.exact:
+        exact, mse = built.exact_costs([*times]).tolist(), np.empty((count, 0))
+        degenerate = np.empty((count, 0), np.bool_)
+    else:
+        evaluation = Settings.from_job(built.job)
+        draws, pieces = evaluation.draws, list[Result]()
+        given = times, stream, stream, (0, draws), evaluation.estimation
+        work = evaluator.work(*given, ids=tuple(sets))
+        scenarios = evaluator.scenarios_of(stream, range(draws))
+        with following(None, silent) as (show, _):
+            for piece in evaluator.pieces(work, MOST_SECONDS):
+                pieces.append(evaluator.filtered(piece))
+                show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
+        result = joined(pieces)
+        mse, degenerate = result.mse.T.copy(), result.degenerate.T
+    return {
+        name: Evaluation(
+            tuple(built.job.problem.clock.written_of(sets[name])),
+            mse_of_set,
+            exact=cost,
+            purpose="evaluate",
+            scenarios=scenarios,
+            is_worst=built.is_worst,
+            degenerate=degenerate_of_set,
+        )
+        for name, mse_of_set, degenerate_of_set, cost in zip(
+            sets, mse, degenerate, exact, strict=True
+        )
+    }

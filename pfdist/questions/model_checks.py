@@ -1,0 +1,339 @@
+"""Finds mistakes in a model before a long run on a cluster does."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.estimate import CLEAR_ERRORS, Estimate
+from pfdist.common.formatted_times import formatted_seconds
+from pfdist.common.measurement_times import Times, regular
+from pfdist.common.rounding import rounded
+from pfdist.errors import JobError, ModelError, TraceError
+from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.kalman import matrices_of
+from pfdist.filters.one_filter import formatted_instant
+from pfdist.filters.work import FLOAT64, Estimation, Work
+from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
+from pfdist.models import StateSpaceModel, load_model
+from pfdist.models.checks import own_formulas
+from pfdist.models.parameters import check_lengths
+from pfdist.models.program import Program, merged
+from pfdist.models.recorded import recorded
+from pfdist.models.twin import traced
+from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.runner.contract import few_draws, looked
+from pfdist.runner.likelihood import Within, likelihood
+from pfdist.runner.particles import (
+    NUMBERS,
+    enough_particles,
+    has_particle_loss,
+    mean_effective_sizes,
+    measured_loss,
+)
+
+EVERY_INSTANT = "every instant"  # the last check of formulas
+_DRAWS = 1000
+_FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
+_LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
+_LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
+_MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
+
+
+@dataclass(frozen=True)
+class Check:
+    """The result of one check.
+
+    Parameters
+    ----------
+    name : str
+    state : {"ok", "note", "wrong"}
+        A note is worth knowing; what is wrong makes every figure wrong or ends the run.
+    text : str
+        The finding, and what to do.
+    """
+
+    name: str
+    state: str
+    text: str
+
+
+def check_model(
+    name: str,
+    horizon: int = 60,
+    particles: int = 500,
+    folder: Path = Path(),
+    times: Sequence[float] = (),
+) -> Iterator[Check]:
+    """Yield the result of each check of a model as soon as it is known.
+
+    The name is as a job has it: a model that ships, an entry point, or ``path/file.py:object``,
+    with a path relative to the folder. The draws have instants 0..horizon; a clock replaces the
+    horizon. `particles` is the number of particles of the filter that is timed. `times`, (T+1,), is
+    the clock: the time of each instant. By default it is 0..T for a model that reads a clock, and
+    other models have none.
+    """
+    return check_loaded(lambda: load_model(name, folder), horizon, particles, times)
+
+
+def check_loaded(
+    load: Callable[[], StateSpaceModel],
+    horizon: int,
+    particles: int,
+    times: Sequence[float] = (),
+    *,
+    filtered: bool = True,
+) -> Iterator[Check]:
+    """Yield the result of each check of the model that a function loads; see `check_model`.
+
+    If not `filtered`, the checks of an evaluation are left out, and the last check of formulas that
+    can be filtered is `EVERY_INSTANT`.
+    """
+    try:
+        model = load()
+    except ModelError as error:
+        yield Check("load", "wrong", str(error))
+        return
+    states, measurements, quantities = model.components
+    sizes = f"{states} of x, {measurements} of y, {quantities} of z"
+    yield Check("load", "ok", f"{model.name}: components {sizes}")
+    if times or model.reads_clock:
+        clock = tuple(times) or tuple(map(float, range(horizon + 1)))
+        horizon = len(clock) - 1
+        try:
+            model = model.on_clock(clock)
+        except ModelError as error:
+            yield Check("clock", "wrong", str(error))
+            return
+        yield Check("clock", *_clock(clock, not times))
+    try:
+        check_lengths(model.parameters, horizon + 1)
+    except ModelError as error:
+        text = f"{error}; give them in the model, or in a job, and check the job"
+        yield Check("simulate", "wrong", text)
+        return
+    for part in model.parts:  # the system with each sensor alone
+        if model.sensors:
+            yield Check("load", "ok", part.model.name)
+        for check in _computed(part.model, horizon, Estimation(particles)):
+            yield check
+        if check.name != EVERY_INSTANT:
+            return
+    if filtered:  # the sensors measure in turn
+        spread, sensors = regular(horizon, max(2, (horizon + 1) // 3)), len(model.parts)
+        in_turn = tuple(t * sensors + number % sensors for number, t in enumerate(spread))
+        yield from check_filter(partial(Evaluator, model, horizon), in_turn, Estimation(particles))
+
+
+def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
+    """The evaluator, which computes in NumPy if a formula cannot be traced, and the result."""
+    try:
+        evaluator.compile(estimation)
+    except TraceError as error:
+        slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
+        return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
+    text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
+    if has_fused_multiply_add():
+        return evaluator, Check("compile", "ok", text)
+    return evaluator, Check("compile", "note", f"{text}; {WITHOUT_FMA}")
+
+
+def _in_pieces(model: StateSpaceModel, horizon: int) -> str:
+    """The longest formula, if it is compiled in pieces."""
+    programs = {
+        name: traced(model, name, range(horizon + 1)).programs for name in own_formulas(model)
+    }
+    sizes = {
+        name: max(_size(merged(each)) for each in several) for name, several in programs.items()
+    }
+    name = max(sizes, key=lambda each: sizes[each])
+    if sizes[name] <= MOST_TOGETHER:
+        return ""
+    return f"; {name} has {sizes[name]:,} operations and is compiled in pieces"
+
+
+def _size(program: Program) -> int:
+    """The number of operations that are computed for each particle."""
+    operations = zip(program.operations, program.is_shared, strict=True)
+    return sum(bool(each.arguments) and not shared for each, shared in operations)
+
+
+def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
+    """Yield checks of formulas in NumPy and, if these are right, as an engine computes them."""
+    try:
+        model = recorded(model, range(horizon + 1))
+        few_draws(model, horizon)
+        evaluator, check = _compiled(Evaluator(model, horizon), estimation)
+        yield check
+        count = min(_DRAWS, _MOST_STEPS // (horizon + 1))
+        draws = evaluator.draws(range(count), 0)
+    except ModelError as error:
+        yield Check("simulate", "wrong", str(error))
+        return
+    text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
+    yield Check("simulate", "ok", text)
+    if model.linear_gaussian:
+        yield Check("linear_gaussian", *looked(_linear_gaussian, model, draws))
+    for look, is_declared, patient in (
+        ("log_likelihood", True, likelihood),
+        ("normalised", model.normalised, normalised),
+        ("missing components", model.missing_components, missing_components),
+        ("proposal", model.guided, proposal),
+    ):
+        if is_declared:
+            within = Within(_LONGEST)
+            state, text = looked(partial(patient, within=within), model, draws)
+            yield Check(look, state, text + within.text)
+    every_instant = partial(_every_instant, evaluator.computed_by.name)
+    yield Check(EVERY_INSTANT, *looked(every_instant, model, draws))
+
+
+def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
+    text = f"p.time is {clock[0]:g} to {clock[-1]:g} in {len(clock)} instants"
+    if not is_assumed:
+        return "ok", text
+    return "note", f"{text}, assumed because formulas read a clock: a job must have one"
+
+
+def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """State and text: both engines call every formula at every instant, measured or not."""
+    instants = range(draws.x.shape[1])
+    particles = max(1, min(500, _MOST_STEPS // 10 // len(instants)))  # ten draws have 50 each
+    few = draws[: max(1, particles // 50)]
+    for name in dict.fromkeys([engine, "numpy"]):
+        ENGINES[name].simulate(model, instants[-1], few.index, 0)
+        for times in ((), tuple(instants)):
+            filter_draws = ENGINES[name].filters.filter_draws
+            filter_draws(model, few, times, min(particles, 50), 0)
+    return "ok", "no formula fails at any instant, measured or not"
+
+
+def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    try:
+        matrices_of(model, draws.x.shape[1] - 1)
+    except ModelError as error:
+        return "wrong", str(error)
+    return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
+
+
+def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
+    """State and text: how many particles count after the measurements of regular times."""
+    sizes = mean_effective_sizes(evaluator, work)
+    if sizes.isna().all():
+        return "note", "all filters fail by their first measurement"
+    least = sizes.min()
+    at = formatted_instant(evaluator.model, sizes.index.to_numpy()[sizes.argmin()])
+    text = (
+        f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
+        f"{work.estimation.particles} particles after {len(sizes)} measurements"
+    )
+    if least < _FEW_EFFECTIVE:
+        return "note", f"{text}: so few count that estimates are uncertain"
+    return "ok", text
+
+
+def _digits(evaluator: Evaluator, work: Work, mse: NDArray[np.float64]) -> tuple[str, str]:
+    """State and text: how much the errors of draws differ from those of float64 states."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
+    usual = with_all.mse[:, 0]
+    change = Estimate.of_mean(mse - usual).times(100 / (usual.mean() or 1.0))
+    text = f"{change.text} % more error than with {FLOAT64}, the same draws and the same noise"
+    if abs(change.value) <= max(_LITTLE, CLEAR_ERRORS * change.standard_error):
+        return "ok", text
+    return "note", (
+        f"{text}: digits are lost, as where states are far from 0 beside what moves them, or "
+        "numbers lie beyond 1e-38 and 1e38"
+    )
+
+
+def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
+    """State and text: the loss by the number of particles, and a number that is enough.
+
+    A particle-step takes so many seconds.
+    """
+    loss, _ = measured_loss(evaluator, work)
+    text = f"{loss.particles:,} particles lose {loss.text}"
+    if not loss.warning:
+        return "ok", text
+    text += f". {loss.rare}".rstrip(". ")
+    (times,), steps = work.measurement_times, _LONGEST / seconds
+    found = enough_particles(evaluator, times, 0, work.estimation, steps, loss)
+    if found is loss:
+        return "note", f"{text}; no more, up to {NUMBERS[-1]:,}, can be tried in {_LONGEST:.0f} s"
+    if found.is_small:
+        return "note", f"{text}; {found.particles:,} are enough"
+    few = "may be enough" if found.may_be_small and not found.rare else "are still too few"
+    return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a check reports infinite errors
+def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
+    """The seconds of a particle-step, from as many draws as take long enough.
+
+    A first draw, whose code may still be loaded, does not count.
+    """
+    particles = max(1, min(500, _MOST_STEPS // 10 // (evaluator.horizon + 1)))
+    work = evaluator.work((times,), 3, 3, (0, 1), replace(estimation, particles=particles))
+    evaluator(work)
+    for draws in (1, 10, 100, _DRAWS):
+        start = time.perf_counter()
+        evaluator(replace(work, draws=(0, draws)))
+        seconds = time.perf_counter() - start
+        if seconds > 0.1:  # is long enough
+            break
+    return seconds / draws / work.steps_a_draw
+
+
+def check_filter(
+    make: Callable[[], Evaluator], times: Times, estimation: Estimation
+) -> Iterator[Check]:
+    """Yield checks of an evaluation with some times: its degenerate draws, its cost and its time.
+
+    A slow model has fewer draws than a thousand.
+    """
+    try:
+        evaluator, _ = _compiled(make(), estimation)
+        yield from _filtered(evaluator, times, estimation)
+    except (JobError, ModelError) as error:
+        yield Check("filter", "wrong", str(error))
+
+
+def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Iterator[Check]:
+    seconds_of_a_step = seconds_a_step(evaluator, times, estimation)
+    work = evaluator.work((times,), 3, 3, (0, 1), estimation)
+    seconds = seconds_of_a_step * work.steps_a_draw
+    draws = min(_DRAWS, int(_LONGEST / 4 / seconds))  # four filters of each give the loss
+    an_evaluation = f"{rounded(seconds * _DRAWS, 2)} s for {_DRAWS:,} draws on one core"
+    if draws < 2:
+        yield Check("an evaluation", "note", f"{an_evaluation}; so nothing else is filtered here")
+        return
+    fewer = f" (only {draws} draws: each takes {formatted_seconds(seconds)} s)" * (draws < _DRAWS)
+    work = replace(work, draws=(0, draws))
+    with np.errstate(over="ignore", invalid="ignore"):  # a check reports infinite errors
+        result = evaluator(work)
+    share, number = result.degenerate.mean(), len(times)
+    particles = "" if evaluator.exact else f" and {work.estimation.particles} particles"
+    text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
+    yield Check("degenerate draws", "note" if share else "ok", text)
+    mean = Estimate.of_mean(result.mse[:, 0])
+    text = f"{mean.text} with these times"
+    if math.isfinite(mean.value) and math.isfinite(mean.standard_error):
+        yield Check("expected MSE", "ok", text)
+    else:
+        yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
+    if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
+        yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
+    believed = evaluator.self_consistent
+    if not evaluator.exact:
+        yield Check("effective sample size", *_effective_sizes(believed, work))
+    if has_particle_loss(believed):
+        yield Check("particles", *_particles(believed, work, seconds_of_a_step))
+    yield Check("an evaluation", "ok", an_evaluation)

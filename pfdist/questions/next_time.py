@@ -1,0 +1,246 @@
+"""The time to measure next, from a run and the measurements so far."""
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import chain
+from numbers import Integral, Real
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from pfdist.common.clock import Clock, Time
+from pfdist.common.formatted_times import formatted_time
+from pfdist.common.measurement_times import Times
+from pfdist.common.parts import Page
+from pfdist.common.shown import Shown
+from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
+from pfdist.filters.cloud import Prior
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.measurements import Measurements, read_measurements
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.source import JobSource
+from pfdist.questions.filter_measurements import IMPROBABLE
+from pfdist.questions.filtered import next_page
+from pfdist.questions.planned_run import Table, planned_run, prior_argument, table_argument
+from pfdist.questions.planner import Planner
+from pfdist.questions.run_of_job import run_and_job
+from pfdist.results import Run, finite
+from pfdist.runner.progress import Say, silent
+
+
+@dataclass(frozen=True, repr=False)
+class NextTime(Shown):
+    """Result of `next_time`.
+
+    Parameters
+    ----------
+    run : Path
+    name : str
+        Name of the compared set whose times were planned before anything was measured.
+    measured : tuple of int or float
+        Times with a measurement, on the clock of the job, as all times below.
+    now : int or float
+        The time from which on errors are expected: the last that has passed.
+    plan : tuple of int or float
+        Times that are left to be measured, the next first; empty if the budget is spent.
+    left : int or None
+        Number of measurements that are left of the budget; None if they have costs.
+    planned_before : tuple of int or float
+        Times of the first plan that are left.
+    expected, expected_before : Evaluation
+        Expected MSE from `now` to T with both plans, on the same fresh simulated systems. An exact
+        engine needs none. `expected_before` is None if the first plan is no longer possible.
+    surprise : float or None
+        P-value of the most surprising among all measurements (Bonferroni), if there is one.
+    time_unit : str
+        The unit of the clock; empty if the job has none.
+    """
+
+    run: Path
+    name: str
+    measured: tuple[Time, ...]
+    now: Time
+    plan: tuple[Time, ...]
+    left: int | None
+    planned_before: tuple[Time, ...]
+    expected: Evaluation
+    expected_before: Evaluation | None
+    surprise: float | None
+    time_unit: str = ""
+
+    @property
+    def next(self) -> Time | None:
+        """The time to measure next; None if the budget is spent."""
+        return self.plan[0] if self.plan else None
+
+    @property
+    def is_improbable(self) -> bool:
+        """Whether a right model has such measurements in less than 1 % of systems."""
+        return self.surprise is not None and self.surprise < IMPROBABLE
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values."""
+        before = self.expected_before
+        answer = {
+            "run": str(self.run),
+            "planned": self.name,
+            "measured": self.measured,
+            "now": self.now,
+            "next": self.next,
+            "plan": self.plan,
+            "left": self.left,
+            "expected_mse": self.expected.expected_mse,
+            "standard_error": self.expected.standard_error,
+            "planned_before": self.planned_before,
+            "expected_mse_before": before and before.expected_mse,
+            "standard_error_before": before and before.standard_error,
+            "draws": self.expected.draws,
+            "surprise_of_all": self.surprise,
+            "is_improbable": self.is_improbable,
+            **({"time_unit": self.time_unit} if self.time_unit else {}),
+        }
+        return finite(answer)
+
+    def _page(self) -> Page:
+        return next_page(self.as_json())
+
+
+def next_time(
+    job: JobSource | Run,
+    measurements: Table,
+    *,
+    now: Time | None = None,
+    planned: str = "",
+    prior: Table | Prior | ArrayLike = "",
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
+    say: Say = silent,
+) -> NextTime:
+    """Choose when to measure a system next, from the measurements so far.
+
+    Parameters
+    ----------
+    job : Problem, Job, str, Path or Run
+        A job file, whose run is meant, or the folder of a run.
+    measurements : str, Path or DataFrame
+        Table with the columns t, y0, y1, ... (or y_ and a name): a file in CSV or Parquet, or a
+        DataFrame. It may have no rows. An empty cell is a missing component, a row without any
+        value a missed time. If the model has sensors, the column sensor names that of a row.
+    now : int or float, optional
+        The last time that has passed, if nothing was measured at the end.
+    planned : str, optional
+        Name of the compared set that was planned; by default the found set with the lowest expected
+        MSE.
+    prior : str, Path, DataFrame, Cloud or array, optional
+        Table of particles from which the filter starts: columns x0, x1, ... (or x_ and a name), if
+        wanted weight, and t, their time (by default the first).
+    results : str or Path, optional
+        Folder of the run; by default that in which run and plan put it.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+    say : callable, optional
+        Receives a line for each model file before the file is run. Without it, an improbable
+        measurement is a `pfdist.errors.PfdistWarning`, too.
+
+    Returns
+    -------
+    NextTime
+
+    Raises
+    ------
+    StoreError
+        There is no finished run of the job, or the run is of another job or of other models.
+    JobError
+        The run has no set of this name.
+    MeasurementsError, PriorError
+        A table does not fit, or a value in it is wrong.
+    ModelError
+        The model cannot be loaded, or a formula failed.
+    """
+    table = table_argument("measurements", measurements)
+    prior = prior_argument(prior)
+    plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
+    believed = plan.built.evaluator.believed
+    clock = plan.built.job.problem.clock
+    planner = Planner(plan.built, clock.written_of(plan.times), prior=plan.prior)
+    feasible = planner.feasible
+    start = clock.instants([planner.estimate().t])[0]
+    rows = read_measurements(table, believed, clock, start)
+    last, surprise = _tell(planner, rows)
+    if now is not None:
+        instant = _instant_now(now, max(last, start), clock)
+        if instant > last:
+            planner.missed(clock.time(instant))
+        last = instant
+    left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
+    first = max(last + 1, start) * feasible.sensors
+    before = tuple(time for time in plan.times if time >= first)[:left]
+    still = _is_possible(feasible, clock.measurements(planner.measured), before)
+    expected, *expected_before = planner.expected(
+        planner.plan(), *([clock.written_of(before)] if still else [])
+    )
+    result = NextTime(
+        plan.run.path,
+        plan.name,
+        planner.measured,
+        planner.estimate().t,
+        planner.plan(),
+        left,
+        tuple(clock.written_of(before)),
+        expected,
+        expected_before[0] if expected_before else None,
+        surprise,
+        clock.unit,
+    )
+    for line in result._page().warnings if say is silent else ():
+        warnings.warn(line, PfdistWarning, stacklevel=2)
+    return result
+
+
+def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
+    """Whether times may still be measured: at a distance from each other, and not too dear."""
+    apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_cost
+    apart = apart and feasible.is_within_limits((*measured, *left))
+    return apart and (money is None or feasible.cost_of((*measured, *left)) <= money)
+
+
+def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
+    """Tell a planner all measurements in the order of time.
+
+    Returns
+    -------
+    int
+        The last instant that has a row, or -1.
+    float or None
+        The p-value of the most surprising among all measurements.
+    """
+    surprises, clock = list[float](), planner.clock
+    missed = ((t, None) for t in rows.missed)
+    instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=itemgetter(0))
+    for t, y in instants:
+        if y is None:
+            planner.missed(clock.time(t))
+        else:
+            estimate = planner.update(y, clock.time(t))
+            surprises += [] if estimate.surprise is None else [estimate.surprise]
+    surprise = min(1.0, len(surprises) * min(surprises)) if surprises else None
+    return instants[-1][0] if instants else -1, surprise
+
+
+def _instant_now(now: Time, last: int, clock: Clock) -> int:
+    """The instant of the last time that has passed, after checking it."""
+    if clock.counts and (isinstance(now, bool) or not isinstance(now, Integral)):
+        raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
+    first = clock.time(last) if last >= 0 else -1
+    if isinstance(now, Real) and not first <= now <= clock.times[-1]:
+        ends = f"{formatted_time(first)}..{formatted_time(clock.times[-1])}"
+        raise MeasurementsError(
+            f"now must lie in {ends}, got {formatted_time(now)}", argument="now"
+        )
+    try:
+        return int(now) if clock.counts else clock.instant(now, "now")
+    except MeasurementTimesError as error:
+        raise MeasurementsError(str(error), argument="now") from error

@@ -1,0 +1,150 @@
+"""How a computation is done and what it shows: options that all functions that compute share."""
+
+import contextlib
+import inspect
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from functools import wraps
+from textwrap import indent
+from typing import Any, ParamSpec, TypedDict, TypeVar
+
+from pfdist.common.arguments import called_argument
+from pfdist.common.nearest import did_you_mean
+from pfdist.errors import ArgumentError
+from pfdist.runner.progress import Say, Show, silent
+
+MOST_DRAWS = 100_000_000  # as many as a comparison may have
+
+
+@contextlib.contextmanager
+def following(progress: Show | bool | None, say: Say) -> Iterator[tuple[Show, Say]]:
+    """The functions that receive the progress and the messages of a computation.
+
+    Parameters
+    ----------
+    progress : callable, bool or None
+        True shows progress and messages: a bar in a terminal, a line in a notebook, else a line
+        every few seconds. False shows nothing. None shows the progress of a computation that
+        takes longer than five seconds in a terminal or a notebook. A callable receives each
+        `pfdist.runner.progress.Progress`.
+    say : callable
+        Receives the messages, line by line.
+    """
+    called_argument("say", say)
+    # A process without a terminal and a notebook loads no rich.
+    wanted = (sys.stderr.isatty() or "IPython" in sys.modules) if progress is None else progress
+    if not isinstance(wanted, bool):
+        called_argument("progress", wanted)
+        yield wanted, say
+    elif not wanted:
+        yield lambda state: None, say
+    else:
+        from pfdist.questions.display import LINE_SECONDS, Display  # noqa: PLC0415  rich takes long to load
+
+        with Display(after=LINE_SECONDS if progress is None else 0.0) as display:
+            yield display.show, display.say if progress and say is silent else say
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_PLACE = "    options\n        See `Options`.\n"
+
+
+class Options(TypedDict, total=False):
+    """Options of every function that computes a run; editors complete them.
+
+    pool : str, optional
+        Replaces execution.pool of the job: what computes the tasks. On ``auto`` these are the
+        workers of a Ray cluster that is given, processes if formulas run in NumPy, else threads.
+    workers : int, optional
+        Replaces execution.workers of the job: their number, at most 1,000 on one machine; 0 is one
+        for each core.
+    address : str, optional
+        Replaces execution.address of the job: the Ray cluster to join, as HOST:PORT; ``auto`` finds
+        one, and ``local`` starts one on this machine.
+    wait_for_cores : int, optional
+        Replaces execution.wait_for_cores of the job: how many cores the cluster must have, within 5
+        minutes, before the run begins.
+    figures : bool
+        Whether to draw the figures that the folder lacks.
+    report : bool, optional
+        Whether to write the file ``report.html``; by default if figures are drawn.
+    progress : callable or bool, optional
+        Whether to show progress and messages, or what receives each
+        `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress
+        from the fifth second on.
+    say : callable, optional
+        Receives lines: which model files are run, when the pool is ready, which files were
+        damaged, why a search does not trust its estimator, and why there is no lower bound. If
+        it is not given, lines that concern the results become a `pfdist.errors.PfdistWarning`.
+    """
+
+    pool: str | None
+    workers: int | None
+    address: str | None
+    wait_for_cores: int | None
+    figures: bool
+    report: bool | None
+    progress: Show | bool | None
+    say: Say
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The options that a caller chose, and the defaults of the others; see `Options`."""
+
+    pool: str | None = None
+    workers: int | None = None
+    address: str | None = None
+    wait_for_cores: int | None = None
+    figures: bool = True
+    report: bool | None = None
+    progress: Show | bool | None = None
+    say: Say = silent
+
+    @property
+    def execution(self) -> dict[str, Any]:
+        """Changes of the job's section [execution]."""
+        return {key: getattr(self, key) for key in ("pool", "workers", "address", "wait_for_cores")}
+
+    @property
+    def has_report(self) -> bool:
+        """Whether a report is written."""
+        return self.figures if self.report is None else self.report
+
+
+def with_options(function: Callable[P, R]) -> Callable[P, R]:
+    """Show the options in the signature and in the help of a function that takes ``**options``.
+
+    Raises
+    ------
+    ArgumentError
+        The function is called with a name that it does not know; the error names the nearest.
+    """
+    signature = inspect.signature(function)
+    own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
+    added = [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
+        )
+        for field in fields(Chosen)
+    ]
+    names = [each.name for each in (*own, *added)]
+
+    @wraps(function)
+    def call(*arguments: P.args, **named: P.kwargs) -> R:
+        for name in named:
+            if name not in names:
+                nearest = did_you_mean(name, names)
+                keys = " (changes=['KEY=VALUE'] changes a key of the job)"
+                raise ArgumentError(
+                    f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
+                    f"{keys if 'changes' in names else ''}"
+                )
+        return function(*arguments, **named)
+
+    call.__signature__ = signature.replace(parameters=[*own, *added])  # type: ignore[attr-defined]
+    described = inspect.cleandoc(Options.__doc__ or "").partition("\n\n")[2]
+    call.__doc__ = (function.__doc__ or "").replace(_PLACE, indent(described, "    ") + "\n")
+    return call

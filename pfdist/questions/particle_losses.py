@@ -1,0 +1,99 @@
+"""The loss by a finite number of particles, as a table, before a run."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import pandas as pd
+
+from pfdist.common.arguments import whole_argument
+from pfdist.common.clock import Time
+from pfdist.common.measurement_times import REGULAR
+from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.problem.source import JobSource, as_job
+from pfdist.questions.evaluate import UNNAMED, instants_of
+from pfdist.runner.build import build
+from pfdist.runner.particles import (
+    has_particle_loss,
+    mean_effective_sizes,
+    measured_loss,
+    work_of_loss,
+)
+
+_MOST_PARTICLES, _MOST_DRAWS = 10_000_000, 1_000_000
+
+
+def particle_losses(
+    job: JobSource,
+    particles: Iterable[int] = (50, 100, 200, 500, 1000, 2000, 5000),
+    measurement_times: Iterable[Time] | str = REGULAR,
+    draws: int = 1000,
+    seed: int | None = None,
+) -> pd.DataFrame:
+    """The loss by each of some numbers of particles, on the same draws, in this process.
+
+    Where the filter's model is not the truth, the draws are those of the filter's model.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+    particles : iterable of int
+        Numbers of particles; they replace that of the job.
+    measurement_times : iterable of int or float, or str
+        As for `pfdist.evaluate`; by default the regular times of the job.
+    draws : int
+        Number of draws, which all numbers of particles share.
+    seed : int, optional
+        By default the seed of the job.
+
+    Returns
+    -------
+    DataFrame
+        A row for each number of particles. The columns are particles; draws; expected_mse and
+        standard_error, of the job's filter on the draws of its own model; as fractions of this
+        expected MSE, particle_loss and particle_loss_error, half the squared distance of two
+        independent filters and its standard error; particle_loss_at_most and
+        particle_loss_at_most_error, the squared error less the variance of particles beside the
+        truth, which is at least the loss; particle_loss_limit, its upper 95 % limit; and
+        effective_sample_size, the mean after all measurements.
+
+    Raises
+    ------
+    JobError, ModelError, MeasurementTimesError, ArgumentError
+        The job, the model, the times or a number is not possible; the engine has no particles; or
+        the model has an error of its own.
+
+    References
+    ----------
+    Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods", Journal of the Royal
+    Statistical Society B 72, 2010 (the variance of particles beside the truth).
+    """
+    if not isinstance(particles, Iterable):
+        raise ArgumentError(
+            f"particles must be a list of numbers, got {shown(particles)}", argument="particles"
+        )
+    numbers = [whole_argument("particles", each, 1, _MOST_PARTICLES) for each in particles]
+    draws = whole_argument("draws", draws, 2, _MOST_DRAWS)
+    job = as_job(job, settings={"seed": seed, "filter": {"particles": 1}})
+    times, built = instants_of(job, UNNAMED, measurement_times), build(job)
+    evaluator, rows = built.evaluator.self_consistent, []
+    if not has_particle_loss(evaluator):
+        raise JobError(
+            "the loss by the number of particles needs an engine with particles, and the squared "
+            f"error, got the engine {evaluator.engine!r} and the model {evaluator.model.name}"
+        )
+    for number in numbers:
+        estimation = replace(built.comparing, particles=number)
+        work = work_of_loss(evaluator, times, job.seed, estimation, draws)
+        loss, mse = measured_loss(evaluator, work)
+        rows.append(
+            {
+                "particles": number,
+                "draws": draws,
+                "expected_mse": mse.mean,
+                "standard_error": mse.standard_error,
+                **loss.columns(),
+                "effective_sample_size": mean_effective_sizes(evaluator, work).mean(),
+            }
+        )
+    return pd.DataFrame(rows)

@@ -1,0 +1,65 @@
+"""Find measurement times and prove them, with one search that needs no settings."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Unpack
+
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.source import JobSource, as_job
+from pfdist.questions.options import Options, with_options
+from pfdist.questions.run import run
+from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
+from pfdist.results import Run
+from pfdist.runner.bound_settings import LEAST_DRAWS
+
+
+@with_options
+def plan(
+    job: JobSource,
+    results: str | Path | None = None,
+    search: str = DEFAULT_METHOD,
+    changes: Iterable[str] = (),
+    bound_draws: int | None = None,
+    reuse: str | Path | Iterable[str | Path] = (),
+    **options: Unpack[Options],
+) -> Run:
+    """Find measurement times for a job's problem, and prove how good they are.
+
+    One search finds them. They are compared with regular times on fresh draws, and a lower bound
+    says how much better any other times can be. The same call goes on where it was stopped.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+        Searches that the job names are left aside.
+    results : str or Path, optional
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
+    search : str
+        Method of the search, with its default settings.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3``. The name of the search is its method, as in
+        ``search.relaxation.paths=16``.
+    bound_draws : int
+        Number of draws of the lower bound that is proved for the found times, by default 480; 0
+        for no bound. A range of measurement budgets gets a bound only if a number is given.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
+    options
+        See `Options`.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    PfdistError
+        As `pfdist.run` raises.
+    """
+    job = as_job(job, changes, sections=searched_by(search))
+    results = folder_of(job, results, PLANNED if job.origin.names_searches else "")
+    if bound_draws is None:
+        bound_draws = 0 if job.budget else LEAST_DRAWS
+    return run(job, results, bound_draws=bound_draws, reuse=reuse, **options)

@@ -1,0 +1,279 @@
+"""Choose when to measure one real system next, from all that was measured so far."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pfdist.common.arguments import whole_argument
+from pfdist.common.clock import Clock, Time
+from pfdist.common.formatted_times import formatted_time
+from pfdist.common.measurement_times import Times
+from pfdist.common.streams import stream_of
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
+from pfdist.filters.cloud import Prior
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.filter_estimate import Estimate
+from pfdist.filters.measurements import instant_on
+from pfdist.filters.one_filter import filter_of_truths, made, with_truths
+from pfdist.filters.user_prior import as_prior
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import METHODS
+from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.written import validated_instants
+from pfdist.questions.options import MOST_DRAWS
+from pfdist.questions.planned_run import filter_of
+from pfdist.runner.build import Built, build
+from pfdist.runner.planning import Now, Replanner
+from pfdist.runner.searches import planning_of
+
+EXPECTED_DRAWS = 2000
+"""Simulated systems on which an expected MSE is estimated."""
+_FIRST_SEARCH = METHODS["survivors"].section()
+_FIRST_DRAWS = 300  # simulated systems for the plan before anything is measured
+
+
+class Planner:
+    """Chooses the next measurement time of one system, again after each measurement.
+
+    The same job, times and measurements give the same plans. So a program that was killed makes a
+    new planner, tells it all measurements, and goes on.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A job file, as ``jobs/plan.toml``, or the folder of a run. Its section [online] says
+        how plans are made. A job that is built already is not built again.
+    times : iterable of int or float, optional
+        The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible
+        set of the job, or of one of its measurement budgets. By default a short search finds some.
+    prior : Cloud, Gaussian, array or DataFrame, optional
+        The knowledge of x(s), in the place of the model's `initial`; the system then starts at s.
+        An array (n, M) holds M particles of x(0); a DataFrame has a row for each, and its t is a
+        time on the clock. The t of a `Cloud` is an instant. Planned times before s count as
+        measured.
+    draw : int
+        Number of the system, which keys the noise: give each system a number of its own.
+
+    Raises
+    ------
+    JobError, ModelError, MeasurementTimesError, PriorError
+        The job, the model, the times or the prior are not possible.
+
+    Examples
+    --------
+    >>> import pfdist
+    >>> planner = pfdist.Planner("jobs/quick.toml")  # doctest: +SKIP
+    >>> planner.next_time()  # doctest: +SKIP
+    1
+    >>> planner.update(1.3)  # doctest: +SKIP
+    """
+
+    _taken: Times
+    _plan: Times
+
+    def __init__(
+        self,
+        job: JobSource | Built,
+        times: Iterable[Time] | None = None,
+        *,
+        prior: Prior | ArrayLike | None = None,
+        draw: int = 0,
+    ) -> None:
+        built = job if isinstance(job, Built) else build(as_job(job))
+        believed, clock = built.evaluator.believed, built.job.problem.clock
+        start = None if prior is None else as_prior(prior, believed, clock)
+        planning = planning_of(built.job, built.evaluator.cheapest_estimator)
+        stream = stream_of("online", built.job.seed, "planner")
+        planned = None if times is None else validated_instants(times, clock, "times", "times")
+        feasible = _feasible(built, planned)
+        self._replanner = Replanner(built.evaluator, feasible, planning, stream)
+        self._filter = filter_of(built, start, draw)
+        self._truths = filter_of_truths(self._filter.unmeasured)
+        self._built, self._draw = built, int(draw)
+        self._now, self._taken = Now(start), ()
+        if planned is None:
+            first = replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
+            planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
+        first_left = self._now.first * feasible.sensors
+        self._plan = tuple(time for time in planned if time >= first_left)
+        self._before = tuple(time for time in planned if time < first_left)
+
+    def next_time(self) -> Time | None:
+        """The time to measure next; None if no measurement is left."""
+        return self.plan()[0] if self._plan else None
+
+    def plan(self) -> tuple[Time, ...]:
+        """All planned times that are left, the next first."""
+        return tuple(self.clock.written_of(self._plan))
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the job. All times of a planner are times on this clock."""
+        return self._built.job.problem.clock
+
+    @property
+    def feasible(self) -> Feasible:
+        """The feasible sets of the whole horizon."""
+        return self._replanner.feasible
+
+    @property
+    def measured(self) -> tuple[Time, ...]:
+        """The times that were measured."""
+        return tuple(self.clock.written_of(self._taken))
+
+    def update(self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None) -> Estimate:
+        """Tell a measurement, and plan what is left anew.
+
+        Parameters
+        ----------
+        y : float or sequence of float, (m,)
+            The measurement. NaN marks a component that is missing, which a model must declare that
+            it takes. All components of a sensor that did not measure are NaN.
+        t : int or float, optional
+            The time, if it is not the next planned time. Planned times before it count as missed.
+
+        Returns
+        -------
+        Estimate
+            The estimate of z(t).
+
+        Raises
+        ------
+        MeasurementsError
+            The time or the measurement is wrong, or no particle explains the measurement. The
+            planner stays as it was.
+        ModelError
+            A formula failed in a simulated system. Make a new planner to go on.
+        """
+        instant = self._time(t)
+        estimate, measurement = self._filter.update(instant, y), None
+        if estimate.measured:
+            measurement = np.atleast_1d(np.array(y, np.float64))
+            self._taken = (*self._taken, *made(self._filter.model, instant, measurement))
+        self._plan_anew(estimate.t, measurement)
+        return self._on_clock(estimate)
+
+    def missed(self, t: Time | None = None) -> None:
+        """Tell that nothing was measured up to t, and plan what is left anew.
+
+        The measurement is not lost: it may be made later.
+
+        Parameters
+        ----------
+        t : int or float, optional
+            By default the next planned time.
+
+        Raises
+        ------
+        MeasurementsError
+            The time is wrong.
+        """
+        nothing = [float("nan")] * self._filter.model.components[1]
+        self._plan_anew(self._filter.update(self._time(t), nothing).t)
+
+    def estimate(self, t: Time | None = None) -> Estimate:
+        """Estimate z(t) from all measurements so far.
+
+        Parameters
+        ----------
+        t : int or float, optional
+            Not before the last measurement; by default its time.
+
+        Raises
+        ------
+        MeasurementsError
+            The time is wrong.
+        """
+        now = self._filter.now
+        return self._on_clock(now if t is None else self._filter.predict(instant_on(self.clock, t)))
+
+    def expected(self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS) -> list[Evaluation]:
+        """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
+
+        Parameters
+        ----------
+        *plans : iterables of int or float
+            Times that are left to be measured; by default those of `plan`.
+        draws : int
+            Number of simulated systems.
+
+        Raises
+        ------
+        MeasurementTimesError
+            A time does not lie after the last measurement and up to T.
+        ArgumentError
+            The number of draws is below 2.
+        """
+        draws = whole_argument("draws", draws, 2, MOST_DRAWS)
+        first = self._now.first
+        wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
+        for plan in wanted:
+            if plan and plan[0] < first * self.feasible.sensors:
+                least = formatted_time(self.clock.time(first))
+                got = formatted_time(self.clock.written(plan[0]))
+                raise MeasurementTimesError(
+                    f"times that are left must be at least {least}, got {got}"
+                )
+        estimation = self._built.comparing
+        evaluations = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
+        return [
+            replace(each, measurement_times=tuple(self.clock.written_of(plan)))
+            for each, plan in zip(evaluations, wanted, strict=True)
+        ]
+
+    def _on_clock(self, estimate: Estimate) -> Estimate:
+        """An estimate whose time is one on the clock."""
+        time: Any = self.clock.time(estimate.t)
+        return replace(estimate, t=time)
+
+    def _time(self, t: Time | None) -> int:
+        """The instant that is meant: that of a given time, or the next planned."""
+        if t is not None:
+            instant = instant_on(self.clock, t)
+            if instant < self._now.first:
+                first = formatted_time(self.clock.time(self._now.first))
+                raise MeasurementsError(
+                    f"t must be at least {first}, the first instant that has not passed, got "
+                    f"{formatted_time(t)}"
+                )
+            return instant
+        if not self._plan:
+            raise MeasurementsError(
+                f"no measurement is left of the plan, got one without t (measured: "
+                f"{shown(self.measured)})"
+            )
+        return self._plan[0] // self.feasible.sensors
+
+    def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
+        """Plan what is left after a time, which was measured if y is given."""
+        prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
+        self._now = Now(prior, measured=True)
+        left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
+        taken = (*self._before, *self._taken)
+        self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+
+
+def _feasible(built: Built, planned: Times | None) -> Feasible:
+    """The feasible sets, of as many measurements as were planned if the job has a range.
+
+    Raises
+    ------
+    MeasurementTimesError
+        The planned times are not feasible.
+    """
+    job, feasible = built.job, built.feasible
+    if planned is None:
+        return feasible
+    if job.budget is not None and planned:
+        feasible = job.feasible(len(planned))
+    times = tuple(job.problem.clock.written_of(planned))
+    if broken := feasible.broken(planned):
+        raise MeasurementTimesError(
+            f"times must satisfy the constraints of the job, got {shown(times)}: "
+            f"{'; '.join(f'problem.{sentence}' for sentence in broken)}",
+            argument="times",
+        )
+    return feasible

@@ -1,0 +1,246 @@
+"""Run a job: compute what the run lacks, prove a lower bound if wanted, then draw the figures."""
+
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Unpack
+
+from pfdist.common.arguments import paths_argument
+from pfdist.errors import JobError, ModelError, TaskError
+from pfdist.problem.source import JobSource, as_job
+from pfdist.questions.at_work import at_work, noted
+from pfdist.questions.options import Chosen, Options, following, with_options
+from pfdist.questions.report import remove_report, try_report
+from pfdist.questions.run_of_job import folder_of
+from pfdist.questions.run_page import answer_in_a_line
+from pfdist.results import Run, open_run, read_recorded
+from pfdist.runner.bound_settings import BoundSettings
+from pfdist.runner.build import Built, build, check_pool, say_model_files
+from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
+from pfdist.runner.door import Batch, Session, complete
+from pfdist.runner.driver import drive
+from pfdist.runner.identity import is_sealed, opened
+from pfdist.runner.progress import Say, Show, heard
+from pfdist.runner.provenance import lender, note_processor
+from pfdist.runner.prover import Prover
+from pfdist.store import add_to_provenance, forget_pages
+from pfdist.store.folder import has_report, remove_figures
+
+_OF_FIGURES = ("pfdist.questions.pictures", "pfdist.pages.html", "scipy.special")
+_PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
+
+
+@with_options
+def run(
+    job: JobSource,
+    results: str | Path | None = None,
+    *,
+    reuse: str | Path | Iterable[str | Path] = (),
+    changes: Iterable[str] = (),
+    bound_draws: int = 0,
+    **options: Unpack[Options],
+) -> Run:
+    """Run the searches of a job and compare the found times with regular times.
+
+    The same call goes on where it was stopped.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A job file, as ``jobs/plan.toml``, or the folder of a run.
+    results : str or Path, optional
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+    bound_draws : int
+        Number of draws of a lower bound of the expected MSE of all feasible times, which is proved
+        after the comparison unless the run has one; 0 for no bound.
+    options
+        See `Options`.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    PfdistError
+        Anything went wrong. All committed results are kept, and the same call resumes the run.
+    """
+    chosen, settings = Chosen(**options), bound_settings(bound_draws)
+    job = as_job(job, changes, settings={"execution": chosen.execution})
+    check_pool(job.execution)
+    path = folder_of(job, results)
+    others = paths_argument("reuse", reuse)
+    with following(chosen.progress, chosen.say) as (show, tell):
+        say_model_files([job], tell)
+        built = build(job, path, *others)
+        if job.filter.is_automatic:
+            tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
+        return run_built(built, path, chosen, show, tell, settings, others)
+
+
+def run_built(
+    built: Built,
+    path: Path,
+    chosen: Chosen,
+    show: Show,
+    say: Say,
+    bound: BoundSettings | None = None,
+    reuse: Iterable[Path] = (),
+) -> Run:
+    """Compute what a run in a folder lacks, and make its figures and its report.
+
+    Parameters
+    ----------
+    built : Built
+    path : Path
+        The run's own folder.
+    chosen : Chosen
+        Says whether figures are drawn and a report is written.
+    show, say : callable
+        Receive the progress and the messages.
+    bound : BoundSettings, optional
+        Settings of the lower bound; by default there is no bound.
+    reuse : iterable of Path
+        Folders of other runs whose evaluations this run takes.
+
+    Raises
+    ------
+    PfdistError
+        As `run` raises.
+    """
+    if is_sealed(path, built):
+        heard(say, f"{path} cannot be written: its figures and its report stay as they are")
+        return Run(path, built.job)
+    lenders = [lender(open_run(other).path, built) for other in reuse]
+
+    def draw() -> Run:
+        run = Run(path, built.job)
+        if chosen.figures:
+            from pfdist.pages.plots import draw_missing_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+            draw_missing_figures(run)
+        return run
+
+    def finish(*, is_new: bool) -> Run:
+        run = draw()
+        if is_new:
+            remove_report(path)  # somebody may have asked for one of the unfinished run
+        if chosen.has_report and not has_report(path):
+            try_report(run, say)
+        return run
+
+    # Figures are drawn in a thread, beside the proof, and while the pool is left. One that fails
+    # beside the proof is still missing at the end: it is drawn again, and raises its error.
+    with opened(path, built) as store, ThreadPoolExecutor(1) as beside:
+
+        def driver() -> Generator[Batch, None, Future[Run]]:
+            if (chosen.figures or chosen.has_report) and open_run(path).state != "finished":
+                for module in _OF_FIGURES:  # otherwise they would be waited for later
+                    beside.submit(import_module, module)
+            session = Session(built, store, show, say)
+            is_new = yield from compute(session, bound, partial(beside.submit, draw))
+            return beside.submit(finish, is_new=is_new)
+
+        pool = at_work(built.job.execution, [built.evaluator.engine], say)
+        run: Run = complete(driver(), pool, lenders).result()
+    return run
+
+
+def compute(
+    session: Session, settings: BoundSettings | None, compared: Callable[[], object] = lambda: None
+) -> Generator[Batch, None, bool]:
+    """Compute what a run lacks, with its lower bound; False if it lacks nothing.
+
+    Parameters
+    ----------
+    session : Session
+    settings : BoundSettings or None
+        Settings of the lower bound; None for no bound.
+    compared : callable
+        Called when only the bound is missing. The curve of budgets waits, because it shows the
+        bound.
+    """
+    built, store, say = session.built, session.store, session.say
+    path = store.path
+    prover, unfinished = _prover(session, settings), open_run(path).state != "finished"
+    if not unfinished and (
+        prover is None or prover.has_proved(open_run(path)) or _is_long(session, prover)
+    ):
+        return False
+    forget_pages(path)
+    remove_report(path)
+    note_processor(path, built, say)
+    if prover is not None:
+        session.reporter.foresee(prover.steps, prover.steps)
+    with noted(session):
+        if unfinished:
+            remove_figures(path)  # they show fewer draws
+        yield from drive(session)
+        if unfinished:
+            remove_figures(path)  # somebody may have drawn them meanwhile
+        if prover is not None and not _is_long(session, prover):
+            session.reporter.note(optional=0.0)
+            run = open_run(path)
+            if line := answer_in_a_line(run):
+                say(line)  # first, because the proof takes longer than the search
+            if "budget" not in run.job:
+                compared()
+            try:
+                yield from prover.prove(session, open_run(path))
+            except (JobError, ModelError, TaskError) as error:  # the results of the run stand
+                _unproved(session, str(error))
+    session.reporter.finish()
+    return True
+
+
+def bound_settings(draws: int) -> BoundSettings | None:
+    """Settings of the run's lower bound; None if no bound is wanted."""
+    try:
+        return None if draws == 0 else BoundSettings(draws)
+    except JobError as error:
+        raise JobError(f"bound_{error} (0 for no bound)", argument="bound_draws") from error
+
+
+def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
+    """A prover of the run's lower bound; None if no bound is wanted or known."""
+    if settings is None:
+        return None
+    try:
+        return Prover(session.built, settings)
+    except (JobError, ModelError) as error:
+        _unproved(session, str(error))
+    return None
+
+
+def _is_long(session: Session, prover: Prover) -> bool:
+    """Whether a bound takes longer than somebody waits who did not ask for it; if so, say it."""
+    minutes = prover.steps * _seconds_a_step(session.built, session.store.path) / 60
+    if minutes > _PATIENCE and "bound" not in open_run(session.store.path).tables:
+        command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
+        _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
+    return minutes > _PATIENCE
+
+
+def _unproved(session: Session, reason: str) -> None:
+    """Say why there is no lower bound, and keep it for every answer of the run."""
+    if read_recorded(session.store.path)[0]["provenance"].get("unproved") != reason:
+        add_to_provenance(session.store.path, {"unproved": reason})
+        remove_report(session.store.path)
+    heard(session.say, f"Not proved: {reason}.")
+
+
+def _seconds_a_step(built: Built, path: Path) -> float:
+    """Seconds that a particle-step of the comparison has taken; a guess if there was none."""
+    run = open_run(path)
+    timings = run.table("timings") if "timings" in run.tables else None
+    steps = comparison_steps(built) * run.draws_compared / built.job.comparison.draws
+    if timings is None or not steps:
+        return built.evaluator.seconds_a_step
+    compared = timings["task"].str.startswith(f"{COMPARISON}:")
+    return float(timings.loc[compared, "seconds"].sum()) / steps or built.evaluator.seconds_a_step

@@ -1,0 +1,172 @@
+"""The run of a job: its folder, and a finished run about which somebody asks a question."""
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pfdist.common.arguments import path_argument
+from pfdist.errors import RunMismatchError, StoreError
+from pfdist.problem.job import Job
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.source import JobSource, as_job
+from pfdist.results import Run, open_run
+from pfdist.results.stored_run import job_of
+from pfdist.runner.build import Built, build, say_model_files
+from pfdist.runner.identity import check_same_job, check_same_models, opened, store_of
+from pfdist.runner.progress import Say, heard
+from pfdist.runner.provenance import note_processor
+from pfdist.store import Store, folder_of_run, holds_run
+
+_AS_DEFAULT: Mapping[str, Any] = MappingProxyType({})
+PLANNED = "-plan"
+"""Ending of the folder of a plan, if the job lists searches, whose run has the folder without."""
+
+
+def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
+    """The folder of a job's run.
+
+    Parameters
+    ----------
+    job : Job
+    results : str, Path or None
+        The folder that the user names.
+    ending : str
+        The end of the folder's name, after the name of the job's run.
+    """
+    if results is not None:
+        return path_argument("results", results)
+    own = folder_of_run(job.path).absolute()
+    return own.with_name(f"{own.name}{ending}")
+
+
+def searched_by(method: str) -> dict[str, Any]:
+    """The sections of a job that takes one search, in the place of those that it lists."""
+    return {"search": [{"method": method}]}
+
+
+def finished_run(run: Run | str | Path) -> Run:
+    """A run that is finished.
+
+    Parameters
+    ----------
+    run : Run, str or Path
+        A run or its folder.
+
+    Raises
+    ------
+    StoreError
+        The folder holds no finished run.
+    """
+    opened = open_run(run.path if isinstance(run, Run) else run)
+    if opened.state != "finished":
+        raise StoreError(
+            f"{opened.path} is not finished ({opened.state}): run its job on first, "
+            f"`pfdist run {opened.path}`"
+        )
+    return opened
+
+
+def run_and_job(
+    source: JobSource | Run,
+    results: str | Path | None,
+    changes: Iterable[str],
+    say: Say,
+    execution: Mapping[str, Any] = _AS_DEFAULT,
+) -> tuple[Run, Built]:
+    """The finished run of a job, and the job with its models, for a question about the run.
+
+    Parameters
+    ----------
+    source : Problem, Job, str, Path or Run
+        A problem, a job, the path of a job file or of the run's folder, or a run.
+    results : str, Path or None
+        Folder of the run. By default it is the folder where `pfdist.run` and `pfdist.plan` put the
+        run of the job. If a job that lists searches has been planned but not run, it is the plan.
+    changes : iterable of str
+        Changes ``key=value`` of the job.
+    say : callable
+        Receives a line for each model file before the file is run.
+    execution : mapping, optional
+        Values of keys of [execution].
+
+    Raises
+    ------
+    StoreError
+        There is no finished run of the job, or the run is of another job or of other models.
+    ModelError
+        A model cannot be loaded.
+    """
+    if isinstance(source, Run):
+        results = source.path if results is None else results
+        source = job_of(source) or source.path
+    job = as_job(source)
+    path, sections = folder_of(job, results), _AS_DEFAULT
+    if not holds_run(path):
+        planned = folder_of(job, results, PLANNED)
+        if not (job.origin.names_searches and holds_run(planned)):
+            raise _no_run(job, results)
+        path, sections = planned, searched_by(DEFAULT_METHOD)
+    job = as_job(source, changes, sections, {"execution": execution})
+    run = finished_run(path)
+    check_same_job(path, run.job, job)
+    say_model_files([job], say)
+    built = build(job.with_changes(sections=run.job), path)  # with the draws of the run
+    check_same_models(path, built)
+    return run, built
+
+
+def _no_run(job: Job, results: str | Path | None) -> StoreError:
+    """Make the error that says where a run was sought, and which command makes it."""
+    origin = job.origin
+    command, endings = ("run", ("", PLANNED)) if origin.names_searches else ("plan", ("",))
+    sought = dict.fromkeys(str(folder_of(job, results, ending)) for ending in endings)
+    option = "" if results is None else f" --results {results}"
+    of_file = f"`pfdist {command} {job.path}{option}`"
+    call = of_file if origin.is_file else f"pfdist.{command}(problem)"
+    return StoreError(f"there is no run of this job in {' or '.join(sought)}: {call} makes it")
+
+
+@contextlib.contextmanager
+def own_store(
+    run: Run, built: Built, say: Callable[[str], Any], *, must_be: bool = True
+) -> Iterator[Store]:
+    """The run's own store, or a temporary store if another version computed the run.
+
+    Parameters
+    ----------
+    run : Run
+    built : Built
+    say : callable
+        Receives a line if nothing is stored in the run's folder.
+    must_be : bool
+        Whether the folder must be fit for writing; otherwise a temporary store takes its place.
+
+    Raises
+    ------
+    StoreError
+        Another process computes the run, or the folder cannot be read or written.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            store = stack.enter_context(opened(run.path, built))
+            note_processor(run.path, built, say)
+        except RunMismatchError as error:
+            difference, *_ = error.differences
+            line = (
+                f"{run.path} is of another program ({difference}): the answer is not stored there"
+            )
+            heard(say, line)
+            store = _elsewhere(stack, built)
+        except StoreError as error:
+            if must_be:
+                raise
+            heard(say, f"the answer is not stored in the run: {error}")
+            store = _elsewhere(stack, built)
+        yield store
+
+
+def _elsewhere(stack: contextlib.ExitStack, built: Built) -> Store:
+    return store_of(built, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-"))))

@@ -1,0 +1,253 @@
+"""Many runs as one table, also as a file: CSV, Parquet, or a table for LaTeX."""
+
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from pfdist.common.arguments import path_argument
+from pfdist.common.dotted_keys import short_names
+from pfdist.errors import (
+    ArgumentError,
+    PfdistError,
+    PfdistWarning,
+    relative,
+    shown,
+    shown_text,
+)
+from pfdist.results import Run, open_run
+from pfdist.results.runs_table import RESULTS, runs_table
+from pfdist.results.table_cells import (
+    differ_by_keys,
+    formatted_gain,
+    formatted_mse,
+    formatted_value,
+    is_missing,
+    keys_of,
+)
+from pfdist.store import holds_run, write_file
+from pfdist.store.files import begins_with, check_replaceable
+from pfdist.store.folder import runs_below
+from pfdist.store.tables import holds_table, write_table
+
+_MARK = b"runs"  # the metadata "table" of a Parquet file
+_COMMENT = "% A table of runs by pfdist. It needs the package booktabs.\n"
+_HEAD = re.compile(rb"run,([^\n]*,)?" + ",".join(RESULTS).encode() + rb"\n")
+_LONGEST_HEAD = 100_000  # bytes of the first line of a CSV file
+_SPECIAL = str.maketrans(
+    {
+        **{character: f"\\{character}" for character in "&%$#_{}"},
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "\\": r"\textbackslash{}",
+        "±": r"$\pm$",
+    }
+)
+_MINUS = re.compile(r"(?<![\w)])-(?=[0-9])")
+_POWER_OF_TEN = re.compile(r"(?<=[0-9)])e([+-][0-9]+)")
+
+
+Runs = Run | str | Path | list["Runs"] | tuple["Runs", ...]
+"""A run, its folder, a folder with runs in it, or several of these."""
+
+_DEPTH = 2  # a folder with sweeps in it; comparisons that judge the points of sweeps lie deeper
+
+
+def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
+    """Put many runs into one table: what differs between them, and what they found.
+
+    The runs are read; no model is loaded, and nothing is computed anew.
+
+    Parameters
+    ----------
+    runs : Run, str, Path, or list of these
+        Runs or their folders, finished or not. A folder that is no run but has runs or sweeps in
+        it stands for all these runs, in the order of their names; numbers in names are ordered as
+        numbers. Those of them that cannot be read are left out, with a warning. A run that is given
+        twice counts once.
+    out : str or Path, optional
+        Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.
+        An earlier table of runs is replaced; another file is not.
+
+    Returns
+    -------
+    DataFrame
+        A row for each run and each compared set other than the reference. A run without such sets
+        has one row. Unknown values are NaN or None. The columns are:
+
+        - run: name of the folder, after as much of its path as tells equal names apart.
+        - A column for each key in which the jobs of the runs differ, such as ``seed`` or
+          ``problem.measurement_budget``, and ``pfdist`` if their versions differ.
+        - set; state (``searching``, ``comparing`` or ``finished``); draws (compared so far).
+        - expected_mse and standard_error, and the same of the reference, whose name is in
+          ``reference``. If an engine knows an expected MSE exactly, the error is 0. In a run of
+          several numbers of measurements, the reference has as many as the set.
+        - gain_of_means, mean_relative_gain and positive_fraction over the reference, each with
+          ``_low`` and ``_high`` (95 %); see `pfdist.results.GainSummary`.
+        - bound (lower bound of the expected MSE of any feasible times), bound_gap and
+          bound_gap_at_most; see `pfdist.bound`.
+        - measurements (their number) and measurement_times (a tuple, on the clock of the run).
+        - evaluations, and worker_seconds (of all tasks together): of the whole run.
+        - path: the folder of the run.
+
+        ``attrs["time_unit"]`` is the unit of times, if all runs have the same.
+
+    Raises
+    ------
+    ArgumentError
+        There is no run, or the ending of `out` is wrong.
+    StoreError
+        A folder holds no run, a run cannot be read, or the file cannot be written.
+    """
+    path = None if out is None else path_argument("out", out)
+    if path is not None and path.suffix.lower() not in _KINDS:
+        allowed = ", ".join(_KINDS)
+        raise ArgumentError(
+            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
+            argument="out",
+        )
+    try:
+        frame = runs_table(_opened(runs))
+    except Exception:  # runs that were found in folders may come from elsewhere, and hold anything
+        frame = runs_table(_opened(runs, _can_be_read))
+    frame["path"] = pd.Series([*map(relative, frame["path"])], dtype=object)
+    if path is not None:
+        write, is_earlier = _KINDS[path.suffix.lower()]
+        check_replaceable(path, is_earlier)
+        write_file(path, lambda temporary: write(frame, temporary))
+    return frame
+
+
+def _opened(runs: Iterable[Runs], wanted: Callable[[Path], bool] = lambda path: True) -> list[Run]:
+    """Each run once; of those that are found in a folder, those that are wanted."""
+    opened = {os.path.abspath(run.path): run for run in _each(runs, wanted)}
+    if not opened:
+        raise ArgumentError("table needs at least one run, got none")
+    return list(opened.values())
+
+
+def _each(runs: Iterable[Runs], wanted: Callable[[Path], bool]) -> Iterator[Run]:
+    for run in runs:
+        if isinstance(run, Run):
+            yield run
+        elif isinstance(run, list | tuple):
+            yield from _each(run, wanted)
+        else:
+            path = path_argument("run", run)
+            below = [] if holds_run(path) or not path.is_dir() else [*runs_below(path, _DEPTH)]
+            yield from map(open_run, filter(wanted, below) if below else [path])
+
+
+def _can_be_read(path: Path) -> bool:
+    try:
+        runs_table([open_run(path)])
+    except Exception as error:
+        why = str(error) if isinstance(error, PfdistError) else repr(error)
+        warnings.warn(f"{path} is left out: {shown_text(why)}", PfdistWarning, stacklevel=2)
+        return False
+    return True
+
+
+# --- the table in a file --------------------------------------------------------------------------
+
+
+def tex(frame: pd.DataFrame) -> str:
+    """The main columns of a table of runs as a table for LaTeX.
+
+    The columns are the keys that differ, the set, the expected MSE with its standard error, the
+    gain of means in per cent with its 95 % interval, and the times. Numbers have two significant
+    digits of their errors. If the keys do not tell the runs apart, their names come first.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `pfdist.table` gives it.
+    """
+    keys = keys_of(frame)
+    names = ([] if differ_by_keys(frame, keys) else ["run"]) + keys + ["set"]
+    unit = frame.attrs.get("time_unit", "")
+    short = short_names(names)
+    heads = [*(short[name] for name in names), "expected MSE ± standard error"]
+    heads.append("gain of means [%] (95 %)")
+    heads.append(f"measurement times [{unit}]" if unit else "measurement times")
+    lines = [
+        [
+            *(_in_tex(formatted_value(row[name])) for name in names),
+            *map(_number_in_tex, (formatted_mse(row), formatted_gain(row))),
+            ", ".join(map(formatted_value, row["measurement_times"] or ())),
+        ]
+        for row in frame.to_dict("records")
+    ]
+    numbers = [pd.api.types.is_numeric_dtype(frame[name]) for name in names]
+    places = "".join("r" if number else "l" for number in [*numbers, False, False, False])
+    body = "".join(map(_tex_line, lines))
+    rules = [r"\toprule", _tex_line(map(_in_tex, heads)) + r"\midrule", body + r"\bottomrule"]
+    content = "\n".join(rules)
+    return f"{_COMMENT}\\begin{{tabular}}{{{places}}}\n{content}\n\\end{{tabular}}\n"
+
+
+def _tex_line(cells: Iterable[str]) -> str:
+    return " & ".join(cells) + " \\\\\n"
+
+
+def _in_tex(text: str) -> str:
+    """A text as LaTeX prints it; a line that began with a bracket would be an option."""
+    printable = "".join(each if each.isprintable() else "?" for each in text)
+    return ("{}" if text.startswith("[") else "") + printable.translate(_SPECIAL)
+
+
+def _number_in_tex(text: str) -> str:
+    """A number with its error as LaTeX prints it, with powers of ten for exponents."""
+    return _POWER_OF_TEN.sub(
+        lambda match: rf"$\times 10^{{{int(match[1])}}}$", _MINUS.sub("$-$", _in_tex(text))
+    )
+
+
+def _write_csv(frame: pd.DataFrame, path: Path) -> None:
+    plain = frame.copy()
+    for name in frame.select_dtypes(object):
+        texts = [formatted_value(cell) if isinstance(cell, tuple) else cell for cell in frame[name]]
+        plain[name] = pd.Series(texts, dtype=object)
+    with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+        plain.to_csv(file, index=False, lineterminator="\n")
+
+
+def _write_parquet(frame: pd.DataFrame, path: Path) -> None:
+    columns = {str(name): _arrow(frame[name]) for name in frame}
+    metadata = {"table": _MARK, "time_unit": frame.attrs.get("time_unit", "")}
+    write_table(pa.table(columns).replace_schema_metadata(metadata), path)
+
+
+def _arrow(column: "pd.Series[Any]") -> pa.Array:
+    """A column as Arrow holds it; values of different types become texts."""
+    if pd.api.types.is_float_dtype(column):
+        return pa.array(column.to_numpy(), from_pandas=True)
+    values = [None if is_missing(value) else value for value in column.tolist()]
+    try:
+        return pa.array(values)
+    except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeEncodeError):  # a path need not be UTF-8
+        texts = [None if value is None else formatted_value(value) for value in values]
+        return pa.array([text and text.encode(errors="replace").decode() for text in texts])
+
+
+def _write_tex(frame: pd.DataFrame, path: Path) -> None:
+    path.write_text(tex(frame), encoding="utf-8", errors="replace")
+
+
+def _is_earlier_csv(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _HEAD.match(file.readline(_LONGEST_HEAD)) is not None
+
+
+_KINDS: dict[str, tuple[Callable[[pd.DataFrame, Path], None], Callable[[Path], bool]]] = {
+    ".csv": (_write_csv, _is_earlier_csv),
+    ".parquet": (_write_parquet, partial(holds_table, name=_MARK)),
+    ".tex": (_write_tex, partial(begins_with, mark=_COMMENT.encode(), most=len(_COMMENT))),
+}
+"""How a table is written, and how an earlier table is known, by each allowed ending."""

@@ -1,0 +1,224 @@
+"""The error over time of a run's sets, the worth of their measurements, and sampling windows.
+
+Everything is computed on new draws, which neither chose the times nor compared them.
+"""
+
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from pfdist.common.arguments import whole_argument
+from pfdist.common.clock import Clock
+from pfdist.common.measurement_times import Times, validated
+from pfdist.common.parts import Page
+from pfdist.common.shown import Shown
+from pfdist.errors import JobError
+from pfdist.problem.sections import Execution
+from pfdist.problem.source import JobSource
+from pfdist.questions.options import MOST_DRAWS, following
+from pfdist.questions.report import renew_report
+from pfdist.questions.run_of_job import own_store, run_and_job
+from pfdist.questions.sampling_windows import jitter, sampling_windows, windows_by_percent
+from pfdist.questions.why_page import why_page
+from pfdist.questions.worth import worth_of
+from pfdist.results import Run, finite, open_run
+from pfdist.results.stored_run import check_one_number, found_sets
+from pfdist.runner.build import make_pool
+from pfdist.runner.door import Batch, Session, complete
+from pfdist.runner.progress import Say, Show, silent
+from pfdist.store import WHY_PHASE, frame_of, schema
+from pfdist.store.schema import with_sensors
+
+DRAWS = 2000
+FIGURES = ("why", "sampling_windows", "filters")
+_PARTS = ("profile", "worth", "sampling_windows", "jitter")
+_STEPS = 3  # for each set: worth, windows, jitter
+
+
+@dataclass(frozen=True, repr=False)
+class Why(Shown):
+    """Result of `why`.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of the run.
+    draws : int
+        Number of draws; 0 if the engine is exact and needs no draws.
+    sets : DataFrame
+        A row for each set: name, measurement_times, expected_mse, standard_error and
+        degenerate_draws.
+    profile : DataFrame
+        A row for each set and instant: position and name of the set, t, measured, draws, error (the
+        expected error at t), standard_error, degenerate_draws (up to t) and effective_sample_size
+        (after the measurement at t, mean over the draws with trajectories; NaN if t is not
+        measured, or if the engine is exact), and weight (of the instant's error in the MSE; 1 if
+        all weights are equal). The mean of a set's errors with these weights is the expected MSE of
+        the set. An error of weight 0 is NaN.
+    worth : DataFrame
+        A row for each set and measurement: position, name, t, draws, and the rise of the expected
+        MSE if the measurement is removed, or made one instant earlier or later: removed, earlier,
+        later. NaN if another measurement is made at that instant, or if the job does not allow the
+        instant. The standard errors are removed_error, earlier_error and later_error.
+    sampling_windows : DataFrame
+        A row for each set, measurement and instant to which it alone is moved (also its own
+        instant, where nothing moves): position, name, t,
+        moved_to (the instant, or on a clock its time), moved_to_instant (its number), draws, loss
+        (the expected MSE over that of the kept set, less 1), loss_error (its standard error),
+        lower_limit and upper_limit (one-sided, 95 %). The states
+        within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
+        the lower limit is above, and else "open". The instants lie between the neighbouring
+        measurements, and end on each side with the first that is outside within_5.
+    jitter : DataFrame
+        A row for each set and level: position, name, percent (1 or 5), draws, and the loss when
+        each draw moves all measurements at random within their windows of this level: loss,
+        loss_error, low and high (95 % interval). If nothing can move, draws is 0.
+    figures : list of Path
+        The PNG and SVG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
+        reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
+    """
+
+    run: Path
+    draws: int
+    sets: pd.DataFrame
+    profile: pd.DataFrame
+    worth: pd.DataFrame
+    sampling_windows: pd.DataFrame
+    jitter: pd.DataFrame
+    figures: list[Path]
+
+    def as_json(self) -> dict[str, Any]:
+        """The whole result as JSON values; a value that is not finite is None."""
+        sets = {}
+        frames: dict[str, pd.DataFrame] = {part: getattr(self, part) for part in _PARTS}
+        for row in self.sets.to_dict("records"):
+            name = row.pop("name")
+            parts = {key: frame[frame["name"] == name] for key, frame in frames.items()}
+            parts = {
+                key: frame.drop(columns=["position", "name"] + ["draws"] * (key != "jitter"))
+                for key, frame in parts.items()
+            }
+            sets[str(name)] = row | {key: frame.to_dict("records") for key, frame in parts.items()}
+        values = {"run": str(self.run), "draws": self.draws, "sets": sets}
+        return finite(values | {"figures": list(map(str, self.figures))})
+
+    def _page(self) -> Page:
+        return why_page(self.as_json(), found_sets(open_run(self.run)))
+
+
+def why(
+    job: JobSource | Run,
+    draws: int = DRAWS,
+    *,
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
+    figures: bool = True,
+    progress: Show | bool | None = None,
+    say: Say = silent,
+) -> Why:
+    """Show what each measurement of a run is worth, and how exactly it must be kept.
+
+    The model is run. The tables ``profile``, ``worth``, ``sampling_windows`` and ``jitter`` and the
+    figures ``why-<set>``, ``sampling_windows-<set>`` and ``filters`` are written into the folder of
+    the run.
+
+    Parameters
+    ----------
+    job : Problem, Job, str, Path or Run
+        A job file, whose run is meant, or the folder of a run.
+    draws : int
+        Number of draws, at least 2. They are computed in this process, and memory does not grow
+        with their number. An exact engine uses it only for ``jitter``.
+    results : str or Path, optional
+        Folder of the run; by default that in which run and plan put it.
+    changes : iterable of str, optional
+        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+    figures : bool
+        Whether to draw the figures.
+    progress : callable or bool, optional
+        Whether to show progress and messages, or what receives each
+        `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress
+        from the fifth second on.
+    say : callable, optional
+        Receives a line for each model file before the file is run.
+
+    Returns
+    -------
+    Why
+
+    Raises
+    ------
+    StoreError
+        There is no finished run of the job; the run is of another job or of other models; or it has
+        sets of several numbers of measurements.
+    ArgumentError, ModelError
+        There are too few draws, or the model cannot be loaded.
+    """
+    draws = whole_argument("draws", draws, 2, MOST_DRAWS)
+    with following(progress, say) as (show, tell):
+        opened, built = run_and_job(job, results, changes, tell)
+        check_one_number(opened)
+        sets = opened.sets
+        if built.is_worst:
+            raise JobError(f"why explains means, got criterion = 'worst' ({built.job.path})")
+        with own_store(opened, built, tell, must_be=False) as store:
+            session = Session(built, store, show, tell)
+            session.reporter.foresee(_STEPS * len(sets))
+            driver = _examine(session, opened, sets, draws)
+            # The threads are done before the workers of another pool would have started.
+            answer: Why = complete(driver, make_pool(Execution(pool="threads")))
+        files = _draw(opened) if figures else []
+        renew_report(opened.path, tell)
+    return replace(answer, figures=files)
+
+
+def _draw(run: Run) -> list[Path]:
+    from pfdist.pages.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+    return [file for name in FIGURES for file in draw_figures(run, name)]
+
+
+def _examine(
+    session: Session, run: Run, sets: dict[str, Times], draws: int
+) -> Generator[Batch, None, Why]:
+    """Driver that computes all tables and publishes them at the end; it draws no figure."""
+    built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
+    answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
+    for position, (name, clock_times) in enumerate(sets.items()):
+        session.reporter.note(phase=f"why {name}", done=_STEPS * position)
+        clock = built.job.problem.clock
+        numbers = clock.measurements(clock_times)
+        times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
+        result = yield from worth_of(session, name, times, draws)
+        windows = yield from sampling_windows(session, name, times, draws)
+        by_percent = windows_by_percent(windows, times)
+        jittered = yield from jitter(session, name, times, by_percent, draws)
+        answers.append({"name": name, "measurement_times": list(clock_times)} | result.summary)
+        about = {"position": position, "name": name, "draws": drawn}
+        parts = (result.profile, result.worth, windows, jittered)
+        for part, of_a_part in zip(_PARTS, parts, strict=True):
+            rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]
+    tables = {name: store.timed(_table(name, rows[name])) for name in rows}
+    store.publish_together(WHY_PHASE, {name: [table] for name, table in tables.items()})
+    frames = {name: frame_of(table) for name, table in tables.items()}
+    return Why(run.path, drawn, pd.DataFrame(answers), **frames, figures=[])
+
+
+def _by_sensor(row: dict[str, Any], part: str, clock: Clock) -> dict[str, Any]:
+    """A row of a single measurement, with its instant and its sensor if there are sensors."""
+    sensors = clock.sensors
+    if not sensors or part not in ("worth", "sampling_windows"):
+        return row
+    instant, sensor = divmod(row["t"], len(sensors))
+    moved = {key: row[key] // len(sensors) for key in row if key.startswith("moved_to")}
+    return row | moved | {"t": instant, "sensor": sensors[sensor]}
+
+
+def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:
+    has_sensors = bool(rows) and "sensor" in rows[0]
+    own = with_sensors(schema(name)) if has_sensors else schema(name)
+    return pa.Table.from_pandas(pd.DataFrame(rows), schema=own, preserve_index=False)

@@ -1,0 +1,20 @@
+"""A run's tables as pandas DataFrames, and figures with their intervals.
+
+Reads tables alone: no Ray, no model, no kernel.
+"""
+
+from pfdist.results.budget_curve import reaching
+from pfdist.results.gains import (
+    BIN,
+    BLOCK,
+    EDGES,
+    ComparisonStatistics,
+    Gain,
+    GainSummary,
+    relative_gain,
+    summarise_gain,
+)
+from pfdist.results.run import Run, open_run
+from pfdist.results.stored_run import read_recorded
+from pfdist.results.streaming_moments import Moments
+from pfdist.results.summary import finite

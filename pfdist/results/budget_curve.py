@@ -1,0 +1,192 @@
+"""Compared sets by number of measurements: expected MSE, and how many reach a target."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pfdist.common.estimate import CONFIDENCE, student_quantile
+from pfdist.results.gains import ComparisonStatistics
+from pfdist.results.streaming_moments import Moments
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FOUND, GIVEN = "found", "given"
+
+BOUND_DEGREES = 19
+"""Degrees of freedom of the error of a lower bound: a jackknife over 20 groups of draws."""
+
+
+def budget_table(
+    compared: pd.DataFrame, statistics: ComparisonStatistics, blocks: Iterable[Any], reference: str
+) -> pd.DataFrame:
+    """The expected MSE of each compared set, with its number of measurements.
+
+    Parameters
+    ----------
+    compared : DataFrame
+        The table ``compared``.
+    statistics : ComparisonStatistics
+        Statistics of every compared set.
+    blocks : iterable of tables
+        Per-draw MSE, block by block, in columns ``mse_<name>``.
+    reference : str
+        Kind of the sets over which others gain.
+
+    Returns
+    -------
+    DataFrame
+        See the table ``budget``.
+    """
+    rows = []
+    for entry in compared.to_dict("records"):
+        name, times = str(entry["name"]), entry["measurement_times"].tolist()
+        kind = reference if name not in statistics.references else GIVEN
+        moments, (low, high) = statistics.mse[name], statistics.mse[name].estimate.interval()
+        rows.append(
+            {
+                "kind": kind if math.isnan(entry["search_cost"]) else FOUND,
+                "measurements": len(times),
+                "name": name,
+                "measurement_times": times,
+                "expected_mse": moments.mean,
+                "standard_error": moments.standard_error,
+                "low": low,
+                "high": high,
+                "draws": moments.count,
+                "degenerate_draws": statistics.degenerate_draws[name],
+                "top_percent_share": statistics.top_percent_share(name),
+                "search_cost": float(entry["search_cost"]),
+                "search_standard_error": float(entry["search_standard_error"]),
+            }
+        )
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    table = pd.DataFrame(rows)
+    worse = _worse(table, blocks)
+    table["worse_than"] = pd.array([worse.get(name) for name in table["name"]], dtype="Int64")
+    return table
+
+
+def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Add the columns bound, bound_error and bound_low to a budget curve.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As of `budget_table`.
+    proofs : mapping of str to mapping
+        As of `pfdist.results.stored_run.last_bounds`: the lower bound of each found set, by name.
+
+    Returns
+    -------
+    DataFrame
+        See the table ``budget``. The columns are NaN for sets that have no bound.
+    """
+    # Sets with the same sum share a bound; a bound that failed still counts as one of a curve's.
+    different = {proof["budget"] for proof in proofs.values() if not proof["reason"]}
+    numbers = max(len(different), table["measurements"][table["kind"] == FOUND].nunique())
+    columns = [
+        (proof["bound"], proof["bound_error"], _limit(proof, numbers))
+        if proof and not proof["reason"]
+        else (math.nan,) * 3
+        for proof in map(proofs.get, table["name"])
+    ]
+    bound, error, low = np.array(columns, dtype=float).T
+    return table.assign(bound=bound, bound_error=error, bound_low=low)
+
+
+def _limit(proof: Mapping[str, Any], numbers: int) -> float:
+    """The one-sided lower limit of a bound; all different bounds hold together (Bonferroni)."""
+    if not proof["particles"]:  # the engine is exact
+        return float(proof["bound"])
+    quantile = student_quantile((1 - proof["confidence"]) / numbers, BOUND_DEGREES)
+    return float(proof["bound"] + quantile * proof["bound_error"])
+
+
+def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
+    """The sets that have a higher MSE than the best set with fewer measurements.
+
+    Both sets are of one kind, regular or found. The result maps a set's name to the smaller number.
+    The interval of the difference on common draws must lie above 0. The best set was chosen on the
+    same draws. So each interval allows for all pairs of a kind (Bonferroni, 95 % together).
+    """
+    best_of_fewer, differences = {}, defaultdict[str, Moments](Moments)
+    for _, sets in table.groupby("kind"):
+        for name, measurements in zip(sets["name"], sets["measurements"], strict=True):
+            fewer = sets[sets["measurements"] < measurements].dropna(subset="expected_mse")
+            if len(fewer):
+                best_of_fewer[name] = fewer.loc[fewer["expected_mse"].idxmin()]
+    if not best_of_fewer:
+        return {}
+    pairs = sum(math.comb(len(sets), 2) for _, sets in table.groupby("kind"))
+    for rows in blocks:
+        for name, best in best_of_fewer.items():
+            difference = rows[f"mse_{name}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
+            differences[name].add(difference[~np.isnan(difference)])
+    confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
+    return {
+        name: int(best["measurements"])
+        for name, best in best_of_fewer.items()
+        if differences[name].estimate.interval(confidence)[0] > 0
+    }
+
+
+def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
+    """The least number of measurements whose expected MSE is at most a target.
+
+    Parameters
+    ----------
+    table : DataFrame
+        The table ``budget`` of a run.
+    target : float
+
+    Returns
+    -------
+    dict
+        For each kind of times, as ``regular`` and ``found``:
+
+        - measurements: the least number; None if no number reaches the target.
+        - interval, 95 %: the least number whose interval reaches the target, and the least number
+          whose interval lies below it. The intervals of all numbers hold together.
+        - measurement_times.
+        - larger_that_do_not: larger numbers whose interval lies above the target. More regular
+          times are not always better.
+        - impossible, for found times alone: the largest number of measurements with which no
+          feasible times and no filter reach the target (bound_low lies above the target); None if
+          no number is proved. Without a minimum spacing, all smaller numbers are impossible too:
+          more measurements never harm the exact filter of the true model.
+
+        The least numbers above leave out each number that is proved impossible.
+    """
+    answer = dict[str, dict[str, Any]]()
+    for kind, sets in table.groupby("kind", sort=False):
+        best = sets.sort_values("expected_mse", kind="stable").drop_duplicates("measurements")
+        rows = best.set_index("measurements").sort_index()
+        # The intervals of all numbers hold together (Bonferroni), and so does the least number.
+        quantile = student_quantile((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
+        half = -quantile * rows["standard_error"]
+        low, high = rows["expected_mse"] - half, rows["expected_mse"] + half
+        # A proof outranks an estimate that reaches the target by chance.
+        proved = rows["bound_low"] > target
+        least = _least(rows["expected_mse"][~proved], target)
+        above = rows.index[(low > target) & (rows.index > (least or np.inf))]
+        answer[str(kind)] = {
+            "measurements": least,
+            "interval": [_least(low[~proved], target), _least(high[~proved], target)],
+            "measurement_times": None if least is None else rows.loc[least, "measurement_times"],
+            "larger_that_do_not": [int(number) for number in above],
+        }
+        if kind == FOUND:
+            impossible = rows.index[proved]
+            answer[FOUND]["impossible"] = int(impossible.max()) if len(impossible) else None
+    return answer
+
+
+def _least(costs: pd.Series[float], target: float) -> int | None:
+    return next((int(number) for number, cost in costs.items() if cost <= target), None)  # type: ignore[call-overload]

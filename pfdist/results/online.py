@@ -1,0 +1,107 @@
+"""Times that are chosen one after another, against times that were found in advance.
+
+All of them filter the same fresh draws, so the errors are compared draw by draw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.clock import Clock
+from pfdist.common.measurement_times import Times
+from pfdist.results.gains import Gain
+from pfdist.results.stored_run import StoredRun, problem_of
+from pfdist.results.streaming_moments import Array, Moments
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class OnlineDraws:
+    """The draws whose times were chosen one after another, and their errors with three sets.
+
+    Parameters
+    ----------
+    reference, plan : str
+        Names of the reference, and of the set that the first search found.
+    planned_times : tuple of int
+        The times of that set.
+    rows : DataFrame
+        A row for each draw: draw, measurement_times, estimate, mse_online and degenerate, and
+        mse_<name> and degenerate_<name> for the reference and the plan.
+    clock : Clock
+        The clock of all these times.
+    """
+
+    reference: str
+    plan: str
+    planned_times: Times
+    rows: pd.DataFrame
+    clock: Clock
+
+    def mse(self, name: str) -> Array:
+        """Per-draw MSE."""
+        mse: Array = self.rows[f"mse_{name}"].to_numpy()
+        return mse
+
+    def gain(self, name: str, reference: str) -> Gain:
+        """Gain over a reference."""
+        gain = Gain()
+        gain.add(self.mse(name), self.mse(reference))
+        return gain
+
+    @property
+    def differ(self) -> NDArray[np.bool_]:
+        """Whether the times of each draw differ from those of the plan, (D,)."""
+        times = self.rows["measurement_times"]
+        return np.array([tuple(chosen) != self.planned_times for chosen in times], np.bool_)
+
+    def summary(self) -> dict[str, Any]:
+        """Costs, differences and gains; see `pfdist.results.Run.summary`."""
+        degenerate = self.rows.filter(regex="^degenerate").any(axis=1)
+        return {
+            "draws": len(self.rows),
+            "degenerate_draws": int(degenerate.sum()),
+            **self._cost("online"),
+            "differs_from_plan": float(np.mean(self.differ)) if len(self.rows) else np.nan,
+            "plan": self._against(self.plan),
+            "reference": self._against(self.reference),
+        }
+
+    def _cost(self, name: str) -> dict[str, Any]:
+        mse = Moments()
+        mse.add(self.mse(name))
+        return {"expected_mse": mse.mean, "standard_error": mse.standard_error}
+
+    def _against(self, name: str) -> dict[str, Any]:
+        difference = Moments()
+        with np.errstate(invalid="ignore"):  # two infinite errors
+            difference.add(self.mse("online") - self.mse(name))
+        return {
+            "name": name,
+            **self._cost(name),
+            "difference": difference.mean,
+            "difference_interval": difference.estimate.interval(),
+            **self.gain("online", name).summary().columns(),
+        }
+
+
+def online_draws(run: StoredRun) -> OnlineDraws:
+    """Read the draws that have both online times and errors in the comparison.
+
+    Parameters
+    ----------
+    run : StoredRun
+        It has rows of the tables ``online`` and ``comparison``.
+    """
+    reference, plan = run.names[0], str(run.job["search"][0]["name"])
+    chosen = run.table("online").rename(columns={"mse": "mse_online"})
+    compared = run.table("comparison", int(chosen["draw"].max()) + 1)
+    columns = [f"{start}_{name}" for name in (reference, plan) for start in ("mse", "degenerate")]
+    rows = chosen.merge(compared[["draw", *columns]], on="draw")
+    return OnlineDraws(reference, plan, run.sets[plan], rows, problem_of(run).clock)

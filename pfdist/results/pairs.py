@@ -1,0 +1,190 @@
+"""Pairs of compared sets on the same draws, and the ranks that follow from all pairs.
+
+References
+----------
+Wilson, "Probable inference, the law of succession, and statistical inference", 1927. Mogstad,
+Romano, Shaikh, Wilhelm, "Inference for ranks with applications to mobility across neighbourhoods
+and academic achievement across countries", Review of Economic Studies 91, 2024 (intervals of ranks
+from simultaneous intervals of all differences; here Bonferroni's).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pfdist.common.estimate import CONFIDENCE, wilson_interval
+from pfdist.results.streaming_moments import Array, Moments, Pairs
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_ROUNDING = 1e-12  # relative difference of two exact expected MSEs that counts as none
+PAIR_COLUMNS = (
+    "first", "second", "draws", "difference", "low", "high", "simultaneous_low",
+    "simultaneous_high", "clear", "gain_of_means", "gain_of_means_low", "gain_of_means_high",
+    "first_wins", "first_wins_low", "first_wins_high",
+)  # fmt: skip
+RANK_COLUMNS = (
+    "name", "expected_mse", "standard_error", "best_rank", "worst_rank", "difference", "low", "high"
+)  # fmt: skip
+
+
+@dataclass
+class Pair:
+    """Statistics of the errors of two sets on the same draws, which are added block by block.
+
+    Parameters
+    ----------
+    difference : Moments
+        Moments of the first error less the second.
+    errors : Pairs
+        Moments of the first error (x) and the second (y).
+    first_wins : int
+        Number of draws in which the first error is the lower.
+    """
+
+    difference: Moments = field(default_factory=Moments)
+    errors: Pairs = field(default_factory=Pairs)
+    first_wins: int = 0
+
+    def add(self, first: Array, second: Array) -> None:
+        """Add a block of draws; the same blocks in the same order give the same bits.
+
+        Parameters
+        ----------
+        first, second : array of float64, (D,)
+            Per-draw MSE of both sets on the same draws.
+        """
+        with np.errstate(invalid="ignore"):  # infinite errors have no difference
+            self.difference.add(first - second)
+        self.errors.add(first, second)
+        self.first_wins += int(np.sum(first < second))
+
+    def columns(self, confidence: float, exact: tuple[float, float] | None) -> dict[str, Any]:
+        """The columns of `PAIR_COLUMNS` without the names.
+
+        Parameters
+        ----------
+        confidence : float
+            Confidence of the columns ``simultaneous_low`` and ``simultaneous_high``: so high that
+            the intervals of all pairs hold together with 95 %.
+        exact : (float, float) or None
+            Both expected MSEs, if an engine computes them without draws. Then the difference and
+            the gain of means are exact, and their limits are equal.
+        """
+        apart = self.difference.estimate
+        difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
+        mean, other_mean = exact or (self.errors.x.mean, self.errors.y.mean)
+        ratio = mean / other_mean if other_mean else math.nan
+        ratio_interval = self.errors.ratio_interval()
+        if exact is not None:
+            difference = exact[0] - exact[1]
+            if abs(difference) <= _ROUNDING * max(map(abs, exact)):
+                difference = 0.0
+            interval = together = (difference, difference)
+            ratio_interval = (ratio, ratio)
+        count = self.difference.count
+        wins = (
+            self.first_wins / count if count else math.nan,
+            *wilson_interval(self.first_wins, count),
+        )
+        values = (
+            count, difference, *interval, *together, together[0] > 0.0 or together[1] < 0.0,
+            1.0 - ratio, 1.0 - ratio_interval[1], 1.0 - ratio_interval[0], *wins,
+        )  # fmt: skip
+        return dict(zip(PAIR_COLUMNS[2:], values, strict=True))
+
+
+def pairs_table(
+    names: Sequence[str], blocks: Iterable[Array], exact: Mapping[str, float]
+) -> pd.DataFrame:
+    """A row for each pair of sets, with the columns of the table ``pairs``.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of S sets.
+    blocks : iterable of arrays of float64, (D, S)
+        Per-draw MSE of each set, block by block.
+    exact : mapping of str to float
+        Expected MSEs that an engine computes without draws, by the name of the set.
+    """
+    pairs = {places: Pair() for places in combinations(range(len(names)), 2)}
+    for block in blocks:
+        for (place, other), pair in pairs.items():
+            pair.add(block[:, place], block[:, other])
+    confidence = 1.0 - (1.0 - CONFIDENCE) / max(1, len(pairs))  # Bonferroni
+    rows = []
+    for places, pair in pairs.items():
+        first, second = (names[place] for place in places)
+        exact_pair = (exact[first], exact[second]) if first in exact and second in exact else None
+        rows.append({"first": first, "second": second} | pair.columns(confidence, exact_pair))
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
+
+
+def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
+    """A row for each set, the lowest expected MSE first, with its interval of ranks.
+
+    Two sets are clearly different if the simultaneous interval of their difference does not
+    contain 0. The best rank of a set is 1 plus the number of sets that are clearly better. The
+    worst rank is the number of all sets less those that are clearly worse, and less those that are
+    exactly equal. The true rank is 1 plus the number of sets with a lower expected MSE. All
+    simultaneous intervals hold together with 95 %, so the true ranks of all sets lie within these
+    ranks with at least 95 %.
+
+    Parameters
+    ----------
+    pairs : DataFrame
+        The result of `pairs_table`.
+    costs : mapping of str to (float, float)
+        Expected MSE and standard error of each set by name.
+
+    Returns
+    -------
+    DataFrame
+        The columns of the table ``ranks``.
+    """
+    order = sorted(costs, key=lambda name: (math.isnan(costs[name][0]), costs[name][0]))
+    # For each set, the number of sets that are clearly better; and of those that are clearly worse
+    # or exactly equal.
+    better, worse = dict.fromkeys(costs, 0), dict.fromkeys(costs, 0)
+    to_best = {order[0]: (0.0, 0.0, 0.0)}
+    for pair in pairs.to_dict("records"):
+        first, second = pair["first"], pair["second"]
+        if pair["clear"]:
+            winner, loser = (first, second) if pair["difference"] < 0 else (second, first)
+            better[loser] += 1
+            worse[winner] += 1
+        elif pair["simultaneous_low"] == pair["simultaneous_high"] == 0.0:  # exactly equal
+            worse[first] += 1
+            worse[second] += 1
+        if second == order[0]:
+            to_best[first] = (pair["difference"], pair["low"], pair["high"])
+        elif first == order[0]:
+            to_best[second] = (-pair["difference"], -pair["high"], -pair["low"])
+    rows = [
+        (name, *costs[name], 1 + better[name], len(costs) - worse[name], *to_best[name])
+        for name in order
+    ]
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    return pd.DataFrame(rows, columns=list(RANK_COLUMNS))
+
+
+def formatted_ranks(best: int, worst: int) -> str:
+    """An interval of ranks as text.
+
+    Examples
+    --------
+    >>> formatted_ranks(1, 1), formatted_ranks(2, 3)
+    ('1', '2 to 3')
+    """
+    return str(best) if best == worst else f"{best} to {worst}"

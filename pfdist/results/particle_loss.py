@@ -1,0 +1,188 @@
+"""The loss by a finite number of particles: how far a filter's MSE lies above the exact filter's.
+
+Two figures enclose the loss. Half the squared distance between the estimates of two independent
+filters is right to order 1/P. The squared error, less the variance of particles among which the
+truth stands (`pfdist.kernels.schemes.CONDITIONAL`), is at least the loss for any number of
+particles: it counts what both filters lack, and the price of a wrong filter model. In a collapse
+both filters agree with each other, and only the second figure shows the loss.
+"""
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from pfdist.common.estimate import Estimate
+from pfdist.common.percent import HEAVY, particle_loss_text, percent
+from pfdist.filters.estimate import top_percent_share
+from pfdist.results.streaming_moments import Array, Moments
+
+SMALL, SMALL_AT_MOST = 0.01, 0.05
+"""Fractions of the expected MSE: with a loss by two filters and a limit below, P is enough."""
+_NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
+_NOTABLE_TOP = 0.1
+_HARDLY = 0.95  # of the error without a measurement
+_QUANTILE = NormalDist().inv_cdf(0.95)
+
+
+@dataclass(frozen=True)
+class ParticleLoss:
+    """The loss by a finite number of particles, as a fraction of the expected MSE.
+
+    If a filter is infinite, the loss and its limit are 1.
+
+    Parameters
+    ----------
+    particles : int
+        P.
+    by_two_filters : Estimate
+        Right to order 1/P.
+    at_most : Estimate
+        At least the loss, for any number of particles.
+    top_share : float
+        Share of the expected MSE, or of its excess over the variance, that 1 % of the draws carry.
+    """
+
+    particles: int
+    by_two_filters: Estimate
+    at_most: Estimate
+    top_share: float = 0.0
+
+    @property
+    def is_large(self) -> bool:
+        """Whether a lower 95 % limit exceeds 5 % by two filters, or 20 % for the upper figure."""
+        pairs = (self.by_two_filters, _NOTABLE), (self.at_most, _NOTABLE_AT_MOST)
+        return any(loss.value - _QUANTILE * loss.standard_error > most for loss, most in pairs)
+
+    @property
+    def is_small(self) -> bool:
+        """Whether two filters lose at most 1 %, the limit is below 5 %; no few draws carry it."""
+        is_small = self.by_two_filters.value <= SMALL and self.limit < SMALL_AT_MOST
+        return is_small and not self.rare
+
+    @property
+    def may_be_small(self) -> bool:
+        """Whether more draws might show that the loss is small."""
+        low = self.at_most.value - _QUANTILE * self.at_most.standard_error
+        return self.by_two_filters.value <= SMALL and low < SMALL_AT_MOST
+
+    @property
+    def text(self) -> str:
+        """Both figures in words."""
+        return particle_loss_text(self.by_two_filters.value, self.limit)
+
+    @property
+    def rare(self) -> str:
+        """A sentence if a few draws carry much of the error, else nothing."""
+        share = percent(min(1.0, self.top_share), 0)
+        return (
+            f"1 % of the draws carry {share} of the error of {self.particles:,} particles, or of "
+            "its excess over the variance, so few draws do not show the loss."
+        ) * (self.top_share > HEAVY)
+
+    @property
+    def limit(self) -> float:
+        """The upper 95 % limit of the loss, at most 1."""
+        return min(1.0, self.at_most.value + _QUANTILE * self.at_most.standard_error)
+
+    @property
+    def warning(self) -> str:
+        """Sentences if the loss is large, or if few draws carry much of the error; else nothing."""
+        large = (
+            f"{self.particles} particles may be too few: they lose {self.text}. "
+            "pfdist check-model looks for a number that is enough."
+        ) * self.is_large
+        return " ".join(filter(None, (large, self.rare)))
+
+    def columns(self) -> dict[str, Any]:
+        """The values as a summary gives them."""
+        return {
+            "particle_loss": self.by_two_filters.value,
+            "particle_loss_error": self.by_two_filters.standard_error,
+            "particle_loss_at_most": self.at_most.value,
+            "particle_loss_at_most_error": self.at_most.standard_error,
+            "particle_loss_limit": self.limit,
+        }
+
+
+def particle_loss(
+    particles: int, whole: Moments, squared: Array, distance: Array, variance: Array
+) -> ParticleLoss:
+    """The loss of one set of times.
+
+    Parameters
+    ----------
+    particles : int
+    whole : Moments
+        Moments of the squared errors of all draws, the first of which are `squared`.
+    squared, distance, variance : array of float64, (D,)
+        Squared error, half the squared distance of two filters, and variance beside the truth, of
+        the same draws.
+    """
+    if not np.isfinite(squared + distance + variance).all():
+        return ParticleLoss(particles, Estimate(1.0), Estimate(1.0))
+    scale = 1 / whole.mean if whole.mean > 0 else 0.0
+    apart = Moments()
+    apart.add(distance)
+    most = less(whole, squared, variance)
+    return ParticleLoss(
+        particles,
+        apart.estimate.times(scale),
+        most.times(scale),
+        _top_share(squared, variance),
+    )
+
+
+def _top_share(squared: Array, variance: Array) -> float:
+    """The larger share of the error, or of its excess over the variance, that 1 % of draws carry.
+
+    A small excess is mostly chance. So it counts only if these draws alone add a tenth to the rest
+    of the error.
+    """
+    if squared.size < 100:
+        return 0.0
+    excess, draws = squared - variance, squared.size
+    mean = float(np.mean(excess))
+    of_error = top_percent_share(squared, draws, float(np.mean(squared)))
+    of_excess = top_percent_share(excess, draws, mean)
+    is_notable = of_excess * mean > _NOTABLE_TOP * np.mean(squared)
+    return max(of_error, of_excess if is_notable else 0.0)
+
+
+def less(whole: Moments, first: Array, other: Array) -> Estimate:
+    """A mean over all draws, less the mean of other errors over the first draws.
+
+    Parameters
+    ----------
+    whole : Moments
+        Moments of all draws, the first of which are `first`.
+    first, other : array of float64, (D,)
+        Both errors of the same draws.
+    """
+    if first.size < 2:
+        return Estimate(math.nan, math.nan)
+    with np.errstate(over="ignore", invalid="ignore"):  # errors may be huge
+        # Not by np.cov: BLAS rounds differently on other processors.
+        products = (first - np.mean(first)) * (other - np.mean(other))
+        common = float(np.sum(products)) / (first.size - 1)
+        error = whole.standard_error**2 + float(np.var(other, ddof=1)) / other.size
+    error -= 2 * common / whole.count
+    return Estimate(whole.mean - float(np.mean(other)), math.sqrt(max(0.0, error)))
+
+
+def hardly_measured(expected_mse: float, unmeasured: float) -> str:
+    """A sentence if a set of times hardly beats no measurement, else nothing.
+
+    Parameters
+    ----------
+    expected_mse, unmeasured : float
+        With the times, and the exact filter's without a measurement.
+    """
+    if not expected_mse > _HARDLY * unmeasured:
+        return ""
+    return (
+        "These times hardly beat no measurement at all, which has an expected MSE of "
+        f"{unmeasured:.4g}."
+    )

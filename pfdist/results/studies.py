@@ -1,0 +1,218 @@
+"""Results of many runs by the values of their keys: replicates averaged, with 95 % intervals."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pfdist.common.dotted_keys import short_names
+from pfdist.common.estimate import Estimate
+from pfdist.results.table_cells import formatted_value, is_missing, keys_of
+from pfdist.store.folder import natural_key
+
+SEED = "seed"
+"""The key whose values are replicates."""
+SET = "set"
+
+_ERRORS = {"expected_mse": "standard_error", "reference_mse": "reference_standard_error"}
+Values = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Average:
+    """The mean of the runs that differ in their seeds alone.
+
+    Parameters
+    ----------
+    point : tuple
+        Values of the columns that the runs share; None if they have none.
+    mean, low, high : float
+        The mean with its 95 % interval: by Student's t over two or more seeds, and by the run's
+        own error if no value of the table has more than one seed. NaN is unknown.
+    replicates : tuple of float
+        The value of each seed.
+    """
+
+    point: Values
+    mean: float
+    low: float
+    high: float
+    replicates: tuple[float, ...]
+
+
+def columns_of(frame: pd.DataFrame) -> list[str]:
+    """The columns that tell the rows of a table of runs apart: the set, and all keys but seed.
+
+    Columns that have the same value in all rows are left out.
+    """
+    return [
+        name for name in (SET, *keys_of(frame)) if name != SEED and len(values_of(frame, name)) > 1
+    ]
+
+
+def values_of(frame: pd.DataFrame, name: str) -> list[Any]:
+    """The different values of a column, in the order that people expect; None comes last."""
+    values = dict.fromkeys(map(plain, frame[name].tolist()))
+    return sorted(values, key=_order)
+
+
+def in_order(frame: pd.DataFrame, names: Sequence[str]) -> list[dict[Any, Any]]:
+    """The rows of a table in the order of the values of some columns, the first column first.
+
+    Parameters
+    ----------
+    frame : DataFrame
+    names : sequence of str
+        Columns of the table.
+    """
+    ranks = {
+        name: {value: rank for rank, value in enumerate(values_of(frame, name))} for name in names
+    }
+    rows: list[dict[Any, Any]] = frame.to_dict("records")
+    return sorted(rows, key=lambda row: [ranks[name][plain(row[name])] for name in names])
+
+
+def is_numeric(values: Sequence[Any]) -> bool:
+    """Whether all values are numbers, so that an axis has them at their places.
+
+    Examples
+    --------
+    >>> is_numeric([1, 2.5]), is_numeric([1, None]), is_numeric([True, False]), is_numeric(["a"])
+    (True, False, False, False)
+    """
+    return all(
+        isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        for value in values
+    )
+
+
+def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """The columns that tell rows apart whose values of some columns are the same.
+
+    A key that changes together with these columns tells no more rows apart, and is left out.
+
+    Parameters
+    ----------
+    frame : DataFrame
+    names : sequence of str
+        Columns of the table.
+    """
+    columns, varying = list(names), list[str]()
+    for name in columns_of(frame):
+        if name not in columns and not _is_determined(frame, name, columns):
+            columns.append(name)
+            varying.append(name)
+    return varying
+
+
+def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Average]:
+    """The mean of a result for each combination of values, over the seeds.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        A table of runs, as `pfdist.table` gives it.
+    names : sequence of str
+        Columns of the table. Beside the seed, they must tell all rows apart whose results differ.
+    value : str
+        A column with numbers. Rows without a number are left out.
+
+    Returns
+    -------
+    list of Average
+        In the order in which the combinations come in the table.
+    """
+    groups = dict[Values, dict[Any, Mapping[Any, Any]]]()
+    for row in frame.to_dict("records"):
+        if not is_missing(row[value]):
+            at = tuple(plain(row[name]) for name in names)
+            groups.setdefault(at, {}).setdefault(plain(row.get(SEED)), row)
+    has_replicates = any(len(rows) > 1 for rows in groups.values())
+    return [_average(at, list(rows.values()), value, has_replicates) for at, rows in groups.items()]
+
+
+def formatted_point(
+    names: Sequence[str], values: Values, keys: Sequence[str], link: str = " "
+) -> str:
+    """Values of columns as text.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns of a table of runs.
+    values : tuple
+        A value for each column.
+    keys : sequence of str
+        All keys of the table, among which short names are clear.
+    link : str
+        Stands between a key and the value. After a blank, the set is named without ``set``.
+
+    Examples
+    --------
+    >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"])
+    'genetic, particles 20'
+    >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"], " = ")
+    'set = genetic, particles = 20'
+    """
+    short = short_names(keys)
+    return ", ".join(
+        formatted_value(value) or "no set" if name == SET and link == " "
+        else f"{short.get(name, name)}{link}{formatted_value(value) or 'none'}"
+        for name, value in zip(names, values, strict=True)
+    )  # fmt: skip
+
+
+def _average(
+    at: Values, rows: Sequence[Mapping[Any, Any]], value: str, has_replicates: bool
+) -> Average:
+    each = tuple(float(row[value]) for row in rows)
+    if has_replicates:
+        return Average(at, float(np.mean(each)), *Estimate.of_mean(np.array(each)).interval(), each)
+    return Average(at, each[0], *_own_interval(rows[0], value), each)
+
+
+def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
+    """The 95 % interval that a row holds of a result."""
+    error = row.get(_ERRORS.get(value, ""), math.nan)
+    if not is_missing(error):
+        return Estimate(row[value], error).interval()
+    return row.get(f"{value}_low", math.nan), row.get(f"{value}_high", math.nan)
+
+
+def _is_determined(frame: pd.DataFrame, name: str, names: Sequence[str]) -> bool:
+    """Whether rows with the same values of some columns have the same value of another."""
+    values = dict[Values, Any]()
+    rows = ([plain(row[each]) for each in (*names, name)] for row in frame.to_dict("records"))
+    return all(values.setdefault(tuple(at), value) == value for *at, value in rows)
+
+
+def plain(value: Any) -> Any:
+    """The value of a cell of a table; None if there is none."""
+    return None if is_missing(value) else value
+
+
+def _order(value: Any) -> tuple[int, float, list[tuple[float, str]]]:
+    if value is None:
+        return 2, 0.0, []
+    if is_numeric([value]):
+        return 0, float(value), []
+    return 1, 0.0, natural_key(formatted_value(value))
+
+
+def selected(frame: pd.DataFrame, held: Mapping[str, Any]) -> pd.DataFrame:
+    """The rows of a table that have some values.
+
+    Parameters
+    ----------
+    frame : DataFrame
+    held : mapping of str to object
+        A value for each column; None stands for none.
+    """
+    rows = [
+        all(plain(row[name]) == value for name, value in held.items())
+        for row in frame.to_dict("records")
+    ]
+    return frame[np.array(rows, np.bool_)]

@@ -1,0 +1,108 @@
+"""A unit of work: draws whose measurement times are chosen one after another."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+from pfdist.errors import MeasurementsError
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.one_filter import OneFilter, filter_of_truths, with_truths
+from pfdist.filters.work import Result, Work
+from pfdist.models import StateSpaceModel
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.rest import rest_of
+from pfdist.runner.planning import Now, Planning, Replanner
+
+# A step of a plan takes longer than a step of the comparison: measurements are near each other,
+# particles are few, and the search itself takes time.
+_SLOWER = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineWork(Work):
+    """Draws that are measured at the next planned time and planned anew, to the end of the budget.
+
+    The other fields are those of `Work`, with one set: the plan before anything is measured.
+    """
+
+    feasible: Feasible
+    planning: Planning
+    planning_stream: int  # key of the noise of the planning
+    shown: int = 0  # number of first draws whose estimates are wanted
+
+    def result(self, evaluator: Evaluator) -> Result:
+        """Per-draw MSE, (D, 1), and the times that were chosen for each draw.
+
+        The estimates are (E, T+1, q), for the draws whose estimates are wanted.
+        """
+        results = [self._of_draw(evaluator, draw) for draw in range(*self.draws)]
+        chosen = tuple(result.measurement_times[0] for result in results)
+        estimates = [result.estimates[0, 0] for result in results if result.estimates.size]
+        return Result(
+            np.concatenate([result.mse for result in results]),
+            degenerate=np.concatenate([result.degenerate for result in results]),
+            estimates=np.array(estimates),
+            measurement_times=chosen,
+        )
+
+    @property
+    def steps_a_draw(self) -> int:
+        """Particle-steps of a draw, approximately: nearly all of them plan."""
+        return _steps(self.feasible, self.planning) + super().steps_a_draw
+
+    def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
+        times = self.chosen(evaluator, draw)
+        streams = self.filter_streams[0], self.draws_stream
+        draws, shown = (draw, draw + 1), draw < self.shown
+        filtered = evaluator.work([times], *streams, draws, self.estimation, trajectories=shown)
+        return replace(evaluator.filtered(filtered), measurement_times=(times,))
+
+    def chosen(self, evaluator: Evaluator, draw: int) -> Times:
+        """The chosen times of one draw; if it is degenerate, the last plan stays."""
+        replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
+        y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
+        engine, noise = evaluator.computed_by.name, self.filter_streams[0]
+        filtering = OneFilter(evaluator.believed, self.estimation, noise, draw, engine)
+        truths = filter_of_truths(filtering)
+        taken, (plan,) = Times(), self.measurement_times
+        while plan:
+            t = plan[0] // self.sensors
+            here = tuple(time for time in plan if time // self.sensors == t)
+            taken, plan = (*taken, *here), plan[len(here) :]
+            if plan or not self.feasible.counted:  # else nothing is left to plan
+                measured = seen(evaluator.model, y[t], here)
+                try:
+                    filtering, *_ = filtering.at(t, measured)
+                except MeasurementsError:  # the draw is degenerate: the last plan stays
+                    return (*taken, *plan)
+                prior, truths = with_truths(filtering.settings.prior, truths, t, measured)
+                plan = replanner.plan(Now(prior, measured=True), taken, plan, draw)
+        return taken
+
+
+def seen(model: StateSpaceModel, y: NDArray[np.float64], times: Times) -> NDArray[np.float64]:
+    """The measurement y, (m,), with NaN for the sensors that do not measure at these times."""
+    sensors, measured = {time % len(model.parts) for time in times}, y.copy()
+    for number, part in enumerate(model.parts):
+        if number not in sensors:
+            measured[part.y] = np.nan
+    return measured
+
+
+@lru_cache(maxsize=4)
+def _steps(feasible: Feasible, planning: Planning) -> int:
+    """Particle-steps of the plans of one draw, approximately, if it is measured at regular times.
+
+    Raises `JobError` if the method of the planning cannot search this problem.
+    """
+    planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
+    times, steps = feasible.regular(), 0.0
+    for number in range(1, len(times)):
+        rest = rest_of(feasible, times[:number], times[number - 1] // feasible.sensors + 1)
+        if rest is not None:
+            sets = planning.optimiser(rest).evaluations * planning.draws
+            steps += (rest.horizon + 1) * (sets + 2 * planning.judging_draws)
+    return round(_SLOWER * steps * planning.estimation.steps_an_instant)

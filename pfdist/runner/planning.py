@@ -1,0 +1,258 @@
+"""Plans for the remaining measurements, given a filter's belief about the system now.
+
+A search looks for a new plan on simulated systems that start from the filter's particles. Then
+fresh simulated systems decide, by a paired test, whether the new plan replaces the plan at hand. So
+a feasible plan is replaced only by a better plan, except by chance.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from pfdist.common.measurement_times import Times
+from pfdist.common.streams import stream_key
+from pfdist.errors import ModelError
+from pfdist.filters.cloud import Prior
+from pfdist.filters.draws import Draws
+from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Estimation
+from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.variates import generator
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import METHODS
+from pfdist.problem.rest import rest_of
+from pfdist.problem.search_section import SearchSection
+from pfdist.search.base import Candidate, Optimiser
+
+_BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
+_ROUNDING = 1e-9  # relative difference of exact costs that counts as none
+
+
+@dataclass(frozen=True)
+class Planning:
+    """How the remaining measurements are planned."""
+
+    search: SearchSection  # the method and its settings
+    draws: int  # simulated systems on which the search compares plans
+    judging_draws: int  # fresh simulated systems that decide between the new plan and that at hand
+    estimation: Estimation  # of the simulated filters
+
+    @property
+    def judging(self) -> Estimation:
+        """The estimation that judges plans: by the squared error, whatever the search uses.
+
+        The particles of a filter may lie close together, far from the true state. Then their
+        variance is small although the error is large.
+        """
+        return replace(self.estimation, estimator=SQUARED_ERROR.name)
+
+    def optimiser(self, rest: Feasible, start: Times | None = None) -> Optimiser:
+        """The optimiser of the remaining measurements; see `pfdist.problem.methods`.
+
+        Raises `JobError` if the method cannot search this problem.
+        """
+        method = METHODS[self.search.method]
+        made: Optimiser = method.make(rest, self.draws, self.search.settings, start)
+        return made
+
+
+class Now(NamedTuple):
+    """A filter's belief about one system at an instant t, from which a plan is made."""
+
+    prior: Prior | None = None  # of x(t); None before anything is measured: `initial` gives x(0)
+    measured: bool = False  # whether t was measured, or can no longer be
+
+    @property
+    def t(self) -> int:
+        """The instant."""
+        return 0 if self.prior is None else self.prior.t
+
+    @property
+    def first(self) -> int:
+        """The first instant that may still be measured."""
+        return self.t + self.measured
+
+
+@dataclass(frozen=True)
+class Replanner:
+    """Plans the remaining measurements, for a model and constraints.
+
+    Raises `ModelError` if the filter's model has states of another size than the true model.
+    """
+
+    # Its model simulates systems, and its filter model filters them, both from `Now.prior`.
+    evaluator: Evaluator
+    feasible: Feasible  # of the whole horizon
+    planning: Planning
+    stream: int  # key of all noise of the planning, 64 bits
+
+    def __post_init__(self) -> None:
+        check_plannable(self.evaluator)
+
+    def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
+        """The plan for the remaining measurements: the plan at hand, or a better one.
+
+        If the plan at hand is not feasible, the search starts from the better of two plans: one
+        that keeps as many of its times as possible, and regular times. Then the plan that the
+        search returns needs only a lower mean error to replace this start.
+
+        Parameters
+        ----------
+        now : Now
+        taken : tuple of int
+            Times that were measured so far, sorted.
+        plan : tuple of int
+            The plan at hand: times from `now.first` on. It may be empty.
+        draw : int
+            Index of the system, which is part of the key of the noise.
+
+        Returns
+        -------
+        tuple of int
+            Times from `now.first` on; empty if no measurement is left or fits.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        rest = rest_of(self.feasible, taken, now.first)
+        if rest is None:
+            return ()
+        stream = stream_key(self.stream, draw, now.first, len(taken))
+        first = now.first * self.evaluator.sensors
+        at_hand, outlook = tuple(time - first for time in plan), _Outlook(self, now, stream)
+        start, keep = at_hand, rest.accepts(at_hand)
+        if not keep:  # as much of it as can be, or regular times
+            repaired = rest.repair(at_hand, generator(stream, "repair"))
+            start = outlook.better([repaired, rest.regular()], keep=False)
+        chosen = outlook.better([start, *outlook.search(rest, start)], keep=keep)
+        return tuple(first + time for time in chosen)
+
+    def expected(
+        self,
+        now: Now,
+        plans: Sequence[Times],
+        draws: int,
+        estimation: Estimation,
+        draw: int = 0,
+    ) -> list[Evaluation]:
+        """Evaluations of plans by the expected MSE from now on, on draws that chose none of them.
+
+        `draws` is the number of simulated systems, and `draw` the index of the system. Raises
+        `ModelError` if a formula failed.
+        """
+        outlook = _Outlook(self, now, stream_key(self.stream, draw, now.first, "expected"))
+        ends = [self.evaluator.horizon] * len(plans)
+        evaluations = outlook.of_sets(outlook.draws(range(draws)), plans, ends, estimation)
+        return [replace(evaluation, purpose="evaluate") for evaluation in evaluations]
+
+
+def check_plannable(evaluator: Evaluator) -> None:
+    """Raise a `ModelError` unless systems can be simulated from the particles of the filter.
+
+    They cannot if the filter's model has states of another size than the true model.
+    """
+    if evaluator.scenarios:
+        raise ModelError("times can be chosen one after another only without scenarios, got some")
+    true, believed = evaluator.model.components[0], evaluator.believed.components[0]
+    if true != believed:
+        raise ModelError(
+            "times can be chosen one after another only if the filter's model has as many "
+            f"components of x as the model {evaluator.model.name}, {true}, got {believed}: systems "
+            "are simulated from the filter's particles"
+        )
+
+
+@dataclass(frozen=True)
+class _Outlook:
+    """Simulated futures of one system. Times count from the first instant still to be measured."""
+
+    replanner: Replanner
+    now: Now
+    stream: int
+
+    def search(self, rest: Feasible, start: Times) -> list[Times]:
+        """The best plan of a search from a start, in a list.
+
+        The list is empty if the error of every plan is infinite.
+        """
+        planning = self.replanner.planning
+        optimiser, draws = planning.optimiser(rest, start), self.draws(range(planning.draws))
+        state, generation = optimiser.init(), 0
+        while not optimiser.done(state):
+            candidates = optimiser.ask(state, generator(self.stream, "search", generation))
+            state = optimiser.tell(state, self._evaluated(draws, candidates, planning.estimation))
+            generation += 1
+        best = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.cost)]
+        return [each.measurement_times for each in best]
+
+    def better(self, plans: Sequence[Times], *, keep: bool) -> Times:
+        """The second plan if it is better than the first on fresh draws; else the first.
+
+        With `keep`, its mean error must be lower by more than a standard error of the paired
+        difference; without, it must only be lower. A single plan is returned at once.
+        """
+        plans = list(dict.fromkeys(plans))
+        if len(plans) == 1:
+            return plans[0]
+        planning = self.replanner.planning
+        fresh = range(planning.draws, planning.draws + planning.judging_draws)
+        candidates = [Candidate(times) for times in plans]
+        first, new = self._evaluated(self.draws(fresh), candidates, planning.judging)
+        gain = difference(new, first)
+        rounding = _ROUNDING * first.cost if math.isfinite(first.cost) else 0.0
+        lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
+        return plans[1] if lower else plans[0]
+
+    def draws(self, index: range) -> Draws | None:
+        """Simulated systems; None if the engine is exact."""
+        return None if self.evaluator.exact else self.evaluator.draws(index, self.stream)
+
+    def _evaluated(
+        self, draws: Draws | None, candidates: Sequence[Candidate], estimation: Estimation
+    ) -> list[Evaluation]:
+        """Evaluations of candidates on common draws with common noise."""
+        evaluator, last = self.evaluator, self.evaluator.horizon
+        first = self.now.first
+        skipped = first * evaluator.sensors
+        sets = [tuple(skipped + time for time in each.measurement_times) for each in candidates]
+        ends = [last if each.end is None else first + each.end for each in candidates]
+        if draws is not None:
+            draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
+        evaluations = self.of_sets(draws, sets, ends, estimation)
+        return [
+            replace(
+                evaluation.first(len(evaluation.mse) if each.draws is None else each.draws),
+                measurement_times=each.measurement_times,
+                end=each.end,
+                purpose="online",
+            )
+            for each, evaluation in zip(candidates, evaluations, strict=True)
+        ]
+
+    def of_sets(
+        self,
+        draws: Draws | None,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        estimation: Estimation,
+    ) -> list[Evaluation]:
+        """Evaluations of sets up to their ends on common draws with common noise."""
+        if draws is None:
+            costs = self.evaluator.expected_mse(sets, ends).tolist()
+            each_set = zip(sets, costs, strict=True)
+            return [Evaluation(times, np.empty(0), exact=cost) for times, cost in each_set]
+        noise = stream_key(self.stream, "filter")
+        mse, flags = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
+        rows = zip(sets, mse.T.copy(), flags.T, strict=True)
+        return [Evaluation(times, row, degenerate=of_set) for times, row, of_set in rows]
+
+    @property
+    def evaluator(self) -> Evaluator:
+        """The evaluator from now on."""
+        return replace(self.replanner.evaluator, prior=self.now.prior, estimations=())

@@ -1,0 +1,219 @@
+"""The dynamic programme over known windows and what was spent: the least relaxed expected MSE.
+
+A set spends its number of measurements, or their costs in units. All sums up to the largest come
+out of one programme.
+
+A set that is best in a relaxation, but not in truth, has windows that are too short: they add
+measurements that the set does not contain. So each of its windows grows by a measurement, and the
+next programme sees more of the set's own error. A set whose windows are all whole beginnings has
+its own error. If it is still the best, it is proved to be optimal.
+
+Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
+procedures for the computation of bounds to routing problems", Networks 11, 1981.
+Righini, Salani, "New dynamic programming algorithms for the resource constrained elementary
+shortest path problem", Networks 51, 2008 (decremental state-space relaxation).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+from pfdist.common.stopping import check
+from pfdist.search.relaxation import NOTHING, START, Indices, Moves, Relaxation, Window
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Programme:
+    """The programme for all sums that may be spent, up to `most`.
+
+    `errors` (E,) are expected errors of all windows at all instants at which they count, window by
+    window; see `Relaxation.offsets`.
+
+    If measurements are counted, a set makes exactly as many as a sum says. Money may be left over.
+    """
+
+    relaxation: Relaxation
+    errors: Array
+    most: int
+
+    @property
+    def mse(self) -> Array:
+        """The least relaxed expected MSE of each sum, (most+1,)."""
+        start: Array = self._from[self.relaxation.index[START]]
+        return start / (self.relaxation.horizon + 1)
+
+    def path(self, spent: int) -> Times:
+        """The times that reach the least error for a sum; empty if no set costs so much."""
+        start = self.relaxation.index[START]
+        return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
+
+    def of_set(self, times: Times) -> float:
+        """The relaxed expected MSE of a set."""
+        until = np.array([*map(self._instant, times), self.relaxation.horizon + 1])
+        windows = np.array(self.relaxation.windows_of(times))
+        return float(self._between(windows, until).sum()) / (self.relaxation.horizon + 1)
+
+    def through(self, spent: int) -> Array:
+        """The least relaxed expected MSE of all sets of a sum that pass each window, (W,)."""
+        sums: Array = (self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1)
+        return sums / (self.relaxation.horizon + 1)
+
+    def path_through(self, window: int, spent: int) -> Times:
+        """The times that reach the least error among the sets of a sum that pass a window."""
+        before = int(np.argmin(self._to[window, : spent + 1] + self._from[window, spent::-1]))
+        return (*self._path_to(window, before), *self._path_from(window, spent - before))
+
+    @cached_property
+    def _to(self) -> Array:
+        """The least sum of errors before the last measurement of each window, (W, most+1)."""
+        cost = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
+        cost[self.relaxation.index[START], 0] = 0.0
+        for moves in self.relaxation.moves:
+            check()
+            price = self.relaxation.prices[moves.time]
+            if price <= self.most:
+                between = self._between(moves.before, self._instant(moves.time))
+                reached = between[:, None] + cost[moves.before, : self.most + 1 - price]
+                cost[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
+        return cost
+
+    @property
+    def _from(self) -> Array:
+        """The least sum of errors from the last measurement of each window on, (W, most+1)."""
+        return self._onward[0]
+
+    @cached_property
+    def _onward(self) -> tuple[Array, Indices]:
+        """`_from`, and the next time that reaches it, (W, most+1); -1 if nothing is measured."""
+        relaxation = self.relaxation
+        cost = np.full((len(relaxation.windows), self.most + 1), np.inf)
+        following = np.full(cost.shape, NOTHING)
+        left_over = 0 if relaxation.constraints.counted else self.most
+        cost[:, : left_over + 1] = self._at_the_end[:, None]
+        for moves in reversed(relaxation.moves):
+            check()
+            price = self.relaxation.prices[moves.time]
+            if price <= self.most:
+                after = relaxation.after[moves.before, moves.time]
+                between = self._between(moves.before, self._instant(moves.time))
+                onward = between[:, None] + cost[after, : self.most + 1 - price]
+                known, times = cost[moves.before, price:], following[moves.before, price:]
+                # Between equal sums, the end wins, then the earliest time.
+                least = (onward < known) | ((onward == known) & (times != NOTHING))
+                cost[moves.before, price:] = np.where(least, onward, known)
+                following[moves.before, price:] = np.where(least, moves.time, times)
+        return cost, following
+
+    @cached_property
+    def _at_the_end(self) -> Array:
+        """The sum of errors from the last measurement of each window to T, (W,)."""
+        every = np.arange(len(self.relaxation.windows))
+        rest = self._between(every, self.relaxation.horizon + 1)
+        last_required = max(self.relaxation.constraints.required, default=NOTHING)
+        return np.where(self.relaxation.last >= last_required, rest, np.inf)
+
+    def _between(self, windows: Indices, until: Indices | int) -> Array:
+        """Sums of errors from the last measurement of each window to just before `until`.
+
+        After its end, a window's error is that of its last time alone.
+        """
+        relaxation, until = self.relaxation, np.broadcast_to(until, windows.shape)
+        own = np.minimum(until, relaxation.ends[windows] + 1)
+        total, beyond = self._before(windows, own), own < until
+        single = relaxation.single[windows]
+        counted = beyond & relaxation.passable[single]
+        rest = self._before(single[counted], until[counted])
+        total[counted] += rest - self._before(single[counted], own[counted])
+        total[beyond & ~counted] = np.inf
+        return total
+
+    def _before(self, windows: Indices, until: Indices | int) -> Array:
+        """Sums of the errors of each window from its last measurement to just before `until`."""
+        begin = self.relaxation.offsets[windows] + windows - self.relaxation.first[windows]
+        sums: Array = self._summed[begin + until]
+        return sums
+
+    @cached_property
+    def _summed(self) -> Array:
+        """Cumulative sums of each window's errors, with a 0 before its first error."""
+        offsets = self.relaxation.offsets
+        sizes = np.diff(offsets)
+        summed = np.zeros(self.errors.size + sizes.size)
+        for size in np.unique(sizes).tolist():  # a sum over all windows would round too much
+            windows = np.flatnonzero(sizes == size)[:, None]
+            places = offsets[windows] + np.arange(size)
+            summed[places + windows + 1] = np.cumsum(self.errors[places], axis=1)
+        return summed
+
+    def _instant(self, time: int) -> int:
+        """The instant of a measurement, whose own error counts after it."""
+        return time // self.relaxation.constraints.sensors
+
+    @cached_property
+    def _moves_by_time(self) -> dict[int, Moves]:
+        return {moves.time: moves for moves in self.relaxation.moves}
+
+    def _path_to(self, window: int, spent: int) -> Times:
+        """The times before and up to a window's last, by following the programme back."""
+        relaxation, times = self.relaxation, list[int]()
+        while window != relaxation.index[START]:
+            time = int(relaxation.last[window])
+            spent -= self.relaxation.prices[time]
+            before = self._moves_by_time[time].leading_to(window)
+            between = self._between(before, self._instant(time))
+            window = int(before[np.argmin(between + self._to[before, spent])])
+            times.append(time)
+        return tuple(reversed(times))
+
+    def _path_from(self, window: int, spent: int) -> Times:
+        """The times after a window's last, by following the programme to the end of the horizon."""
+        following, times = self._onward[1], list[int]()
+        while (time := int(following[window, spent])) != NOTHING:
+            window = int(self.relaxation.after[window, time])
+            spent -= self.relaxation.prices[time]
+            times.append(time)
+        return tuple(times)
+
+
+def near_optimal(programme: Programme, spent: int, most: int, below: float) -> list[Times]:
+    """At most `most` different sets that are nearly the best of a relaxation, the best first.
+
+    Each set spends the sum `spent`. Each but the first is the best of all sets that pass a window
+    which no set before it passes, and its relaxed expected MSE is less than `below`.
+    """
+    relaxation, through = programme.relaxation, programme.through(spent)
+    sets, passed = dict[Times, None](), set[int]()
+    for window in np.argsort(through, kind="stable").tolist():
+        if len(sets) == most or not np.isfinite(through[window]):
+            break
+        if sets and through[window] >= below:
+            break
+        check()
+        if window not in passed:
+            times = programme.path_through(window, spent)
+            sets[times] = None
+            passed.update(relaxation.windows_of(times))
+    return list(sets)
+
+
+def longer(
+    relaxation: Relaxation, sets: Iterable[Times]
+) -> tuple[frozenset[Window], frozenset[Window]]:
+    """The windows of some sets with one more measurement each, unless the relaxation knows them."""
+    # Only windows that are not whole beginnings grow, each backwards by one measurement. In each
+    # round the windows of a best set therefore become longer, until the set has its own error.
+    windows, far = set[Window](), set[Window]()
+    for times in sets:
+        whole = (NOTHING, *times)
+        passed = [relaxation.windows[number] for number in relaxation.windows_of(times)]
+        for number, window in enumerate(passed):
+            if len(window) <= number:
+                windows.add(whole[number - len(window) : number + 1])
+        far.update(relaxation.overreached(times))
+    return frozenset(windows), frozenset(far)

@@ -1,0 +1,368 @@
+"""The relaxation behind the lower bound: a filter that may measure more than the set contains.
+
+To the exact filter of the true model, further measurements do no harm. So its error at t with a
+set M is at least its error with M and all allowed instants up to one of the measurements. A
+*window* is such a filter: the last measurement times of a set, and everything allowed up to the
+first of them. The longer a window, the less it adds, and the nearer is its error to the set's own.
+
+A relaxation knows some windows. A filter with a set is, at each instant, in the longest known
+window that its measurements end with. Every beginning of a known window is known. So the next
+window follows from the last one and the next time, whatever was measured before, and a dynamic
+programme finds the set with the least relaxed error. All windows of two measurements are a good
+start, and `pfdist.search.programme` adds longer ones where they matter.
+
+Sources: Aho, Corasick, "Efficient string matching: an aid to bibliographic search", Communications
+of the ACM 18, 1975 (the longest known end, and how it changes with the next symbol). Vitus, Zhang,
+Abate, Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems", Automatica 48,
+2012 (monotone covariances). Brown, Smith, Sun, "Information relaxations and duality in stochastic
+dynamic programs", Operations Research 58, 2010.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.problem.constraints import Constraints
+
+NOTHING = -1
+"""First entry of a window before which nothing is measured: the window is a whole beginning."""
+
+Window = tuple[int, ...]
+"""Measurement times, sorted. Every allowed instant up to the first is measured."""
+
+START: Window = (NOTHING,)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Moves(NamedTuple):
+    """All moves from one window to the next by a measurement at one time."""
+
+    time: int
+    # (n,): index of the window before the measurement, sorted by the window after it
+    before: Indices
+    after: Indices  # (m,): indices of the windows after it; all differ
+    starts: Indices  # (m,): the first place in `before` of each window after it
+
+    def leading_to(self, window: int) -> Indices:
+        """The windows from which the measurement leads to a window."""
+        place = int(np.searchsorted(self.after, window))
+        stops = np.append(self.starts[1:], self.before.size)
+        return self.before[self.starts[place] : stops[place]]
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """The known windows of a relaxed filter, and how a measurement leads from one to the next.
+
+    The constraints bind every path, but for their number of measurements: a path may have any
+    number. A `MeasurementTimesError` says that the longest gap is less than 1.
+    """
+
+    constraints: Constraints
+    # (W,): sorted by the last time; START, each allowed time alone, and all beginnings are there
+    windows: tuple[Window, ...]
+    # An error of a window counts for fewer instants than this. If nothing is measured for longer,
+    # the error of the window's last time alone counts.
+    longest_gap: int
+    far: frozenset[Window] = frozenset()  # windows whose errors count up to T
+    # Windows that paths may pass; errors of others are not known. By default all windows.
+    only: frozenset[Window] | None = None
+    # Prices are rounded down to whole units. With prices that are too low, a path may measure more,
+    # so the bound is still a lower bound.
+    unit: int = 1
+
+    def __post_init__(self) -> None:
+        if self.longest_gap < 1:
+            raise MeasurementTimesError(f"longest_gap must be at least 1, got {self.longest_gap}")
+
+    @property
+    def horizon(self) -> int:
+        """T."""
+        return self.constraints.horizon
+
+    @cached_property
+    def prices(self) -> tuple[int, ...]:
+        """Price of a measurement at each time, in units, (T+1,); 1 if measurements are counted."""
+        return tuple(price // self.unit for price in self.constraints.price)
+
+    @property
+    def total(self) -> int:
+        """The sum to spend, in units: N, or money."""
+        return self.constraints.total // self.unit
+
+    @cached_property
+    def index(self) -> dict[Window, int]:
+        """Index of each window in `windows`."""
+        return {window: index for index, window in enumerate(self.windows)}
+
+    @cached_property
+    def last(self) -> Indices:
+        """The last measurement time of each window, (W,); -1 if there is none."""
+        return np.array([window[-1] for window in self.windows])
+
+    @cached_property
+    def first(self) -> Indices:
+        """The first instant at which the error of each window counts, (W,)."""
+        return np.maximum(self.last, 0) // self.constraints.sensors
+
+    @cached_property
+    def ends(self) -> Indices:
+        """The last instant at which the error of each window counts, (W,)."""
+        far = [len(window) == 1 or window in self.far for window in self.windows]
+        # The window START, whose errors count from 0, ends as if its last measurement were at -1.
+        since = np.where(self.last < 0, -1, self.first)
+        near = np.minimum(since + self.longest_gap, self.horizon + 1) - 1
+        return np.where(self.passable, np.where(far, self.horizon, near), self.first - 1)
+
+    @cached_property
+    def passable(self) -> NDArray[np.bool_]:
+        """Whether paths may pass each window, (W,)."""
+        if self.only is None:
+            return np.ones(len(self.windows), np.bool_)
+        return np.array([window in self.only for window in self.windows])
+
+    @cached_property
+    def offsets(self) -> Indices:
+        """Where the errors of each window begin in an array of all errors that count, (W+1,)."""
+        return np.cumsum(np.concatenate([[0], self.ends - self.first + 1]))
+
+    @property
+    def sets(self) -> list[Times]:
+        """The measurement times of the filter of each window."""
+        return [self.filtered(window) for window in self.windows]
+
+    def filtered(self, window: Window) -> Times:
+        """The measurement times of the filter of a window."""
+        allowed = self.constraints.allowed
+        return allowed[: bisect_right(allowed, window[0])] + window[1:]
+
+    @cached_property
+    def single(self) -> Indices:
+        """For each window, (W,), the index of the window that has only its last time."""
+        return np.array([self.index[window[-1:]] for window in self.windows])
+
+    @cached_property
+    def after(self) -> NDArray[np.int32]:
+        """Index of the window after a measurement at each time, (W, T+1); -1 if it is forbidden."""
+        # Short windows come first: a window takes the row of its longest known end, which is
+        # shorter, and then the windows that continue it replace entries (Aho and Corasick).
+        possible = self.constraints.possible
+        after = np.full((len(self.windows), possible), -1, np.int32)
+        following = dict[int, list[int]]()
+        for number, window in enumerate(self.windows):
+            if len(window) > 1:
+                following.setdefault(self.index[window[:-1]], []).append(number)
+        single = [self.index.get((time,), -1) for time in range(possible)]
+        for number in sorted(range(len(after)), key=lambda number: len(self.windows[number])):
+            window = self.windows[number]
+            after[number] = single if len(window) == 1 else after[self._suffix(window)]
+            for longer in following.get(number, ()):
+                after[number, self.windows[longer][-1]] = longer
+        return np.where(self._follows[self.last + 1] & self.passable[after], after, -1)
+
+    @cached_property
+    def moves(self) -> list[Moves]:
+        """The moves by each time that any window allows, sorted by the time."""
+        moves = []
+        for time in self.constraints.allowed:
+            before = np.flatnonzero(self.after[:, time] >= 0)
+            order = np.argsort(self.after[before, time], kind="stable")
+            before = before[order]
+            after, starts = np.unique(self.after[before, time], return_index=True)
+            if before.size:
+                moves.append(Moves(time, before, after.astype(np.int64), starts))
+        return moves
+
+    def spent(self, times: Times) -> int:
+        """The sum, in units, whose bound holds for a set: its size, or all of the money."""
+        return len(times) if self.constraints.counted else self.total
+
+    def windows_of(self, times: Times) -> list[int]:
+        """The index of the window before the first and after each measurement of a set."""
+        number = self.index[START]
+        numbers = [number]
+        for time in times:
+            number = int(self.after[number, time])
+            numbers.append(number)
+        return numbers
+
+    def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> "Relaxation":
+        """The relaxation that also knows these windows and their beginnings.
+
+        The windows are ends of feasible sets. The errors of the known windows `far` count up to T.
+        A new window is far if the longest known window that it ends with is far. Otherwise errors
+        of a set could be lower than before.
+        """
+        beginnings = {window[:size] for window in windows for size in range(1, len(window) + 1)}
+        known_far = self.far | {*far}
+        new = beginnings - self.index.keys()
+        new_far = {window for window in new if self.windows[self._suffix(window)] in known_far}
+        return replace(
+            self,
+            windows=in_order({*self.windows, *beginnings}),
+            far=known_far | new_far,
+            only=None if self.only is None else self.only | beginnings,
+        )
+
+    def restricted(self, paths: Iterable[Times]) -> "Relaxation":
+        """The relaxation whose paths pass only windows that some of these sets pass."""
+        sets = list(paths)
+        passed = {self.windows[number] for times in sets for number in self.windows_of(times)}
+        far = {window for times in sets for window in self.overreached(times)}
+        return replace(self, only=frozenset(passed), far=self.far | far)
+
+    def overreached(self, times: Times) -> list[Window]:
+        """The windows of a set whose errors do not count up to the next measurement."""
+        numbers = self.windows_of(times)
+        following = (*times, self.constraints.possible)
+        return [
+            self.windows[number]
+            for number, until in zip(numbers, following, strict=True)
+            if self.ends[number] + 1 < until // self.constraints.sensors
+        ]
+
+    def without(self, windows: Collection[Window]) -> "Relaxation":
+        """The relaxation without these windows, and without those that begin with them."""
+        if not windows:
+            return self
+        remaining = (
+            window
+            for window in self.windows
+            if len(window) == 1
+            or not any(window[:size] in windows for size in range(2, len(window) + 1))
+        )
+        return replace(self, windows=tuple(remaining))
+
+    @cached_property
+    def _follows(self) -> NDArray[np.bool_]:
+        """Whether a time may follow the last time, or none, (T+2, T+1): by last time + 1."""
+        constraints, possible = self.constraints, self.constraints.possible
+        follows = np.zeros((possible + 1, possible), np.bool_)
+        for last in (NOTHING, *range(possible)):
+            follows[last + 1, list(followers(constraints, last))] = True
+        return follows
+
+    def _suffix(self, window: Window) -> int:
+        """Index of the longest known end of a window that is not the window itself."""
+        numbers = (self.index.get(window[begin:]) for begin in range(1, len(window)))
+        return next(number for number in numbers if number is not None)
+
+
+def followers(constraints: Constraints, last: int) -> Iterator[int]:
+    """The times that may be measured after a last time; none lies behind a required time."""
+    first = constraints.spacing.after(last)
+    until = min((t for t in constraints.required if t > last), default=constraints.possible)
+    return (time for time in constraints.allowed if first <= time <= until)
+
+
+def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:
+    """The windows, sorted by their last time."""
+    return tuple(sorted(windows, key=lambda window: (window[-1], window)))
+
+
+WINDOW = 2
+"""Largest number of measurements of the first windows, unless another number is wanted."""
+
+MOST_UNITS = 300
+"""Largest sum of money in a programme, in units; the memory of a programme grows with the sum."""
+
+_LEAST_OF_A_SEARCH = 1.2
+"""Least number of mean gaps between measurements that windows of a search must allow."""
+
+
+def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
+    """The relaxation with all windows of at most `window` measurements.
+
+    Windows with a gap longer than the longest gap are left out. The instants before the first
+    measurement of a set are no gap. A `MeasurementTimesError` says that the window or the gap is
+    less than 1.
+    """
+    if window < 1:
+        raise MeasurementTimesError(f"window must be at least 1, got {window}")
+    windows: set[Window] = {START, *((time,) for time in constraints.allowed)}
+    new = list(windows)
+    while new:
+        shorter = new.pop()
+        if len(shorter) == window:
+            continue
+        last = shorter[-1]
+        sensors = constraints.sensors
+        until = constraints.horizon if last == NOTHING else last // sensors + longest_gap
+        longer = [
+            (*shorter, time) for time in followers(constraints, last) if time // sensors <= until
+        ]
+        new += longer
+        windows.update(longer)
+    return Relaxation(constraints, in_order(windows), longest_gap)
+
+
+def relaxation_for(
+    constraints: Constraints, window: int, measurements: int, most_cells: int
+) -> Relaxation:
+    """The relaxation with all windows of at most `window` measurements, within a memory.
+
+    The longest gap is three mean gaps, or less if that needs too much memory, but at least two.
+    `measurements` is the usual number of measurements of a set, which gives the mean gap; the
+    relaxation holds for sets of any number. Money is counted in units of which the sum to spend has
+    at most `MOST_UNITS`. A `JobError` says that more than `most_cells` errors count.
+    """
+    gap = _longest_gap(constraints, window, measurements, most_cells, least=2.0)
+    cells = _cells(constraints, window, gap)
+    if cells > most_cells:
+        raise JobError(
+            f"window = {window} needs about {cells:,} numbers for each group of draws, allowed: "
+            f"{most_cells:,}; take a smaller window, or more memory",
+            argument="window",
+        )
+    return _relaxation(constraints, window, gap)
+
+
+def relaxation_within(constraints: Constraints, measurements: int, most_cells: int) -> Relaxation:
+    """The relaxation with which a search begins, within a memory; none is refused.
+
+    It has windows of `WINDOW` measurements with gaps of up to three mean gaps, or down to 1.2 if
+    three need too much memory. If these are too many, it has only single measurements, and windows
+    grow from them. This happens if few measurements lie far apart. The arguments are those of
+    `relaxation_for`.
+    """
+    for window, least in ((WINDOW, _LEAST_OF_A_SEARCH), (1, 3.0)):
+        gap = _longest_gap(constraints, window, measurements, most_cells, least)
+        if window == 1 or _cells(constraints, window, gap) <= most_cells:
+            break
+    return _relaxation(constraints, window, gap)
+
+
+def _longest_gap(
+    constraints: Constraints, window: int, measurements: int, most_cells: int, least: float
+) -> int:
+    """The longest gap: three mean gaps, or less if memory demands it, but not below `least`."""
+    instants = constraints.horizon + 1
+    shortest, gap = (
+        min(math.ceil(gaps * instants / (measurements + 1)), instants) for gaps in (least, 3.0)
+    )
+    while gap > shortest and _cells(constraints, window, gap) > most_cells:
+        gap -= 1
+    return gap
+
+
+def _cells(constraints: Constraints, window: int, longest_gap: int) -> int:
+    """About how many errors count."""
+    instants, sensors = constraints.horizon + 1, constraints.sensors
+    windows = instants * sensors * (longest_gap * sensors) ** (window - 1)
+    return int(windows * longest_gap) + instants**2 * sensors
+
+
+def _relaxation(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
+    """The relaxation with money in coarse units."""
+    unit = 1 if constraints.counted else math.ceil(constraints.total / MOST_UNITS)
+    return replace(relaxation_with(constraints, window, longest_gap), unit=unit)

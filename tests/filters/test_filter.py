@@ -1,0 +1,534 @@
+"""A filter of real measurements: the batch filter's bits, the exact filter, surprise, errors."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import oracles.kalman
+from pfdist import Cloud, Filter, StateSpaceModel, load_model
+from pfdist.errors import (
+    EngineWarning,
+    MeasurementsError,
+    ModelError,
+    PfdistError,
+    PriorError,
+    TraceError,
+)
+from pfdist.filters.cloud import Gaussian
+from pfdist.filters.draws import Draws
+from pfdist.filters.engines import ENGINES
+from pfdist.filters.filter import SUSPICIOUS
+from pfdist.filters.filter_estimate import PREDICTIVE
+from pfdist.filters.interface import Filtered
+from pfdist.filters.one_filter import OneFilter
+from pfdist.filters.simulation import simulate
+from pfdist.filters.work import Estimation
+
+HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
+LEVELS = (0.05, 0.5, 0.9)
+HALF_LOG_2_PI = math.log(2 * math.pi) / 2
+LARGEST_Z = 4.0  # standard errors
+# The compiled filter is compared with the filter in NumPy once; to compile another one is slow.
+NOT_COMPILED = [
+    pytest.param(engine, marks=[pytest.mark.slow] * (engine == "compiled")) for engine in ENGINES
+]
+
+SENSORS = StateSpaceModel(  # two sensors of a random walk, either of which may fail
+    name="sensors",
+    initial=lambda w, p: (2 * w[0],),
+    transition=lambda x, t, w, p: (x[0] + 0.5 * w[0],),
+    measurement=lambda x, t, v, p: (x[0] + v[0], x[0] + 2 * v[1]),
+    log_likelihood=lambda y, x, t, p: (
+        np.where(np.isnan(y[0]), 0.0, -0.5 * (y[0] - x[0]) ** 2 - HALF_LOG_2_PI)
+        + np.where(
+            np.isnan(y[1]), 0.0, -0.5 * ((y[1] - x[0]) / 2) ** 2 - HALF_LOG_2_PI - math.log(2)
+        )
+    ),
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal", "normal"),
+    linear_gaussian=True,
+    normalised=True,
+    missing_components=True,
+)
+FIRST_SENSOR = replace(
+    SENSORS,
+    name="first sensor",
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2 - HALF_LOG_2_PI,
+    measurement_noise=("normal",),
+)
+COIN = replace(
+    FIRST_SENSOR,
+    name="coin",
+    measurement=lambda x, t, v, p: (np.where(v[0] < 1 / (1 + np.exp(-x[0])), 1.0, 0.0),),
+    log_likelihood=lambda y, x, t, p: -np.log1p(np.exp(np.where(y[0] > 0.5, -x[0], x[0]))),
+    measurement_noise=("uniform",),
+    linear_gaussian=False,
+)
+
+
+def _batch(
+    engine: str, model: StateSpaceModel, draws: Draws, stream: int, settings: Estimation
+) -> list[tuple[Any, Any, Any]]:
+    """Filter all draws at once: estimate, variance and last particles of each."""
+    times = tuple(t for t in TIMES if t in draws.instants)
+    filtered: Filtered = ENGINES[engine].filters.filter_checked_draws(
+        model, draws, times, stream, settings, trajectories=True
+    )
+    assert filtered.estimate is not None
+    assert filtered.variance is not None
+    assert filtered.last is not None
+    return list(zip(filtered.estimate, filtered.variance, filtered.last, strict=True))
+
+
+def _model_of(engine: str, ungm: StateSpaceModel) -> StateSpaceModel:
+    return oracles.kalman.TRACKING.as_model() if engine == "kalman" else ungm
+
+
+def _check_equal(
+    filtering: Filter, draws: Draws, batch: tuple[Any, Any, Any], draw: int, instants: range
+) -> None:
+    """Filter a draw from one instant to the next, and compare every estimate bit for bit."""
+    for t in instants:
+        estimate = filtering.update(t, draws.y[draw, t]) if t in TIMES else filtering.predict(t)
+        assert (estimate.t, estimate.measured) == (t, t in TIMES)
+        np.testing.assert_array_equal(estimate.mean, batch[0][t])
+        np.testing.assert_array_equal(estimate.standard_deviation, np.sqrt(batch[1][t]))
+
+
+@pytest.mark.parametrize(
+    ("engine", "resampling"),
+    [
+        *((engine, "systematic") for engine in ENGINES),
+        *((engine, "multinomial") for engine in ENGINES if engine != "kalman"),
+        *(
+            pytest.param(engine, "sorted_systematic", marks=pytest.mark.slow)
+            for engine in ENGINES
+            if engine != "kalman"
+        ),
+    ],
+)
+def test_it_equals_the_batch_filter_draw_for_draw(
+    ungm: StateSpaceModel, engine: str, resampling: str
+) -> None:
+    model = _model_of(engine, ungm)
+    draws = simulate(model, HORIZON, range(3), 7)
+    stream = Filter(model, seed=5, engine=engine).stream
+    batch = _batch(engine, model, draws, stream, Estimation(100, resampling))
+    for d in range(3):
+        filtering = Filter(model, 100, 5, resampling=resampling, engine=engine, draw=d)
+        _check_equal(filtering, draws, batch[d], d, range(HORIZON + 1))
+
+
+@pytest.mark.parametrize("engine", NOT_COMPILED)
+def test_to_start_from_the_batch_filters_cloud_and_go_on_is_never_to_have_stopped(
+    ungm: StateSpaceModel, engine: str
+) -> None:
+    model, settings = _model_of(engine, ungm), Estimation(100, "systematic")
+    draws = simulate(model, HORIZON, range(3), 7)
+    stream = Filter(model, seed=5, engine=engine).stream
+    whole = _batch(engine, model, draws, stream, settings)
+    for s in (4, 6):  # measured, and not measured
+        stopped = _batch(engine, model, draws.upto(s), stream, settings)
+        for d in range(3):
+            last = stopped[d][2]
+            prior = last if isinstance(last, Gaussian) else Cloud(s, last)
+            filtering = Filter(model, 100, 5, engine=engine, prior=prior, draw=d)
+            _check_equal(filtering, draws, whole[d], d, range(s + 1, HORIZON + 1))
+            first = Filter(model, 100, 5, engine=engine, draw=d)
+            for t in [t for t in TIMES if t <= s]:
+                first.update(t, draws.y[d, t])
+            if s not in TIMES:
+                first.update(s, np.full(model.components[1], np.nan))
+            assert first.cloud.t == s
+            again = Filter(model, 100, 5, engine=engine, prior=first.cloud, draw=d)
+            _check_equal(again, draws, whole[d], d, range(s + 1, HORIZON + 1))
+
+
+@pytest.mark.parametrize("engine", NOT_COMPILED)
+def test_one_step_over_several_instants_gives_the_estimates_of_each(
+    ungm: StateSpaceModel, engine: str
+) -> None:
+    model, settings = _model_of(engine, ungm), Estimation(100, "systematic")
+    draws = simulate(model, HORIZON, range(2), 7)
+    for d, (mean, variance, _) in enumerate(_batch(engine, model, draws, 9, settings)):
+        filtering, before = OneFilter(model, settings, 9, d, engine), 0
+        for t in (*TIMES, HORIZON):
+            y = (draws.y[d, t],) if t in TIMES else ()
+            filtering, means, variances = filtering.at(t, *y)
+            assert (filtering.t, filtering.measured) == (t, t in TIMES)
+            np.testing.assert_array_equal(means[1:], mean[before + 1 : t + 1])
+            np.testing.assert_array_equal(variances[1:], variance[before + 1 : t + 1])
+            before = t
+
+
+def _within(found: Any, exact: Any) -> None:
+    """Refuse means over seeds that are more than some standard errors away from the exact value."""
+    found = np.asarray(found)
+    error = found.std(axis=0, ddof=1) / math.sqrt(len(found))
+    np.testing.assert_array_less(np.abs(found.mean(axis=0) - exact), LARGEST_Z * error)
+    assert (error > 0).all()
+
+
+def _evidence(filtering: Filter) -> float:
+    assert filtering.log_evidence is not None
+    return filtering.log_evidence
+
+
+def test_it_is_the_exact_filter_within_monte_carlo_error() -> None:
+    draws = simulate(SENSORS, HORIZON, range(1), 3)
+    exact = Filter(SENSORS, engine="kalman")
+    # The bias of order 1/P must be small against the standard error over the seeds, 1/sqrt(P S).
+    particles, seeds = 4000, 60
+    filters = [Filter(SENSORS, particles, seed) for seed in range(seeds)]
+    for t in TIMES:
+        known = exact.update(t, draws.y[0, t])
+        estimates = [filtering.update(t, draws.y[0, t]) for filtering in filters]
+        _within([estimate.mean for estimate in estimates], known.mean)
+        _within([estimate.standard_deviation for estimate in estimates], known.standard_deviation)
+        _within([estimate.quantiles(LEVELS) for estimate in estimates], known.quantiles(LEVELS))
+        # This ratio is an unbiased estimate of 1.
+        ratios = [math.exp(_evidence(filtering) - _evidence(exact)) for filtering in filters]
+        _within(ratios, 1.0)
+        sizes = [estimate.effective_sample_size for estimate in estimates]
+        assert all(size is not None and 1 < size < particles for size in sizes)
+    assert known.effective_sample_size is None
+
+
+def test_the_exact_evidence_is_the_density_of_all_measurements_together() -> None:
+    draws, times = simulate(SENSORS, 6, range(1), 4), (1, 2, 5)
+    exact = Filter(SENSORS, engine="kalman")
+    for t in times:
+        exact.update(t, draws.y[0, t])
+    walk = [[4 + 0.25 * min(t, s) for t in times] for s in times]  # covariance of x
+    covariance = np.kron(walk, np.ones((2, 2))) + np.diag([1.0, 4.0] * len(times))
+    density = stats.multivariate_normal(cov=covariance).logpdf(draws.y[0, times].ravel())
+    assert exact.log_evidence == pytest.approx(density, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_a_model_without_a_normalised_likelihood_has_no_evidence_and_says_why() -> None:
+    filtering = Filter(load_model("random_walk"), 50)
+    filtering.update(0, 1.0)
+    assert filtering.log_evidence is None
+    assert "random_walk does not declare normalised=True" in filtering.why_no_evidence
+    assert Filter(SENSORS, 50).why_no_evidence == ""
+    assert Filter(SENSORS, 50).log_evidence == 0.0
+    assert Filter("random_walk", engine="kalman").log_evidence == 0.0
+
+
+def test_a_prediction_does_not_move_the_filter(ungm: StateSpaceModel) -> None:
+    y = simulate(ungm, HORIZON, range(1), 7).y[0, :, 0]
+    quiet, asked = Filter(ungm, 80), Filter(ungm, 80)
+    for t in TIMES:
+        estimate = quiet.update(t, y[t])
+        for later in (HORIZON, t + 1, t):
+            asked.predict(max(later, asked.now.t))
+        same = asked.update(t, y[t])
+        assert asked.now is same
+        np.testing.assert_array_equal(same.quantiles(LEVELS), estimate.quantiles(LEVELS))
+        assert same.surprise == estimate.surprise
+        assert same.effective_sample_size == estimate.effective_sample_size
+        before = asked.predict(t)
+        assert before is same
+        assert asked.predict(t + 1).surprise is None
+        assert asked.predict(t + 1).effective_sample_size == 80.0
+        assert asked.now is same
+
+
+@pytest.mark.parametrize("engine", NOT_COMPILED)
+def test_a_component_that_is_missing_is_as_if_there_were_no_such_sensor(engine: str) -> None:
+    y = simulate(SENSORS, HORIZON, range(1), 7).y[0]
+    both, alone = (Filter(model, 60, engine=engine) for model in (SENSORS, FIRST_SENSOR))
+    for t in TIMES:
+        estimate, expected = both.update(t, [y[t, 0], np.nan]), alone.update(t, y[t, 0])
+        np.testing.assert_allclose(estimate.mean, expected.mean, rtol=1e-12)
+        np.testing.assert_allclose(
+            estimate.quantiles(LEVELS), expected.quantiles(LEVELS), rtol=1e-12
+        )
+        assert estimate.surprise == pytest.approx(expected.surprise, abs=2 / PREDICTIVE)  # ties
+    assert both.log_evidence == pytest.approx(alone.log_evidence, rel=1e-9)
+
+
+def test_a_time_without_any_component_is_not_measured(ungm: StateSpaceModel) -> None:
+    y = simulate(ungm, HORIZON, range(1), 7).y[0, :, 0]
+    whole, skipping = Filter(ungm, 60), Filter(ungm, 60)
+    for t in range(HORIZON + 1):
+        if t not in TIMES:
+            estimate = skipping.update(t, np.nan)
+            assert (estimate.measured, estimate.surprise) == (False, None)
+            continue
+        filtering, other = whole.update(t, y[t]), skipping.update(t, [y[t]])
+        np.testing.assert_array_equal(filtering.mean, other.mean)
+    assert skipping.now.t == HORIZON
+    assert skipping.update(HORIZON, 0.5).measured  # it was not measured yet
+
+
+# --- surprise -------------------------------------------------------------------------------------
+
+
+def _surprises(believed: StateSpaceModel, truth: StateSpaceModel, engine: str) -> Any:
+    draws = simulate(truth, HORIZON, range(40), 11)
+    found = []
+    for d in range(40):
+        filtering = Filter(believed, 400, engine=engine, draw=d)
+        found += [filtering.update(t, draws.y[d, t]).surprise for t in TIMES]
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("model", "engine"),
+    [
+        ("ungm", "compiled"),
+        (FIRST_SENSOR, "kalman"),
+        pytest.param(COIN, "compiled", marks=pytest.mark.slow),
+    ],
+    ids=["ungm", "kalman", "coin"],
+)
+def test_the_surprise_is_uniform_if_the_model_is_right(model: Any, engine: str) -> None:
+    model = load_model(model) if isinstance(model, str) else model
+    found = _surprises(model, model, engine)
+    assert stats.kstest(found, "uniform").pvalue > 0.001
+
+
+def test_two_components_are_no_more_surprising_than_they_should_be() -> None:
+    found = _surprises(SENSORS, SENSORS, "compiled")
+    below = np.mean(found < 0.1)
+    assert below < 0.1 + LARGEST_Z * math.sqrt(0.09 / found.size)
+    assert below > 0.03  # twice the smaller of two: not far below, as errors are correlated
+
+
+def test_a_wrong_model_surprises(ungm: StateSpaceModel) -> None:
+    quieter = ungm.with_parameters({"measurement_sd": 0.3})
+    found = _surprises(quieter, ungm, "compiled")
+    assert stats.kstest(found, "uniform").pvalue < 1e-9
+    filtering = Filter(ungm, 50)
+    beyond_all = filtering.update(0, 1e4).surprise
+    assert beyond_all is not None
+    assert 0 < beyond_all < 2 / PREDICTIVE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["random_walk", "ungm"])
+def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
+    """So its p-value must be below 1 % / 400; one of 20,001 simulated measurements is 1e-4."""
+    model, t = load_model(name), 2
+    noise_sd = 2 + math.sin(0.25 * t) if name == "ungm" else 1.0  # Aspeel et al. 2020, eq. 10
+    y, noticed = simulate(model, t, range(30), 11).y[:, :, 0], 0
+    for d in range(30):
+        filtering = Filter(model, 500, draw=d)
+        for earlier in range(t):
+            filtering.update(earlier, y[d, earlier])
+        surprise = filtering.update(t, y[d, t] - 12 * noise_sd).surprise
+        assert surprise is not None
+        noticed += surprise < 0.01 / 400
+    assert noticed >= 29
+
+
+@pytest.mark.slow
+def test_few_particles_raise_no_alarm_about_a_right_model() -> None:
+    """A precise measurement lies beyond all of 50 exact particles 2 times in 51."""
+    precise = load_model("random_walk").with_parameters({"measurement_sd": 0.1})
+    draws = simulate(precise, 4, range(80), 11)
+    found = []
+    for d in range(80):
+        filtering = Filter(precise, 50, draw=d)
+        found += [filtering.update(t, draws.y[d, t]).surprise for t in range(5)]
+    level, number = 1e-3, len(found)
+    assert np.sum(np.array(found) < level) < level * number + 3 * math.sqrt(level * number)
+
+
+def test_an_update_does_not_fail_because_one_of_many_states_overflows() -> None:
+    overflowing = replace(
+        FIRST_SENSOR,  # beyond 3.9 lie 10 of 200,000 standard normal variates
+        transition=lambda x, t, w, p: (np.where(w[0] > 3.9, np.inf, x[0] + 0.5 * w[0]),),
+    )
+    filtering = Filter(overflowing, 50, engine="numpy")
+    for t in (3, 4):
+        surprise = filtering.update(t, 30.0 * t).surprise
+        assert surprise is not None
+        assert 0 < surprise < SUSPICIOUS
+
+
+# --- the prior ------------------------------------------------------------------------------------
+
+
+def test_an_array_is_particles_of_the_first_instant() -> None:
+    x = np.random.default_rng(0).normal(7, 1, 400)
+    by_array, by_cloud = (
+        Filter("random_walk", 400, prior=x),
+        Filter("random_walk", 400, prior=Cloud(0, x[None])),
+    )
+    assert by_array.now.t == 0
+    np.testing.assert_array_equal(by_array.now.mean, [x.mean()])
+    np.testing.assert_array_equal(by_array.update(3, 6.0).mean, by_cloud.update(3, 6.0).mean)
+
+
+def test_the_kalman_filter_takes_the_moments_of_a_prior() -> None:
+    x = np.random.default_rng(0).normal(7, 1, (1, 50))
+    exact = Filter("random_walk", engine="kalman", prior=Cloud(4, x))
+    assert exact.now.t == 4
+    assert exact.now.mean == pytest.approx(x.mean())
+    assert exact.now.standard_deviation == pytest.approx(x.std())
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("t", "y", "words"),
+    [
+        (1.5, 0.0, r"^t must be an integer, got 1\.5$"),
+        (True, 0.0, "^t must be an integer, got True$"),
+        (31, 0.0, r"^t must lie in 0\.\.30, got 31$"),
+        (4, 0.0, "the order of time, each instant once: t must be after 4, got 4$"),
+        (5, [1.0, 2.0], "as many components as y of the model ungm, 1, got 2 at t = 5$"),
+        (5, [[1.0]], r"1, got an array of shape \(1, 1\) at t = 5$"),
+        (5, math.inf, r"must be finite, or NaN .*, got y\[0\] = inf at t = 5$"),
+        (5, "high", "must be a number or a sequence of numbers, got 'high' at t = 5$"),
+        (5, None, "must be a number, got None at t = 5$"),
+    ],
+)
+def test_a_wrong_measurement_is_named_and_the_filter_stays(
+    ungm: StateSpaceModel, t: Any, y: Any, words: str
+) -> None:
+    filtering = Filter(ungm, 20, horizon=30)
+    before = filtering.update(4, 1.0)
+    with pytest.raises(MeasurementsError, match=words):
+        filtering.update(t, y)
+    assert filtering.now is before
+    with pytest.raises(MeasurementsError, match=r"^t must not be before 4, got 3$"):
+        filtering.predict(3)
+
+
+def test_a_missing_component_needs_the_models_word() -> None:
+    silent = replace(SENSORS, missing_components=False)
+    words = r"all .* or none, got y\[1\] missing at t = 2: the model sensors does not declare"
+    for engine in ENGINES:
+        with pytest.raises(MeasurementsError, match=words):
+            Filter(silent, 20, engine=engine).update(2, [1.0, np.nan])
+        assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
+
+
+def _walk(**formulas: Any) -> StateSpaceModel:
+    return replace(load_model("random_walk"), linear_gaussian=False, **formulas)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_a_measurement_that_no_particle_explains_is_named_with_the_reason(engine: str) -> None:
+    """More particles do not help where the likelihood is 0 for all, nor where it is NaN."""
+
+    def refused(value: float, **formulas: Any) -> str:
+        with pytest.raises(MeasurementsError) as error:
+            Filter(_walk(**formulas), 20, engine=engine).update(3, value)
+        return str(error.value)
+
+    def bounded(y: Any, x: Any, t: Any, p: Any) -> Any:
+        return np.where(np.abs(y[0] - x[0]) < 1, 0.0, -np.inf)
+
+    excluded = "its likelihood is 0 for every particle, so the model excludes it"
+    assert refused(1e6, log_likelihood=bounded) == (
+        f"no particle of 20 explains the measurement [1000000.0] at t = 3: {excluded}"
+    )
+    for value, name in ((np.nan, "NaN"), (np.inf, "infinity")):
+        told = refused(2.5, log_likelihood=lambda y, x, t, p, value=value: 0 * x[0] + value)
+        assert (
+            told == f"log_likelihood of random_walk must be a number, got {name} for [2.5] at t = 3"
+        )
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_a_formula_that_gives_nan_is_named_with_the_instant(engine: str) -> None:
+    def at_2(value: float) -> Any:
+        """A term that is this value at t = 2, and 0 elsewhere."""
+        return lambda t: np.where(np.equal(t, 2), value, 0.0)
+
+    def refused(**formulas: Any) -> str:
+        with pytest.raises(MeasurementsError) as error:
+            Filter(_walk(**formulas), 20, engine=engine).update(5, 0.0)
+        return str(error.value)
+
+    nan, large = at_2(np.nan), at_2(1e300)
+    cases = {
+        "transition must stay finite, got NaN at t = 3": {
+            "transition": lambda x, t, w, p: (x[0] + w[0] + nan(t),)
+        },
+        "quantity_of_interest must stay finite, got NaN at t = 2": {
+            "quantity_of_interest": lambda x, t, p: (x[0] + nan(t),)
+        },
+        "quantity_of_interest must stay finite, got too large a value at t = 2": {
+            "quantity_of_interest": lambda x, t, p: (x[0] + large(t),)
+        },
+    }
+    for told, formulas in cases.items():
+        assert refused(**formulas) == f"{told} (model random_walk)"
+
+
+@pytest.mark.slow
+def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() -> None:
+    bounded = replace(
+        FIRST_SENSOR,
+        log_likelihood=lambda y, x, t, p: np.where(np.abs(y[0] - x[0]) < 1, 0.0, -np.inf),
+    )
+    filtering = Filter(bounded, 20)
+    before = filtering.update(2, 0.0)
+    with pytest.raises(MeasurementsError, match=r"no particle of 20 explains .* at t = 3"):
+        filtering.update(3, 1e6)
+    assert filtering.now is before
+    assert filtering.update(4, 0.0).t == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"particles": 0}, ValueError, "particles must be at least 1, got 0"),
+        ({"engine": "gpu"}, ValueError, "engine must be one of 'auto', 'compiled', .* got 'gpu'"),
+        ({"engine": "kalman"}, ModelError, "declares itself linear_gaussian, got ungm"),
+        ({"seed": 1.5}, ValueError, r"seed must be an integer, got 1\.5"),
+        ({"draw": -1}, ValueError, "draw must be at least 0, got -1"),
+        ({"horizon": 32_001}, ValueError, "horizon must be at most 32,000, got 32,?001"),
+        ({"model": 3}, ModelError, "a model must be a StateSpaceModel or a name, got 3"),
+        ({"prior": np.ones((2, 5))}, PriorError, "as many components of x .* ungm, 1, got 2"),
+        ({"prior": "mine"}, PriorError, "a Cloud, a DataFrame or an array .*, got 'mine'"),
+        ({"prior": Gaussian(0, np.zeros(1), np.eye(1))}, PriorError, "got a normal distribution"),
+        ({"prior": Cloud(7, np.ones((1, 5))), "horizon": 6}, PriorError, r"in 0\.\.6, got 7"),
+    ],
+)
+def test_a_wrong_setting_is_named(
+    arguments: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
+        Filter(**{"model": "ungm", "particles": 20} | arguments)
+
+
+@pytest.mark.parametrize("levels", [0.0, 1.0, [0.5, math.nan], [[0.5]]])
+def test_levels_of_quantiles_lie_between_0_and_1(ungm: StateSpaceModel, levels: Any) -> None:
+    with pytest.raises(ValueError, match=r"^levels must lie between 0 and 1, got "):
+        Filter(ungm, 20).now.quantiles(levels)
+
+
+def test_a_model_that_cannot_be_traced_is_filtered_in_numpy() -> None:
+    slow = replace(
+        FIRST_SENSOR,
+        transition=lambda x, t, w, p: (np.piecewise(x[0], [x[0] > 0], [1, 2]) + w[0],),
+    )
+    with pytest.warns(EngineWarning, match=r"in NumPy .* \(engine='numpy' says that you know\)"):
+        found = Filter(slow, 30).update(2, 1.0)
+    np.testing.assert_array_equal(found.mean, Filter(slow, 30, engine="numpy").update(2, 1.0).mean)
+    with pytest.raises(TraceError):
+        Filter(slow, 30, engine="compiled")
+
+
+@pytest.mark.slow
+def test_a_formula_that_fails_is_named() -> None:
+    def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
+        return -(y[0] ** 2) / np.array([1.0, 2.0])[t]
+
+    with pytest.raises(PfdistError, match=r"log_likelihood failed: IndexError.* at t = 2"):
+        Filter(replace(FIRST_SENSOR, log_likelihood=log_likelihood), 30).update(2, 1.0)

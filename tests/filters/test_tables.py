@@ -1,0 +1,176 @@
+"""Tables that a user brings: measurements and priors, in CSV and Parquet, right and wrong."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pfdist import StateSpaceModel, load_model
+from pfdist.common.clock import Clock
+from pfdist.errors import MeasurementsError, PriorError
+from pfdist.filters.measurements import read_measurements
+from pfdist.filters.user_prior import read_prior
+from pfdist.store import user_tables
+
+NAN = float("nan")
+
+
+@pytest.fixture(scope="module")
+def ship() -> StateSpaceModel:
+    return replace(load_model("constant_velocity"), missing_components=True)
+
+
+def _written(path: Path, rows: dict[str, Any]) -> Path:
+    frame = pd.DataFrame(rows)
+    if path.suffix.lower() == ".parquet":
+        frame.to_parquet(path)
+    else:
+        frame.to_csv(path, index=False)
+    return path
+
+
+# --- measurements ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "PARQUET", "txt"])
+def test_rows_in_any_order_are_read_in_the_order_of_time(
+    tmp_path: Path, ship: StateSpaceModel, suffix: str
+) -> None:
+    rows = {"y1": [0.5, NAN, 0.1, NAN], "t": [7, 0, 3, 5], "y0": [2.0, 1.5, 1e-3, NAN]}
+    path = _written(tmp_path / f"ship.{suffix}", rows)
+    found = read_measurements(path, ship, Clock.counting(10))
+    assert found.t == (0, 3, 7)  # nothing was measured at 5
+    np.testing.assert_array_equal(found.y, [[1.5, NAN], [1e-3, 0.1], [2.0, 0.5]])
+
+
+def test_spaces_a_mark_of_byte_order_and_words_for_missing_are_read(
+    tmp_path: Path, ship: StateSpaceModel
+) -> None:
+    (tmp_path / "ship.csv").write_bytes(
+        b"\xef\xbb\xbft, y0 ,y1\r\n 3 ,NaN, 1e-1\r\n4,NA,\r\n5.0,-2,null\r\n"
+    )
+    found = read_measurements(tmp_path / "ship.csv", ship, Clock.counting(10))
+    assert found.t == (3, 5)
+    np.testing.assert_array_equal(found.y, [[NAN, 0.1], [-2.0, NAN]])
+
+
+def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpaceModel) -> None:
+    for name in ("none.csv", "none.parquet"):
+        found = read_measurements(
+            _written(tmp_path / name, {"t": [], "y0": [], "y1": []}), ship, Clock.counting(9)
+        )
+        assert (found.t, found.y.shape) == ((), (0, 2))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1, got 'time, y0, y1'"),
+        ("t,y0,y1,y2\n1,2,3,4", "the columns must be t, y0, y1, got 't, y0, y1, y2'"),
+        ("t;y0;y1\n1;2;3", "columns must be separated by commas; decimals have a point"),
+        ("1,2,3\n2,3,4", "the first line must name the columns"),
+        ("t,y0,y0\n1,2,3", "the columns must have different names, got 'y0' twice"),
+        ("", "must have a line that names the columns, got none"),
+        ("t,y0,y1\n1,2,3\n1,2,3", "a time must stand in one row, got t = 1 twice"),
+        ("t,y0,y1\n1.5,2,3", "t must be an integer, got 1.5"),
+        ("t,y0,y1\n0,2,3", "t must lie in 1..10, got 0"),
+        ("t,y0,y1\n3,inf,3", "got y0 = inf at t = 3"),
+        ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' must hold numbers, got 'high' in line 3"),
+        ("t,y0,y1\n3,1_000,3", "column 'y0' must hold numbers, got '1_000' in line 2"),
+        ("t,y0,y1\n3,1,2,3", "as many values as the first: got 4 values in line 2, 3 in the first"),
+        (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
+        ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' must hold numbers, got 'xxx"),
+        (",".join(map(str, range(1001))) + "\n", "at most 1,000 columns, got 1,001"),
+    ],
+)  # fmt: skip
+def test_a_wrong_csv_table_is_explained_in_one_line(
+    content: str | bytes, words: str, tmp_path: Path, ship: StateSpaceModel
+) -> None:
+    path = tmp_path / "ship.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(MeasurementsError, match=re.escape(words)) as raised:
+        read_measurements(path, ship, Clock.counting(10), start=1)
+    message = str(raised.value)
+    assert message.startswith(f"{path}: ")
+    assert len(message) < len(str(path)) + 700
+    assert "\n" not in message
+
+
+def test_a_wrong_parquet_table_is_explained_in_one_line(
+    tmp_path: Path, ship: StateSpaceModel
+) -> None:
+    path = tmp_path / "ship.parquet"
+    path.write_bytes(b"PAR1" + b"\xff" * 500 + b"PAR1")
+    words = r"a Parquet table was expected, got \"Parquet file size"
+    with pytest.raises(MeasurementsError, match=words):
+        read_measurements(path, ship, Clock.counting(10))
+    for wrong, kind in (("high", ".*string"), (True, "bool")):
+        _written(path, {"t": [1], "y0": [wrong], "y1": [1.0]})
+        with pytest.raises(MeasurementsError, match=rf"'y0' must hold numbers, got '{kind}'"):
+            read_measurements(path, ship, Clock.counting(10))
+    _written(path, {"t": [1, 2], "y0": [1, 2], "y1": [None, None]})
+    assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
+
+
+def test_a_file_that_is_none_or_too_large_is_not_read(
+    tmp_path: Path, ship: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(MeasurementsError, match=r"^cannot read .*none\.csv: No such file"):
+        read_measurements(tmp_path / "none.csv", ship, Clock.counting(10))
+    with pytest.raises(MeasurementsError, match="a table must be a file, got something else"):
+        read_measurements(tmp_path, ship, Clock.counting(10))
+    rows = {"t": [1, 2], "y0": [1.0, 2.0], "y1": [1.0, 2.0]}
+    for name in ("ship.csv", "ship.parquet"):
+        path = _written(tmp_path / name, rows)
+        with monkeypatch.context() as less:
+            less.setattr(user_tables, "MOST_NUMBERS", 5)
+            with pytest.raises(MeasurementsError, match="at most 5 numbers, got 2 rows of 3"):
+                read_measurements(path, ship, Clock.counting(10))
+        with monkeypatch.context() as less:
+            less.setattr(user_tables, "MOST_BYTES", 15)
+            with pytest.raises(MeasurementsError, match="at most 15 bytes is read, got"):
+                read_measurements(path, ship, Clock.counting(10))
+        assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
+
+
+# --- priors ---------------------------------------------------------------------------------------
+
+
+def test_a_prior_is_read_with_its_weights_and_its_instant(tmp_path: Path) -> None:
+    model = load_model("linear_gaussian")
+    columns = {"x1": [1.0, 2.0, 3.0], "x0": [4.0, 5.0, 6.0]}
+    for name in ("prior.parquet", "prior.csv"):
+        cloud = read_prior(_written(tmp_path / name, columns), model)
+        assert (cloud.t, cloud.weight) == (0, None)
+        np.testing.assert_array_equal(cloud.x, [columns["x0"], columns["x1"]])
+        more = columns | {"weight": [1.0, 0.0, 3.0], "t": [5, 5, 5]}
+        cloud = read_prior(_written(tmp_path / name, more), model)
+        assert cloud.t == 5
+        np.testing.assert_array_equal(cloud.share, [0.25, 0.0, 0.75])
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"x0": [1.0], "x1": [1.0], "w": [1.0]}, "may be weight and t, got 'x0, x1, w'"),
+        ({"x0": [1.0, NAN], "x1": [1.0, 2.0]}, "finite states, got x[0] = nan of particle 1"),
+        ({"x0": [1.0], "x1": [1.0], "t": [0.5]}, "one integer for all particles, got 0.5"),
+        ({"x0": [1.0, 1.0], "x1": [1.0, 1.0], "t": [3, 4]}, "for all particles, got 4"),
+    ],
+)  # fmt: skip
+def test_a_wrong_prior_is_explained_in_one_line(
+    columns: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    path = _written(tmp_path / "prior.parquet", columns)
+    with pytest.raises(PriorError, match=re.escape(words)) as raised:
+        read_prior(path, load_model("linear_gaussian"))
+    assert str(raised.value).startswith(f"{path}: ")
+
+
+def test_a_prior_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PriorError, match=r"^cannot read .*none\.parquet: No such file"):
+        read_prior(tmp_path / "none.parquet", load_model("ungm"))

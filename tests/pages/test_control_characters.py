@@ -1,0 +1,82 @@
+"""No control character of a model, a job or a run reaches a terminal, a page or a figure."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+import pfdist
+from pfdist.cli.main import main
+from pfdist.common.parts import Cell, Code, Facts, Page, Section, Table, Text
+from pfdist.common.shown import as_fragment
+from pfdist.errors import PfdistError, PfdistWarning
+from pfdist.pages.figure import Plot, drawn
+from pfdist.pages.html import as_html
+from pfdist.pages.terminal import lines_of
+from pfdist.questions.display import Display
+from pfdist.runner.progress import Progress
+
+BAD = "a\x1b[2J\x07\x9b\u202e\x00b"
+GOOD = "a?[2J????b"
+
+
+def _is_clean(text: str) -> bool:
+    return all(line.isprintable() for line in text.replace("\xa0", " ").split("\n"))
+
+
+@pytest.mark.parametrize("show", [as_html, as_fragment, lambda page: "\n".join(lines_of(page))])
+def test_every_part_of_a_page_is_clean(show: Callable[[Page], str]) -> None:
+    blocks = [
+        Text(BAD),
+        Code(f"first {BAD}\nsecond", detail=False),
+        Facts([(BAD, BAD)], BAD),
+        Table(BAD, [BAD, "other"], [[Cell(BAD), Cell(BAD)]]),
+    ]
+    text = show(Page(BAD, BAD, [Section(BAD, blocks)], [BAD], links=BAD, source=BAD))
+    assert _is_clean(text)
+    assert GOOD in text
+
+
+def test_the_texts_of_a_figure_are_clean() -> None:
+    def draw(panels: Any) -> None:
+        panels[0].plot([0, 1], [0, 1], label=BAD)
+        panels[0].legend(title=BAD)
+        panels[0].set_xlabel(f"two\nlines {BAD}")
+        panels[0].set_xticks([0, 1], [BAD, "1"])
+
+    file = io.StringIO()
+    drawn(Plot(2.0, draw)).savefig(file, format="svg")
+    assert _is_clean(file.getvalue())
+    assert GOOD in file.getvalue()
+
+
+def test_errors_warnings_and_progress_are_clean() -> None:
+    assert str(PfdistError(BAD)) == str(PfdistWarning(BAD)) == GOOD
+    out = io.StringIO()
+    with Display(Console(file=out, width=80)) as display:
+        display.show(Progress(BAD, 1.0, 1.0))
+        display.say(BAD)
+    assert _is_clean(out.getvalue())
+    assert out.getvalue().count(GOOD) == 2
+
+
+@pytest.mark.slow
+def test_a_model_with_such_a_name_has_clean_answers(
+    small_job: pfdist.Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "from dataclasses import replace\nfrom pfdist.models.library.ungm import model as ungm\n"
+    (tmp_path / "a.py").write_text(f"{text}model = replace(ungm, name={BAD!r})\n")
+    run = str(tmp_path / "run")
+    assert (
+        main(["run", str(small_job.path), "--results", run, "--set", "model.name=a.py:model"]) == 0
+    )
+    for words in (["status", run, "--verbose"], ["table", run], ["list", str(tmp_path)]):
+        assert main(words) == 0
+        assert main([*words, "--json"]) == 0
+    printed = capsys.readouterr()
+    files = [file for file in Path(run).rglob("*") if file.suffix in (".html", ".svg")]
+    for shown in (printed.out, printed.err, *(file.read_text() for file in files)):
+        assert _is_clean(shown)

@@ -1,0 +1,480 @@
+"""The paper's figures show what the tables say."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import StepPatch
+
+import pfdist
+from pfdist.common.clock import Clock
+from pfdist.errors import JobError
+from pfdist.pages.costs import legend_inches
+from pfdist.pages.figure import FIGURES, Tables, drawn
+from pfdist.pages.gains import plot_of_draw, typical_draw
+from pfdist.pages.online import measured_at, with_online
+from pfdist.pages.plots import (
+    budget,
+    cost,
+    draw_figures,
+    error_profile,
+    gain,
+    one_draw,
+    online_raster,
+    online_shares,
+    shifts,
+    uncertainty,
+    worth,
+)
+from pfdist.pages.style import COLUMN_INCHES, styled
+from pfdist.results import Gain, Run, open_run
+from pfdist.results.online import OnlineDraws
+from pfdist.results.stored_run import found_sets, statistics_of
+
+EVALUATIONS = pd.DataFrame(
+    [
+        # phase, generation, individual, copies, expected_mse
+        ("genetic", 0, 0, 1, 30.0),
+        ("genetic", 0, 1, 3, 40.0),
+        ("genetic", 1, 0, 2, 20.0),
+        ("genetic", 1, 2, 2, np.inf),  # killed
+        ("random", 0, 0, 1, 50.0),
+        ("random", 0, 1, 1, 30.0),
+        ("random", 0, 2, 1, 40.0),
+    ],
+    columns=["phase", "generation", "individual", "copies", "expected_mse"],
+)
+
+
+def _axes():
+    return Figure().subplots()
+
+
+def _lines(axes) -> dict[str, tuple[list[float], list[float]]]:
+    return {
+        line.get_label(): (
+            np.asarray(line.get_xdata()).tolist(),
+            np.asarray(line.get_ydata()).tolist(),
+        )
+        for line in axes.get_lines()
+    }
+
+
+def _legend(axes) -> str:
+    return " ".join(entry.get_text() for entry in axes.get_legend().get_texts())
+
+
+def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_far() -> None:
+    methods = {"genetic": "genetic", "random": "random"}
+    axes = cost(EVALUATIONS, methods, reference=("regular times", 31.2), ax=_axes())
+    lines = _lines(axes)
+    above = {label: (x, [round(percent, 9) for percent in y]) for label, (x, y) in lines.items()}
+    assert above["genetic, average"] == ([4, 8], [87.5, 0.0])  # 37.5 and 20, over 20
+    assert above["genetic, minimum"] == ([4, 8], [50.0, 0.0])
+    assert above["random, average"] == ([1, 2, 3], [150.0, 100.0, 100.0])
+    assert above["random, minimum"] == ([1, 2, 3], [150.0, 50.0, 50.0])
+    assert above["regular times: 31.2"][1] == [56.0, 56.0]
+    axes = cost(EVALUATIONS, methods, best=("genetic", 25.0), ax=_axes())
+    assert _lines(axes)["genetic, minimum"][1] == pytest.approx([20.0, -20.0])
+    assert _lines(axes)["genetic: 25"][1] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("worst", [1.05, 1.5, 200.0])
+def test_differences_of_1_percent_are_seen_beside_larger_ones(worst: float) -> None:
+    rows = EVALUATIONS[EVALUATIONS["phase"] == "random"]
+    rows = rows.assign(expected_mse=[20.0 * worst, 20.2, 20.0])
+    axes = cost(rows, {"random": "random"}, ax=_axes())
+    bottom, near, top = axes.transData.transform([(0, 0.0), (0, 1.0), (0, 100 * (worst - 1))])[:, 1]
+    assert near - bottom > 0.07 * (top - bottom)
+
+
+def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
+    plain: Run, finished: Callable[..., Path]
+) -> None:
+    """The reference is known for the estimator of the comparison alone."""
+    [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
+    comparable, other = drawn(plot).axes
+    curves = {"genetic, average", "genetic, minimum"}
+    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
+    names = {"regular": "regular times"} | {
+        name: f"the times of {name}" for name in found_sets(plain)
+    }
+    on_fresh_draws = {
+        f"{names[name]}: {mse[name]:.4g}" for name in ("regular", min(mse, key=mse.get))
+    }
+    assert {*_lines(comparable)} == curves | on_fresh_draws
+    assert {*_lines(other)} == {"survivors, best so far"}
+    assert {*_lines(cost(plain, ax=_axes()))} == {*_lines(comparable)}
+    axes = cost(plain, ["survivors"], ax=_axes())
+    assert {*_lines(axes)} == {*_lines(other)}
+    assert "estimated otherwise" in axes.get_legend().get_title().get_text()
+    run = pfdist.open_run(finished("comparison.reference=[0, 3, 9]"))
+    assert any(label.startswith("the reference: ") for label in _lines(cost(run, ax=_axes())))
+
+
+def test_a_file_is_laid_out_once_and_drawn_once(
+    plain: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A canvas with a layout engine draws everything once more for each format."""
+    draws, draw = list[Figure](), Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda canvas, to: (draws.append(canvas), draw(canvas, to)))
+    run = open_run(shutil.copytree(plain.path, tmp_path / "run"))
+    files = draw_figures(run, "times")
+    assert len(draws) == len(files) == 2
+
+
+def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:
+    rows = pd.DataFrame(
+        [
+            # generation, individual, copies, end, draws, expected_mse
+            (0, 0, 1, 5, 100, 1.0),  # a prefix
+            (0, 1, 1, 9, 50, 20.0),  # on few draws
+            (1, 0, 1, 9, 100, 30.0),
+            (1, 1, 1, 9, 100, 25.0),
+            (2, 0, 1, 9, 100, 28.0),
+        ],
+        columns=["generation", "individual", "copies", "end", "draws", "expected_mse"],
+    ).assign(phase="mine")
+    axes = cost(rows, {"mine": "survivors"}, ax=_axes())
+    numbers, above = _lines(axes)["mine, best so far"]
+    assert (numbers, np.round(above, 9).tolist()) == ([3, 4, 5], [20.0, 0.0, 0.0])
+    axes = cost(rows, {"mine": "greedy_forward"}, ax=_axes())
+    numbers, above = _lines(axes)["mine, best of a step"]
+    assert (numbers, np.round(above, 9).tolist()) == ([2, 4, 5], [0.0, 2400.0, 2700.0])
+
+
+def _trajectory(components: int) -> pd.DataFrame:
+    columns = {"t": [0, 1, 2]}
+    for k in range(components):
+        columns[f"z_{k}"] = [k, k + 0.5, k + 1]
+        columns[f"estimate_regular_{k}"] = [k, k + 0.25, k + 2]
+        columns[f"estimate_genetic_{k}"] = [k, k + 0.75, k + 3]
+    return pd.DataFrame(columns)
+
+
+def test_one_draw_shows_each_component_its_estimates_and_stars_and_plus_signs() -> None:
+    trajectory, sets = _trajectory(3), {"regular": [0, 2], "genetic": [1]}
+    panels = drawn(plot_of_draw(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
+    assert [axes.get_legend() is not None for axes in panels] == [True, False, False]
+    assert panels[0].get_legend().get_title().get_text() == "draw 3, relative gain 10 %"
+    for k, axes in enumerate(panels):
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        regular, genetic = lines[r"$\mathcal{M}$, regular"], lines[r"$\mathcal{M}$, genetic"]
+        assert (regular.get_marker(), list(regular.get_xdata())) == ("+", [0, 2])
+        assert (genetic.get_marker(), list(genetic.get_xdata())) == ("*", [1])
+        assert list(lines["$z(t)$"].get_ydata()) == [k, k + 0.5, k + 1]
+        assert [k, k + 0.25, k + 2] in [y for _, y in _lines(axes).values()]
+        assert axes.get_ylabel() == f"$z_{{{k}}}$"
+        assert _lines(one_draw(trajectory, sets, component=k, ax=_axes())) == _lines(axes)
+    assert one_draw(_trajectory(1), sets, ax=_axes()).get_ylabel() == "$z$"
+    with pytest.raises(JobError, match="component must be one of 0, 1, 2, got 3"):
+        one_draw(trajectory, sets, component=3, ax=_axes())
+
+
+def test_components_beyond_the_sixth_are_counted_below_the_panels() -> None:
+    sets = {"regular": [0], "genetic": [1]}
+    panels = drawn(plot_of_draw(_trajectory(8), sets, "", "")).axes
+    assert len(panels) == 6
+    assert panels[-1].get_xlabel() == "$t$; 2 more components are left out"
+
+
+def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
+    gains = pd.Series([0.1, -8.38, 0.26, 0.9, 0.3], index=[3, 4, 7, 8, 9])  # the mean is -1.36
+    assert typical_draw(gains) == 7
+    assert typical_draw(gains.drop(4)) == 7  # the lower of two
+    told = one_draw(plain, ax=_axes()).get_legend().get_title().get_text()
+    median = typical_draw(plain.table("gains").set_index("draw")["gain_genetic"])
+    assert told.startswith(f"draw {median}, relative gain ")
+    z = plain.table("trajectories").query("draw == 7")["z_0"].tolist()
+    assert _lines(one_draw(plain, draw=7, ax=_axes()))["$z(t)$"][1] == z
+
+
+def test_the_error_over_time_is_that_of_the_draws_in_which_every_set_has_an_estimate() -> None:
+    rng = np.random.default_rng(4)
+    z, errors = rng.normal(size=60), rng.normal(size=(2, 60)) * [[1.0], [2.0]]
+    table = pd.DataFrame({"draw": np.repeat(range(20), 3), "t": [0, 1, 2] * 20, "z_0": z})
+    table = table.assign(estimate_mine_0=z + errors[0], estimate_yours_0=z + errors[1])
+    table.loc[table["draw"] == 7, "estimate_yours_0"] = np.nan  # degenerate
+    axes = uncertainty(table, ax=_axes())
+    usable = errors.reshape(2, 20, 3)[:, np.arange(20) != 7]
+    squares = usable**2
+    for line, band, square in zip(axes.get_lines(), axes.collections, squares, strict=True):
+        np.testing.assert_allclose(line.get_ydata(), np.sqrt(square.mean(axis=0)))
+        half = 1.96 * square.std(axis=0, ddof=1) / np.sqrt(19)
+        top = np.sqrt(square.mean(axis=0) + half).max()
+        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(top)
+    assert [*_lines(axes)] == ["mine", "yours"]
+    assert [*_lines(uncertainty(table, ["yours"], ax=_axes()))] == ["yours"]
+    with pytest.raises(JobError, match="names must be one of mine, yours, got 'his'"):
+        uncertainty(table, ["his"], ax=_axes())
+
+
+def test_a_component_is_that_of_its_name_and_not_of_the_end_of_another() -> None:
+    table = pd.DataFrame(
+        {"draw": [0, 0, 1, 1], "t": [0, 1, 0, 1], "z_mass": 1.0, "z_dry_mass": 2.0}
+    )
+    table = table.assign(estimate_mine_mass=2.0, estimate_mine_dry_mass=5.0)
+    for component, (error, label) in enumerate([(1.0, "mass"), (3.0, "dry_mass")]):
+        axes = uncertainty(table, component=component, ax=_axes())
+        assert _lines(axes) == {"mine": ([0, 1], [error, error])}
+        assert axes.get_ylabel().split()[-1] == label
+
+
+def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
+    plain: Run, several: Run
+) -> None:
+    [(_, plot)] = FIGURES["times"].plots(Tables(plain))
+    above, below = drawn(plot).axes
+    assert [*_lines(above)] == plain.names
+    rows = [line for line in below.get_lines() if line.get_marker() != "None"]
+    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets.values()]
+    colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
+    assert colours[0] == colours[1]
+    assert above.get_xlim() == below.get_xlim()
+    table, (reference, *others) = plain.table("trajectories"), plain.names
+    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
+    best = min(others, key=mse.get)
+    errors = [
+        table.eval(f"(estimate_{name}_0 - z_0) ** 2").groupby(table["t"]).mean()
+        for name in (best, reference)
+    ]
+    lower = int((errors[0] < errors[1]).sum())
+    assert f"times of {best} is lower than with regular times at {lower} of " in plot.title
+    [(_, plot)] = FIGURES["times"].plots(Tables(several))
+    assert len(drawn(plot).axes) == 1
+
+
+def _gain(relative: np.ndarray) -> Gain:
+    known = Gain()
+    known.add(1 - relative, np.ones(relative.size))
+    return known
+
+
+def _area(axes) -> float:
+    return sum(patch.get_width() * patch.get_height() for patch in axes.patches)
+
+
+def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
+    relative = np.random.default_rng(1).normal(0.25, 0.2, 5000).clip(max=1)
+    axes = gain(_gain(relative), "genetic", reference="regular times", ax=_axes())
+    assert _area(axes) == pytest.approx(1)
+    edges = [patch.get_x() for patch in axes.patches]
+    edges.append(edges[-1] + axes.patches[0].get_width())
+    heights = [patch.get_height() for patch in axes.patches]
+    counts, _ = np.histogram(100 * relative, edges)
+    np.testing.assert_allclose(heights, counts / 5000 / np.diff(edges), atol=1e-9)
+    assert _lines(axes)["no gain"][0] == [0.0, 0.0]
+    text = _legend(axes)
+    assert f"mean {100 * relative.mean():.1f} %" in text
+    assert f"{100 * np.mean(relative > 0):.1f} %" in text
+    assert "5,000 draws" in text
+    assert " of them " not in text
+    assert axes.get_xlabel() == "relative gain $g$ of genetic over regular times [%]"
+
+
+def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
+    rng = np.random.default_rng(2)
+    bulk, tail = rng.normal(0.2, 0.1, 4900), -rng.uniform(2, 8.38, 90)
+    relative = np.concatenate([bulk, tail, np.full(10, -20.0)])  # and beyond all bins
+    axes = gain(_gain(relative), "mine", reference="the reference", ax=_axes())
+    low, high = axes.get_xlim()
+    middle = np.quantile(100 * relative, [0.25, 0.75])
+    assert np.diff(middle)[0] > 0.1 * (high - low)  # at most 7 quartile ranges are shown
+    below = int(np.sum(100 * relative < low))
+    assert below >= 100
+    assert f"{below} of them below {low:.0f} %".replace("-", "\N{MINUS SIGN}") in _legend(axes)
+    assert any(line.get_marker() == "<" for line in axes.get_lines())
+    assert _area(axes) == pytest.approx(1 - below / relative.size)  # density of all draws
+
+
+def test_another_set_is_an_outline_over_the_same_bars() -> None:
+    rng = np.random.default_rng(3)
+    online, plan = (rng.normal(mean, 0.2, 3000).clip(max=1) for mean in (0.4, 0.2))
+    beside = ("plan", _gain(plan))
+    axes = gain(_gain(online), "online", reference="regular times", beside=beside, ax=_axes())
+    (outline,) = [patch for patch in axes.patches if isinstance(patch, StepPatch)]
+    heights, edges, _ = outline.get_data()
+    counts, _ = np.histogram(100 * plan, edges)
+    np.testing.assert_allclose(heights, counts / 3000 / np.diff(edges), atol=1e-9)
+    text = _legend(axes)
+    assert f"online:\nmean {100 * online.mean():.1f} %" in text
+    assert f"plan:\nmean {100 * plan.mean():.1f} %" in text
+
+
+def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours() -> None:
+    times = [(0, 3), (1, 2), (0, 3), (0, 2)]
+    measured = measured_at(times, 4)
+    assert [tuple(np.flatnonzero(row)) for row in measured] == times
+    table = pd.DataFrame({"measurement_times": times})
+    draws = OnlineDraws("regular", "survivors", (0, 3), table, Clock.counting(4))
+    axes = online_raster(draws, ax=_axes())
+    (image,) = axes.get_images()
+    rows = [tuple(np.flatnonzero(row).tolist()) for row in np.asarray(image.get_array())]
+    assert rows == [(0, 2), (0, 3), (0, 3), (1, 2)]
+    axes = online_shares(draws, ax=_axes())
+    assert [bar.get_height() for bar in axes.patches] == [75, 25, 50, 50, 0]
+    planned = _lines(axes)["the plan, survivors"][0]
+    assert planned == [0, 3]
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.5, 1.0, 1.5), (0.0, 0.5, 1.0, 2.4)])
+def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) -> None:
+    clock = Clock(times, "h")
+    rows = pd.DataFrame({"measurement_times": [(0.0, 0.5), (0.5, times[-1])]})
+    draws = OnlineDraws("regular", "survivors", (0.0, 1.0), rows, clock)  # type: ignore[arg-type]
+    axes = online_shares(draws, ax=_axes())
+    middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
+    np.testing.assert_allclose(middles, times)
+    assert [bar.get_height() for bar in axes.patches] == [50, 100, 0, 50]
+    (image,) = online_raster(draws, ax=_axes()).get_images()
+    dark = np.asarray(image.get_array())
+    assert [dark[0, 0], dark[0, 1], dark[1, 1], dark[1, -1]] == [True] * 4
+    assert dark.sum() == 4
+
+
+def test_online_times_of_two_sensors_stand_beside_each_other_in_two_shades() -> None:
+    clock = Clock((0, 1, 2), sensors=("probe", "core"))
+    rows = pd.DataFrame({"measurement_times": [("0 core", "2 probe"), ("0 core", "0 probe")]})
+    draws = OnlineDraws("regular", "plan", ("0 core",), rows, clock)  # type: ignore[arg-type]
+    axes = online_shares(draws, ax=_axes())
+    assert [bar.get_height() for bar in axes.patches] == [50, 0, 50, 100, 0, 0]
+    probe, core = axes.patches[0], axes.patches[3]
+    assert probe.get_x() + probe.get_width() < core.get_x()
+    assert probe.get_facecolor() != core.get_facecolor()
+    (image,) = online_raster(draws, ax=_axes()).get_images()
+    assert np.asarray(image.get_array()).tolist() == [[1, 2, 0, 0, 0, 0], [0, 2, 0, 0, 1, 0]]
+
+
+def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:
+    trajectory = pd.DataFrame({"t": [0, 1, 2], "z_0": [1.0, 2.0, 3.0], "z_1": [4.0, 5.0, 6.0]})
+    both = with_online(trajectory, np.array([0.0, 10.0, 1.0, 11.0, 2.0, 12.0]))
+    assert both["estimate_online_0"].tolist() == [0.0, 1.0, 2.0]
+    assert both["estimate_online_1"].tolist() == [10.0, 11.0, 12.0]
+
+
+def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
+    profile = pd.DataFrame({"name": ["regular"] * 3 + ["found"] * 3, "t": [0, 1, 2] * 2})
+    profile["measured"] = [True, False, True, False, True, False]
+    profile = profile.assign(error=[1.0, 5.0, 2.0, 3.0, 1.0, 2.0], standard_error=0.1)
+    axes = error_profile(profile, draws=2000, ax=_axes())
+    assert "2,000 draws" in axes.get_legend().get_title().get_text()
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    regular, found = lines["regular, mean 2.667"], lines["found, mean 2"]
+    assert np.asarray(regular.get_ydata()).tolist() == [1.0, 5.0, 2.0]
+    assert np.asarray(found.get_ydata()).tolist() == [3.0, 1.0, 2.0]
+    assert [list(line.get_markevery()) for line in (regular, found)] == [[0, 2], [1]]
+    band = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert (band.min(), band.max()) == pytest.approx((1 - 0.196, 5 + 0.196))
+
+
+@pytest.mark.parametrize(
+    ("weights", "mean"), [([2.25, 0.75, 0.0], "2.5"), ([1.0, 1.0, 1.0], "nan")]
+)
+def test_the_mean_of_a_profile_is_weighted_as_the_mse_is(weights: list[float], mean: str) -> None:
+    """An error that is unknown counts unless its weight is 0."""
+    profile = pd.DataFrame(
+        {"name": "found", "t": [0.0, 1.0, 4.0], "measured": [True, False, False]}
+    )
+    profile = profile.assign(error=[2.0, 4.0, np.nan], standard_error=0.1, weight=weights)
+    axes = error_profile(profile, ax=_axes())
+    assert axes.get_lines()[0].get_label() == f"found, mean {mean}"
+
+
+def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_intervals() -> None:
+    measurements = pd.DataFrame(
+        {
+            "name": ["regular", "found", "found"],
+            "t": [0, 1, 4],
+            "removed": [2.0, 1.0, -0.5],
+            "removed_error": [0.1, 0.2, 0.3],
+            "earlier": [np.nan, 0.5, 0.25],
+            "earlier_error": [np.nan, 0.1, 0.1],
+            "later": [-1.0, np.nan, 0.75],
+            "later_error": [0.1, np.nan, 0.1],
+        }
+    )
+    axes = worth(measurements, ax=_axes())
+    stems = [segment.tolist() for segment in axes.collections[2].get_segments()]
+    assert stems == [[[1.2, 0.0], [1.2, 1.0]], [[4.2, 0.0], [4.2, -0.5]]]  # beside the other's
+    bars = np.stack(axes.collections[3].get_segments())[:, :, 1]
+    np.testing.assert_allclose(bars, [[1 - 0.392, 1 + 0.392], [-0.5 - 0.588, -0.5 + 0.588]])
+    axes = shifts(measurements, ax=_axes())
+    shown = {(line.get_marker(), *np.asarray(line.get_ydata())) for line in axes.get_lines()}
+    assert {("<", 0.5, 0.25), (">", -1.0), (">", 0.75)} <= shown
+
+
+@pytest.fixture
+def curve() -> pd.DataFrame:
+    """A budget curve with a lower bound for 3 numbers of measurements, of which 4 lacks one."""
+    costs = {"regular": [9.0, 7.0, 8.0, 6.0], "found": [8.0, 6.0, 5.0, 4.0]}
+    table = pd.DataFrame(
+        [
+            {"kind": kind, "measurements": number, "measurement_times": [*range(number)]}
+            | {"expected_mse": mse, "low": mse - 0.2, "high": mse + 0.2, "draws": 100}
+            | {"standard_error": 0.1, "bound": np.nan, "bound_low": np.nan}
+            for kind, column in costs.items()
+            for number, mse in enumerate(column, start=2)
+        ]
+    )
+    table.loc[table["kind"] == "found", "bound"] = [7.8, 5.8, np.nan, 3.8]
+    table.loc[table["kind"] == "found", "bound_low"] = [7.5, 5.5, np.nan, 3.5]
+    return table
+
+
+def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
+    curve: pd.DataFrame,
+) -> None:
+    axes = budget(curve, ax=_axes())
+    labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
+    assert labels == ["regular times", "found times", "lower bound (95 %)"]
+    numbers, bound = _lines(axes)["lower bound (95 %)"]
+    assert numbers == [2, 3, 4, 5]
+    np.testing.assert_array_equal(bound, [7.8, 5.8, np.nan, 3.8])
+    shade = np.concatenate([path.vertices for path in axes.collections[-1].get_paths()])
+    assert (shade[:, 1].min(), shade[:, 1].max()) == (3.5, 7.8)
+    lines = [container[0].get_ydata().tolist() for container in axes.containers]
+    assert lines == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
+
+
+@pytest.mark.parametrize(
+    ("target", "marked"),
+    [
+        (7.2, {"3": 3, "no 2": 2}),  # 3 regular times reach it, too
+        (5.2, {"4": 4, "no 3": 3}),
+        (3.0, {"no 5": 5}),
+        (9.5, {"2": 2}),
+    ],
+)
+def test_the_least_numbers_that_reach_a_target_are_marked_and_the_largest_that_cannot(
+    target: float, marked: dict[str, int], curve: pd.DataFrame
+) -> None:
+    axes = budget(curve, target=target, ax=_axes())
+    assert {text.get_text(): text.xy[0] for text in axes.texts} == marked
+    assert _lines(axes)[f"target {target:g}"][1] == [target, target]
+    assert f"target {target:g}" in _legend(axes)
+
+
+@pytest.mark.parametrize("name", ["random_{}", "a_search_with_quite_a_long_name_{}"])
+def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend(name: str) -> None:
+    names = [name.format(number) for number in range(20)]
+    rows = [EVALUATIONS[EVALUATIONS["phase"] == "random"].assign(phase=search) for search in names]
+    with styled():
+        height = 1.9 + legend_inches(names)
+        figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
+        axes = figure.subplots()
+        methods, reference = dict.fromkeys(names, "random"), ("regular times", 31.2)
+        cost(pd.concat(rows), methods, reference=reference, ax=axes)
+        figure.draw_without_rendering()
+    texts = [text.get_window_extent() for text in axes.get_legend().get_texts()]
+    assert len(axes.get_legend().get_texts()) == 41
+    assert len({line.get_color() for line in axes.get_lines()}) == 21  # a colour for each search
+    assert axes.get_window_extent().height > 1.0 * figure.dpi
+    assert all(text.x0 >= 0 and text.x1 <= figure.bbox.width for text in texts)
+    assert all(text.y1 <= figure.bbox.height for text in texts)
+    for column in {round(text.x0) for text in texts}:
+        rows = sorted(text.y0 for text in texts if round(text.x0) == column)
+        assert min(np.diff(rows)) > 7 / 72 * figure.dpi  # no line lies on another

@@ -1,0 +1,424 @@
+"""The report of a run says what the tables say and support; no file of a run becomes markup."""
+
+import json
+import re
+import shutil
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from oracles.listed import rewrite
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.common import stopping
+from pfdist.common.percent import gap_sentence, percent
+from pfdist.common.rounding import rounded
+from pfdist.errors import StoreError
+from pfdist.questions.about_run import _LOAD
+from pfdist.questions.run_page import page_of, searches
+from pfdist.questions.subject import Subject, effect
+from pfdist.results.sampling_windows import sentences, windows_of
+from pfdist.store.verify import verify_run
+
+MODEL = ("model.name=random_walk", "filter.engine=kalman")
+EXACT = (*MODEL, "comparison.draws=30", "search=[{method='genetic', generations=1}]")
+BOUND = {"budget": 4, "bound_error": 0.0, "gap": 0.1, "gap_at_most": 0.1, "confidence": 0.95}
+See = Callable[[pfdist.Run], Any]  # the page of a run
+Make = Callable[..., pfdist.Run]
+
+
+@pytest.fixture
+def exact(small_job: Job) -> Job:
+    return small_job.with_changes(EXACT)
+
+
+@pytest.fixture
+def make(finished: Callable[..., Path], tmp_path: Path) -> Make:
+    """A copy of the finished run of the exact job with other changes."""
+
+    def copy(*changes: str, name: str = "run") -> pfdist.Run:
+        run = shutil.copytree(finished(*EXACT, *changes), tmp_path / name)
+        return pfdist.open_run(run)
+
+    return copy
+
+
+@pytest.fixture
+def run(make: Make) -> pfdist.Run:
+    return make()
+
+
+def _text(run: pfdist.Run) -> str:
+    return str(page_of(run))
+
+
+def _again(run: pfdist.Run) -> list[str]:
+    """Run the job of a finished run again, for its report; give what is said."""
+    said = list[str]()
+    pfdist.run(run.path / "job.toml", run.path, figures=False, report=True, say=said.append)
+    return said
+
+
+@pytest.mark.parametrize("ask", [pfdist.bound, pfdist.why])
+def test_an_exact_gain_is_that_of_evaluate_where_the_tables_hold_it(
+    ask: Callable[..., object], run: pfdist.Run, exact: Job, see: See
+) -> None:
+    """The expected MSEs are no means of draws."""
+    assert run.summary().results["genetic"].exact_gain is None
+    assert "This gain is an average over simulated draws" in _text(run)
+    ask(run.path / "job.toml", figures=False)
+    results = run.summary().results
+    costs = [
+        pfdist.evaluate(exact, result.measurement_times).expected_mse for result in results.values()
+    ]
+    assert [result.exact_mse for result in results.values()] == pytest.approx(costs)
+    gain = results["genetic"].exact_gain
+    assert gain == pytest.approx(1 - costs[1] / costs[0])
+    page = see(run)
+    assert f"from {rounded(costs[0])} to {rounded(costs[1])}: the filter knows" in page.text
+    told = re.search(
+        r"Measuring at these 4 times instead of every 4 instants lowers the expected error by "
+        r"([\d.]+) %",
+        page.text,
+    )
+    assert told is not None
+    assert float(told[1]) == pytest.approx(100 * gain, abs=0.006)  # rounded
+    times = ", ".join(map(str, results["genetic"].measurement_times))
+    for words in (
+        f"Measure at t = {times}.",
+        "What was asked",
+        "What the times gain",
+        "How to cite",
+        "How the times were found",
+        "The filter is exact",
+    ):
+        assert words in page.text
+    assert "its draws chose the set" not in page.text  # which is said of other filters
+    proved = "Proved: no other 4 times lower the error by more than a further" in page.text
+    assert proved is (ask is pfdist.bound)
+    assert not list(verify_run(run.path))
+
+
+@pytest.mark.slow
+def test_it_has_the_sampling_windows_of_every_set(run: pfdist.Run, see: See) -> None:
+    assert "sampling window" not in see(run).text
+    found = pfdist.why(run.path / "job.toml", figures=False)
+    page = see(run)
+    assert "A sampling window holds the instants" in page.text
+    assert "Sampling windows of genetic." in page.text  # the title of the figure
+    for name, rows in found.sampling_windows.groupby("name"):
+        assert f"Sampling windows, times of {name}" in page.text
+        jitter = found.jitter[found.jitter["name"] == name].to_dict("records")
+        records = rows.to_dict("records")
+        for said in sentences(records, jitter, is_found=name != "regular"):
+            assert said in page.text
+        for window in windows_of(records, 1):
+            assert window.text in page.text
+
+
+def test_it_loads_nothing_runs_no_script_but_its_own_and_shares_no_id(
+    run: pfdist.Run, see: See
+) -> None:
+    page = see(run)
+    assert page.tags.count("script") == 1
+    assert "script-src &#39;sha256-" in page.html or "script-src 'sha256-" in page.html
+    addresses = [*page.links, *page.loaded]
+    assert [address for address in addresses if not address.startswith(("#", "data:"))] == []
+    ids = re.findall(r'\bid="([^"]+)"', page.html)
+    assert len(ids) == len(set(ids)) > 50
+    assert set(re.findall(r'(?:url\(#|href="#)([^")]+)', page.html)) <= set(ids)
+
+
+def test_a_name_in_a_runs_files_cannot_become_markup(make: Make, see: See) -> None:
+    hostile = "<script>alert(1)</script><img src=x onerror=alert(1)>"
+    run = make(name="<b>run &amp; co")
+    about = run.path / "run.json"
+    content = json.loads(about.read_text())
+    content["provenance"]["libraries"] = {hostile: hostile}
+    content["provenance"]["processor"] = {"model": hostile, "compiled_for": "]]>"}
+    rewrite(about, json.dumps(content))
+    page = see(pfdist.open_run(run.path))
+    assert page.tags.count("script") == 1
+    assert not {"img", "b"} & set(page.tags)
+    assert hostile in page.text
+
+
+def _stop_at(phase: str) -> Callable[[Any], None]:
+    def stop(progress: Any) -> None:
+        if progress.phase == phase:
+            raise KeyboardInterrupt
+
+    return stop
+
+
+@pytest.mark.parametrize("searches", [0, 1])
+def test_a_run_that_is_not_finished_has_a_report_that_says_so(
+    small_job: Job, tmp_path: Path, searches: int, see: See
+) -> None:
+    """No search yet, and one search of twenty."""
+    many = ", ".join(f"{{method='random', name='s{k}', evaluations=3}}" for k in range(20))
+    job = small_job.with_changes([f"search=[{many}]"])
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(job, tmp_path / "run", progress=_stop_at(f"s{searches}"), figures=False)
+    page = see(pfdist.open_run(tmp_path / "run"))
+    assert "This run is not finished" in page.text
+    assert ("How the times were found" in page.text) == bool(searches)
+    assert "What was asked" in page.text
+
+
+@pytest.mark.slow
+def test_of_many_searches_the_best_sets_have_figures(make: Make, see: See) -> None:
+    many = ", ".join(f"{{method='random', name='s{k}', evaluations=2}}" for k in range(20))
+    run = make(f"search=[{many}]")
+    page = see(run)
+    best = sorted(run.summary().results.items(), key=lambda each: each[1].expected_mse)
+    best_sets = [name for name, _ in best if name != "regular"][:4]
+    shown = [name for name in run.names if f"the times of {name} err" in page.text]
+    assert sorted(shown) == sorted(best_sets)
+    assert "Those of the other 16 sets are in the folder figures" in page.text
+    assert len(page.html.encode()) < 2_000_000
+
+
+def test_errors_that_are_unknown_are_said(small_job: Job, tmp_path: Path, see: See) -> None:
+    """Every set that is tried has infinite errors."""
+    (small_job.path.parent / "far.py").write_text(
+        "from dataclasses import replace\n"
+        "from pfdist import load_model\n"
+        "walk = load_model('random_walk')\n"
+        "model = replace(walk, quantity_of_interest=lambda x, t, p: (1e200 * x[0],))\n"
+    )
+    changes = ["model.name=far.py:model", "filter.engine=numpy", "comparison.draws=30"]
+    changes += ["evaluation.draws=5", "search=[{method='random', evaluations=3}]"]
+    with pytest.raises(pfdist.PfdistError):
+        pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+    assert "When to measure" in see(pfdist.open_run(tmp_path / "run")).text
+
+
+def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
+    exact: Job,
+    tmp_path: Path,
+    stop: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, file = tmp_path / "run", tmp_path / "run" / "report.html"
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(exact, folder, progress=_stop_at("comparison"), figures=False)
+    reloads = list[bool]()
+
+    def go_on(seconds: float) -> None:
+        reloads.append('http-equiv="refresh"' in file.read_text())
+        pfdist.run(exact, folder, figures=False)
+
+    assert main(["report", str(folder), "--watch"]) == 0
+    out, err = capsys.readouterr()
+    assert out == f"{file}\n"
+    assert "is not finished (comparing), and no process computes it: run its job on" in err
+    monkeypatch.setattr("pfdist.questions.report.is_held", lambda path: True)
+    monkeypatch.setattr("pfdist.questions.report.stopping.sleep", go_on)
+    assert main(["report", str(folder), "--watch"]) == 0
+    assert capsys.readouterr().out == f"{file}\n"
+    assert reloads == [True]
+    assert 'http-equiv="refresh"' not in file.read_text()
+
+    def end(seconds: float) -> None:
+        stop(signal.SIGTERM)
+        stopping.check()
+
+    monkeypatch.setattr("pfdist.results.Run.state", "comparing")
+    monkeypatch.setattr("pfdist.questions.report.stopping.sleep", end)
+    assert main(["report", str(folder), "--watch"]) == 75
+    assert 'http-equiv="refresh"' not in file.read_text()
+
+
+def test_what_is_no_run_has_no_report(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="holds no run"):
+        pfdist.report(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_of_the_unfinished_run_gives_way_when_the_run_ends(
+    run: pfdist.Run, exact: Job, see: See
+) -> None:
+    def look(progress: Any) -> None:
+        if progress.phase == "comparison" and not (run.path / "report.html").exists():
+            warned.append("not finished" in see(pfdist.open_run(run.path)).text)
+
+    warned = list[bool]()
+    more = exact.with_changes(["comparison.draws=60"])
+    pfdist.run(more, run.path, figures=False, report=True, progress=look)
+    assert warned == [True]
+    assert "not finished" not in (run.path / "report.html").read_text()
+
+
+def test_a_users_own_file_stays_and_no_command_calls_it_a_result(
+    run: pfdist.Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = run.path / "report.html"
+    _again(run)
+    assert main(["status", str(run.path)]) == 0
+    told = ["tables:", f"{run.path}/tables", "report:", f"{report}"]
+    assert capsys.readouterr().out.split()[-4:] == told
+    report.write_text("mine")
+    (run.path / "figures").mkdir()
+    (run.path / "figures" / "notes.txt").write_text("mine")
+    assert "there is no report" in _again(run)[-1]
+    assert report.read_text() == "mine"
+    assert main(["status", str(run.path)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"tables: {run.path}/tables"
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("z"), ZeroDivisionError("a\nb"), MemoryError(), StoreError("disk full")]
+)
+def test_a_mistake_in_the_report_does_not_spoil_a_finished_run(
+    run: pfdist.Run, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise error
+
+    monkeypatch.setattr("pfdist.questions.report.page_of", fail)
+    told = _again(run)[-1]
+    assert pfdist.open_run(run.path).state == "finished"
+    assert not (run.path / "report.html").exists()
+    is_ours = isinstance(error, StoreError)
+    assert told.startswith(f"there is no report: {error if is_ours else type(error).__name__}")
+    assert "\n" not in told
+
+
+def test_a_gain_is_said_as_far_as_its_interval_supports_it() -> None:
+    assert effect(0.05, [0.01, 0.09])[1] == effect(-0.05, [-0.09, -0.01])[1] == ""
+    told, left_open = effect(-0.05, [-0.09, 0.01])
+    assert told == "raises the expected error by 5.0 % (95 %: -1.0 to 9.0 %)"
+    assert "do not tell which times are better" in left_open
+    told, left_open = effect(0.2, [None, None])
+    assert told == "lowers the expected error by 20.0 %"
+    assert "too few draws" in left_open
+
+
+def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
+    none = gap_sentence(BOUND | {"gap": 1e-16}, 4)
+    assert none == "Proved: no other 4 times have a lower expected error."
+    assert percent(-1e-17) == "0.00 %"
+    assert gap_sentence(BOUND, 3, is_constrained=True).startswith(
+        "Proved: no other times that cost no more and that the constraints allow lower"
+    )
+
+
+def test_the_reference_itself_is_no_gain(make: Make) -> None:
+    whole = ("problem.horizon=1", "problem.measurement_budget=2", "search=[{method='exhaustive'}]")
+    assert "found no better times than the reference's own" in _text(make(*whole))
+
+
+def test_two_draws_give_no_interval(make: Make) -> None:
+    text = _text(make("comparison.draws=2"))
+    assert "unknown to unknown" not in text
+    assert "too few draws" in text
+
+
+def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
+    random = ", ".join(f"{{method='random', name='s{k}', evaluations=1}}" for k in range(4))
+    run = make(f"search=[{random}]", "comparison.draws=2")
+    subject = Subject(run)
+    costs = {name: found.search_cost for name, found in subject.found_results.items()}
+    assert subject.summary.by_error == sorted(costs, key=lambda name: costs[name])
+    assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
+
+
+def test_an_estimate_without_standard_error_is_not_called_exact(make: Make) -> None:
+    """A search by particles may see the same error in all of its draws."""
+    subject = Subject(make("filter.engine=compiled"))
+    for name, result in subject.found_results.items():
+        subject.results[name] = replace(result, search_standard_error=0.0)
+    assert "exact" not in str(searches(subject))
+
+
+def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) -> None:
+    """The searches of a range of budgets believe something of each number of measurements."""
+    job = small_job.with_changes([*MODEL, "problem.horizon=6"])
+    subject = Subject(pfdist.budget(job, (2, 3), tmp_path / "run", draws=20, figures=False))
+    found = searches(subject)
+    assert found is not None
+    assert found.blocks[0].head == ["search", "method", "sets evaluated"]
+
+
+@pytest.mark.parametrize(
+    ("change", "is_constrained"),
+    [
+        pytest.param("seed=1", False, marks=pytest.mark.slow),
+        ("problem.minimum_spacing=1", False),
+        ("problem.minimum_spacing=2", True),
+        pytest.param("problem.forbidden=[3]", True, marks=pytest.mark.slow),
+        pytest.param("problem.required=[3]", True, marks=pytest.mark.slow),
+    ],
+)
+def test_report_and_commands_say_alike_whether_constraints_exclude_times(
+    make: Make, capsys: pytest.CaptureFixture[str], change: str, is_constrained: bool
+) -> None:
+    run = make(change)
+    assert main(["bound", str(run.path / "job.toml")]) == 0
+    of_bound = capsys.readouterr().out
+    assert main(["status", str(run.path)]) == 0
+    for text in (of_bound, capsys.readouterr().out, _text(run)):
+        assert ("that the constraints allow" in " ".join(text.split())) == is_constrained
+
+
+def test_the_best_of_online_and_plan_is_named(exact: Job, tmp_path: Path) -> None:
+    text = _text(pfdist.online(exact, tmp_path / "run", draws=5, figures=False))
+    assert re.search(r"is known (lowers|raises) the expected error .*the times of genetic", text)
+
+
+def test_a_report_names_no_folder_of_the_machine(exact: Job, tmp_path: Path) -> None:
+    file = tmp_path / "secret" / "walk.py"
+    file.parent.mkdir()
+    file.write_text("from pfdist import load_model\nmodel = load_model('random_walk')\n")
+    job = exact.with_changes([f"model.name={file}:model"])
+    text = _text(pfdist.run(job, tmp_path / "run", figures=False))
+    assert str(tmp_path) not in text
+    assert "walk.py:model" in text
+
+
+def test_the_title_of_a_report_has_the_name_that_the_model_gives_itself(
+    exact: Job, tmp_path: Path
+) -> None:
+    file = tmp_path / "walk.py"
+    file.write_text(
+        "from dataclasses import replace\nfrom pfdist import load_model\n"
+        "model = replace(load_model('random_walk'), name='a <walk> in the park')\n"
+    )
+    run = pfdist.run(
+        exact.with_changes([f"model.name={file}:model"]), tmp_path / "run", figures=False
+    )
+    assert "When to measure: a <walk> in the park" in _text(run)
+    about = json.loads((run.path / "run.json").read_text())
+    del about["provenance"]["name_of_model"]  # as in a run of an earlier version
+    rewrite(run.path / "run.json", json.dumps(about))
+    assert "When to measure: walk.py:model" in _text(pfdist.open_run(run.path))
+
+
+def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(make: Make) -> None:
+    blocks = [
+        block
+        for section in page_of(make(name='a "run" \U0001f600')).sections
+        for block in section.blocks
+    ]
+    (code,) = [
+        block.text for block in blocks if block.kind == "code" and block.text.startswith(_LOAD[:13])
+    ]
+    compile(code, "report", "exec")
+    assert '"a \\"run\\" \U0001f600"' in code
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_long_names_of_many_searches_leave_room_for_the_curves(make: Make, see: See) -> None:
+    """Matplotlib warns if a legend leaves no room."""
+    names = [f"{'long' * 9}_{number}" for number in range(5)]
+    several = ", ".join(f"{{method='random', name='{name}', evaluations=2}}" for name in names)
+    page = see(make(f"search=[{several}]"))
+    assert "The root mean square error" in page.text

@@ -1,0 +1,161 @@
+"""Possible measurements: pairs of a time and a sensor, with constraints on each sensor."""
+
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+from pfdist.common.clock import Clock
+from pfdist.errors import MeasurementTimesError
+from pfdist.problem.constraints import Limit
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.spacing import Spacing
+from pfdist.problem.written import measurements_of
+
+CLOCK = Clock(tuple(range(5)), counts=True, sensors=("ct", "x-ray"))
+FREE = Feasible(4, 3, minimum_spacing=0, clock=CLOCK)
+LIMITED = replace(
+    FREE, limits=(Limit(most=1), Limit(spacing=Spacing.constant(2, 4))), forbidden=(3,)
+)
+PRICED = Feasible(
+    4, None, minimum_spacing=0, clock=CLOCK, cost=(1, 3) * 5, total_cost=5, cheapest=0
+)
+LIMITED_MONEY = replace(PRICED, limits=(Limit(most=2), Limit()), smaller=True)
+
+
+def _by_definition(feasible: Feasible, times: tuple[int, ...]) -> bool:
+    """Whether a set keeps the constraints, from their definitions, with pairs (t, sensor)."""
+    pairs = [divmod(time, 2) for time in times]
+    if {*times} & {*feasible.forbidden} or not {*feasible.required} <= {*times}:
+        return False
+    far = feasible.minimum_spacing
+    if any(abs(a - b) < far for (a, _), (b, _) in combinations(pairs, 2)):
+        return False
+    for sensor, limit in enumerate(feasible.limits):
+        own = [t for t, s in pairs if s == sensor]
+        if limit.most is not None and len(own) > limit.most:
+            return False
+        if limit.spacing and any(b - a < 2 for a, b in combinations(own, 2)):
+            return False
+    if feasible.counted:
+        return len(times) == feasible.total
+    return sum((1, 3)[s] for _, s in pairs) <= (feasible.total_cost or 0)
+
+
+ALL = [times for size in range(6) for times in combinations(range(10), size)]
+EACH = {
+    "free": FREE,
+    "apart": replace(FREE, minimum_spacing=1),
+    "limited": LIMITED,
+    "limited and required": replace(LIMITED, required=(1,)),
+    "limited money": LIMITED_MONEY,
+    "limited money, one sensor at a time": replace(LIMITED_MONEY, minimum_spacing=1),
+    "limited money, all apart": replace(
+        LIMITED_MONEY, minimum_spacing=2, limits=(Limit(most=2), Limit(most=1)), total_cost=6
+    ),
+    "spaced money, one sensor at a time": replace(
+        LIMITED_MONEY, minimum_spacing=1, limits=(Limit(spacing=Spacing.constant(2, 4)), Limit())
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_the_feasible_sets_are_those_of_the_definition(name: str) -> None:
+    feasible = EACH[name]
+    wanted = {times for times in ALL if _by_definition(feasible, times)}
+    assert {*feasible.every()} == wanted
+    assert feasible.size == len(wanted)
+    assert {times for times in ALL if feasible.accepts(times)} == wanted
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_every_way_to_a_set_leads_to_feasible_sets_alone(name: str) -> None:
+    """Prefixes, additions, exchanges, removals, repairs and random sets all stay feasible."""
+    feasible, rng = EACH[name], np.random.default_rng(1)
+    wanted = {*feasible.every()}
+    reached, front = set(), [()]
+    while front:
+        prefix = front.pop()
+        reached |= {prefix} & wanted
+        front += [(*prefix, t) for t in feasible.extensions(prefix)]
+        dead_end = prefix not in wanted and not feasible.extensions(prefix)
+        assert not dead_end, prefix
+    assert reached == wanted
+    for times in wanted:
+        assert {*feasible.exchanges(times)} <= wanted - {times}
+    assert {*feasible.random(50, rng)} <= wanted
+    assert {feasible.repair(times, rng) for times in ALL[::7]} <= wanted
+    smaller = {times[:1] for times in wanted if times}
+    for times in smaller:
+        for larger in feasible.additions(times):
+            assert any({*larger} <= {*each} for each in wanted)
+    for times in feasible.removals(tuple(range(10))):
+        assert any({*each} <= {*times} for each in wanted)
+    assert feasible.regular() in wanted
+
+
+def test_one_sensor_alone_and_rotation_are_references() -> None:
+    """Two ticks of each at regular times; a sensor that cannot make them has no set."""
+    references = FREE.references
+    assert references == {
+        "alone_ct": (0, 4, 8), "alone_x_ray": (1, 5, 9), "rotation": (0, 5, 8)
+    }  # fmt: skip
+    assert FREE.regular() == (0, 4, 8)
+    assert replace(FREE, cheapest=1).regular() == (1, 5, 9)
+    assert "alone_ct" not in LIMITED.references  # it may measure once, and 3 are wanted
+    assert PRICED.references["alone_x_ray"] == (5,)  # 5 pays for one measurement of 3
+
+
+@pytest.mark.parametrize(("t", "sensor"), [*product(range(5), range(2))])
+def test_a_measurement_is_read_as_it_is_written(t: int, sensor: int) -> None:
+    number = 2 * t + sensor
+    written = CLOCK.written(number)
+    assert written == f"{t} {CLOCK.sensors[sensor]}"
+    assert CLOCK.measurements([written]) == (number,)
+    assert measurements_of([written], CLOCK) == [number]
+
+
+@pytest.mark.parametrize(
+    ("written", "numbers"),
+    [
+        ("0, 2:4 ct, 1 x-ray", [0, 4, 6, 8, 3]),
+        (["0:4:2 x-ray", "1 ct"], [1, 5, 9, 2]),
+        ("", []),
+    ],
+)
+def test_several_times_may_precede_their_sensor(written: object, numbers: list[int]) -> None:
+    assert measurements_of(written, CLOCK) == numbers
+
+
+def test_times_without_a_sensor_mean_all_sensors_where_this_is_meant() -> None:
+    assert measurements_of([1, "3 ct"], CLOCK, of_all=True) == [2, 3, 6]
+    assert measurements_of(["3 ct", 1], CLOCK, of_all=True) == [6, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ("3", "must name times and then their sensor, as '12 ct', got '3'"),
+        ("3 cat", "got '3 cat'; sensors: ct, x-ray"),
+        ("9 ct", "must lie in 0..4, got 9"),
+        ("0 ct 0 ct", ""),
+    ],
+)
+def test_a_wrong_measurement_is_named(written: str, said: str) -> None:
+    if not said:
+        assert measurements_of(written, CLOCK) == [0, 0]  # a set is checked for repetitions
+        return
+    with pytest.raises(MeasurementTimesError, match=said.replace(".", r"\.")):
+        measurements_of(written, CLOCK)
+
+
+@pytest.mark.parametrize("written", ["x ct", "ct", "3 cat", "3", 3])
+def test_a_measurement_without_a_time_or_a_sensor_is_named(written: str | int) -> None:
+    with pytest.raises(MeasurementTimesError, match="must name a time and a sensor, as '12 ct'"):
+        CLOCK.measurements([written])
+
+
+def test_n_measurements_under_limits_and_a_spacing_of_all_are_refused() -> None:
+    with pytest.raises(MeasurementTimesError, match="minimum_spacing must be left out"):
+        replace(LIMITED, minimum_spacing=1)

@@ -1,0 +1,645 @@
+"""Lower bounds of finished runs, against brute force and where a filter fools itself."""
+
+import json
+import math
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from pfdist import Job, Run, load_job
+from pfdist.cli.main import main
+from pfdist.common.percent import gap_sentence, rounded_up
+from pfdist.errors import JobError, ModelError, PfdistWarning, StoreError
+from pfdist.filters.kalman import expected_mse
+from pfdist.filters.simulation import simulate
+from pfdist.models import installed_models
+from pfdist.pools.base import SerialPool
+from pfdist.questions.bound import Bound
+from pfdist.questions.bound import bound as bound_of
+from pfdist.results.stored_run import statistics_of
+from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
+from pfdist.runner.build import build
+from pfdist.runner.gap_parts import SET_DRAWS
+from pfdist.runner.progress import Progress
+from pfdist.runner.prover import Prover
+
+JOBS = Path(__file__).parents[2] / "jobs"
+SHARP = Path(__file__).parents[1] / "oracles" / "sharp_sensor.toml"
+QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
+EXACT = ["model.name=random_walk", "filter.engine=kalman"]
+WALK = ["model.name=random_walk", "filter.particles=20", "comparison.draws=300"]
+OWN = "model.name=own.py:model"
+RunOf = Callable[..., Path]
+
+
+def bound(run: Path | Run, draws: int | None = None, **options: Any) -> Bound:
+    job = run if isinstance(run, Run) else run / "job.toml"
+    return bound_of(job, draws, **{"pool": "serial", "figures": False} | options)
+
+
+@pytest.fixture
+def exact(finished: RunOf, tmp_path: Path) -> Path:
+    """A finished run whose costs are all exact, in a copy of its own."""
+    return shutil.copytree(finished(*QUICK, *EXACT), tmp_path / "run")
+
+
+@pytest.fixture
+def walk(finished: RunOf, tmp_path: Path) -> Path:
+    """A finished run with particles, in a copy of its own."""
+    return shutil.copytree(finished(*QUICK, *WALK), tmp_path / "run")
+
+
+@pytest.fixture
+def run_of(small_job: Job, tmp_path: Path) -> RunOf:
+    """Make a run of the small job with changes, and with a model in ``own.py``."""
+
+    def make(*changes: str, source: str = "") -> Path:
+        (small_job.path.parent / "own.py").write_text(source)
+        job = small_job.with_changes([*QUICK, *changes])
+        return pfdist.run(job, tmp_path / "run", figures=False).path
+
+    return make
+
+
+def _optimum(job: Job) -> float:
+    """The least expected MSE of all feasible sets, by brute force."""
+    sets = list(job.problem.feasible.every())
+    return float(expected_mse(pfdist.load_model("random_walk"), 12, sets).min())
+
+
+# --- what is true of every bound ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("window", [1, 2, 5])
+def test_where_everything_is_known_it_lies_below_the_optimum(
+    exact: Path, small_job: Job, window: int
+) -> None:
+    found, optimum = bound(exact, window=window), _optimum(small_job)
+    assert found.draws == found.particles == 0
+    for gap in found.gaps:
+        assert gap.bound.value <= optimum * (1 + 1e-12)
+        assert gap.bound.standard_error == 0.0
+        assert gap.gap == gap.gap_at_most
+        difference = gap.expected_mse.value - gap.bound.value
+        assert gap.gap * gap.expected_mse.value == pytest.approx(difference)
+    if window == 5:  # nothing is added to 4 measurements, and no gap is too long
+        assert found.gaps[0].bound.value == pytest.approx(optimum)
+
+
+def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
+    run_of: RunOf, small_job: Job
+) -> None:
+    run = run_of("model.name=random_walk", "filter.particles=200")
+    found, optimum = bound(run, LEAST_DRAWS), _optimum(small_job)
+    for gap in found.gaps:
+        assert not gap.reason
+        assert gap.bound.value < optimum + 4 * gap.bound.standard_error
+        assert gap.bound.value > 0.9 * optimum
+        assert gap.gap < gap.gap_at_most < gap.gap + 0.1
+        parts = gap.relaxation.value + gap.estimate.value + gap.filter_model.value
+        assert parts == pytest.approx(gap.gap * gap.expected_mse.value)
+        assert gap.filter_model.value == 0.0
+    assert bound(run, LEAST_DRAWS).as_json() == found.as_json()
+    assert pfdist.open_run(run).state == "finished"
+
+
+@pytest.mark.parametrize("costs", [[3 + t % 2 for t in range(13)], [40 + t for t in range(13)]])
+def test_where_measurements_cost_money_it_lies_below_the_optimum(
+    small_job: Job, tmp_path: Path, costs: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text, money = small_job.path.read_text(), 6 * min(costs) + 2
+    priced = text.replace("measurement_budget = 4", f"total_cost = {money}\ncost = {costs}")
+    small_job.path.write_text(priced)
+    job = load_job(small_job.path, [*QUICK, *EXACT])
+    run, optimum = pfdist.run(job, tmp_path / "run", figures=False).path, _optimum(job)
+    for gap in bound(run).gaps:
+        assert gap.budget == job.problem.feasible.total
+        assert 0.95 * optimum < gap.bound.value <= optimum * (1 + 1e-12)
+    finely = bound(run, window=5).gaps[0].bound.value
+    assert finely == pytest.approx(optimum)
+    monkeypatch.setattr("pfdist.search.relaxation.MOST_UNITS", 7)  # costs are rounded down
+    assert bound(run, window=5).gaps[0].bound.value <= finely
+
+
+def test_many_measurements_are_counted_one_by_one(
+    exact: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = [gap.bound.value for gap in bound(exact).gaps]
+    monkeypatch.setattr("pfdist.search.relaxation.MOST_UNITS", 3)  # less than N
+    assert [gap.bound.value for gap in bound(exact).gaps] == expected
+    assert all(value > 0 for value in expected)
+
+
+def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(run_of: RunOf) -> None:
+    run = run_of("model.name=random_walk", "model.filter.parameters.step_sd=5.0")
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert gap.filter_model.value > 4 * gap.filter_model.standard_error > 0
+
+
+def test_where_nothing_is_unknown_the_gap_is_zero(run_of: RunOf) -> None:
+    source = """
+from pfdist import linear_gaussian
+model = linear_gaussian("known", initial_noise=[[0.0]], transition=[[1.0]],
+    process_noise=[[0.0]], measurement=[[1.0]], measurement_noise=[[1.0]],
+    quantity_of_interest=[[1.0]])
+"""
+    for gap in bound(run_of(OWN, "filter.engine=kalman", source=source)).gaps:
+        assert (gap.gap, gap.gap_at_most, gap.reason) == (0.0, 0.0, "")
+
+
+SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
+SLOW = {"epidemic", "epidemic_counts", "pharmacokinetics", "robot", "tumour", "two_compartments"}
+TIMES = "problem.times=[0, 0.5, 1, 2, 3, 4, 6, 9, 12, 13, 30, 46, 47]"
+CHANGES = {
+    "pharmacokinetics": [TIMES],
+    "two_compartments": [TIMES],
+    # Else nobody is ill in these days, and a bound says nothing.
+    "epidemic_counts": ["problem.horizon=12", "model.parameters.first_infectious=0.02"],
+}
+
+
+@pytest.mark.zoo
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SHIPPED],
+)
+def test_every_model_that_ships_has_a_bound(name: str, tmp_path: Path) -> None:
+    budget = "total_cost" if name == "two_compartments" else "measurement_budget"
+    few = [f"problem.{budget}=4", "comparison.draws=100", "execution.pool=serial"]
+    few += CHANGES.get(name, ["problem.horizon=12"])
+    job = load_job(JOBS / f"{'plan' if name == 'ungm' else name}.toml", few)
+    run = pfdist.plan(job, tmp_path / "run", search="random", bound_draws=0, figures=False)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert not gap.reason
+        assert 0.0 <= gap.gap <= gap.gap_at_most < 1.0
+
+
+# --- filters that fool themselves -----------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sharp", [0.03, 0.01])
+def test_a_filter_that_fools_itself_gives_no_false_bound(sharp: float, tmp_path: Path) -> None:
+    """The "bound" by squared errors would be 3.45 for 0.03, above a set that costs 1.00."""
+    changes = [f"model.parameters.sharp={sharp}", "comparison.draws=1000"]
+    run = pfdist.plan(load_job(SHARP, changes), tmp_path / "run", figures=False)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert gap.reason or gap.bound.value < 1.0
+
+
+CLUTTERED = """
+import numpy as np
+from pfdist import StateSpaceModel, where
+
+def sensor(x, v, u, clutter, p):
+    return where(u < 0.01, 3 * clutter, x + p.sd * v)
+
+def log_density(y, x, p):
+    sharp = 0.99 / p.sd * np.exp(-0.5 * ((y - x) / p.sd) ** 2)
+    return np.log(sharp + 0.01 / 3 * np.exp(-0.5 * (y / 3) ** 2))
+
+def log_likelihood(y, x, t, p):
+    left = log_density(y[0], x[0], p) + log_density(y[1], x[1], p)
+    return left + log_density(y[2], x[2], p) + log_density(y[3], x[3], p)
+
+model = StateSpaceModel(
+    name="cluttered",
+    initial=lambda w, p: w,
+    transition=lambda x, t, w, p: x,
+    measurement=lambda x, t, v, p: (
+        sensor(x[0], v[0], v[8], v[4], p), sensor(x[1], v[1], v[9], v[5], p),
+        sensor(x[2], v[2], v[10], v[6], p), sensor(x[3], v[3], v[11], v[7], p),
+    ),
+    log_likelihood=log_likelihood,
+    quantity_of_interest=lambda x, t, p: x,
+    initial_noise=("normal",) * 4,
+    process_noise=(),
+    measurement_noise=("normal",) * 8 + ("uniform",) * 4,
+    parameters={"sd": 0.01},
+)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sd", [0.01, 0.001])
+def test_the_bound_holds_however_few_particles_meet_the_likelihood(
+    run_of: RunOf, sd: float
+) -> None:
+    """A position in four dimensions: the median of three readings is a filter, too."""
+    changes = ["problem.horizon=8", "problem.measurement_budget=3", "filter.particles=100"]
+    run = run_of(OWN, *changes, f"model.parameters.sd={sd}", source=CLUTTERED)
+    draws = simulate(build(load_job(run / "job.toml")).evaluator.model, 8, range(20_000), 1)
+    readings = np.stack([draws.y[:, 0], *[np.median(draws.y[:, :3], axis=1)] * 8], axis=1)
+    readings[:, 1] = draws.y[:, 0]
+    errors = ((readings - draws.z) ** 2).sum(axis=2).mean(axis=1)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        slack = 4 * math.hypot(gap.bound.standard_error, errors.std() / math.sqrt(errors.size))
+        assert not gap.reason
+        assert 0.0 <= gap.bound.value < errors.mean() + slack
+        assert gap.gap_at_most <= 1.0
+
+
+WALK_WITH = """
+from dataclasses import replace
+import numpy as np
+from pfdist import load_model, where
+walk = load_model("random_walk")
+model = replace(walk, linear_gaussian=False, log_likelihood=lambda y, x, t, p: {})
+"""
+INFLATED = WALK_WITH.format("-0.5 * ((y[0] - x[0]) / (1.2 * p.measurement_sd)) ** 2")
+CUT = WALK_WITH.format("where(abs(y[0] - x[0]) > 3.0, -np.inf, -0.5 * (y[0] - x[0]) ** 2)")
+
+
+WITHOUT_NORMALISER = """
+import numpy as np
+from pfdist import StateSpaceModel
+model = StateSpaceModel(
+    name="volatility",
+    initial=lambda w, p: (1.5 * w[0],),
+    transition=lambda x, t, w, p: (0.9 * x[0] + w[0],),
+    measurement=lambda x, t, v, p: (np.exp(0.5 * x[0]) * v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * y[0] ** 2 * np.exp(-x[0]),
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+)
+"""
+
+
+@pytest.mark.parametrize("source", [INFLATED, WITHOUT_NORMALISER])
+def test_a_likelihood_that_is_not_that_of_the_noise_gives_no_bound(
+    source: str, run_of: RunOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found by `check-model`, and, where that cannot tell, by the truth among the particles.
+
+    The volatility without its normaliser had a bound of 2.62, where 2.28 is the optimum.
+    """
+    run = run_of(OWN, "filter.particles=100", source=source)
+    first = bound(run, LEAST_DRAWS)
+    assert all("check-model finds that the likelihood is wrong" in gap.reason for gap in first.gaps)
+    monkeypatch.setattr("pfdist.runner.prover.likelihood", lambda model, draws: ("note", ""))
+    shutil.rmtree(run / "tables" / "bound")
+    second = bound(run, LEAST_DRAWS, work=0)
+    assert all("the true z lies too often" in gap.reason for gap in second.gaps)
+    assert all(math.isnan(gap.gap_at_most) for gap in second.gaps)
+
+
+@pytest.mark.slow
+def test_degenerate_draws_of_the_jobs_own_filter_count_in_the_gap(run_of: RunOf) -> None:
+    few = ["evaluation.degenerate_draws=continue", "filter.particles=5"]
+    models = ["model.name=random_walk", "model.filter.name=own.py:model"]
+    run = run_of(*models, *few, source=CUT)
+    assert pfdist.open_run(run).table("budget")["degenerate_draws"].any()
+    assert all(not gap.reason and gap.gap > 0 for gap in bound(run, LEAST_DRAWS).gaps)
+
+
+@pytest.mark.slow
+def test_a_likelihood_that_excludes_the_true_state_has_no_bound(run_of: RunOf) -> None:
+    few = ["evaluation.degenerate_draws=continue", "filter.particles=5"]
+    run = run_of(OWN, *few, source=CUT)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert "a draw is degenerate or infinite although" in gap.reason
+    assert all(
+        "degenerate or infinite" in each for each in pfdist.open_run(run).table("bound")["reason"]
+    )
+    assert main(["bound", str(run / "job.toml"), "--pool", "serial"]) == 0
+
+
+# --- what has no bound ----------------------------------------------------------------------------
+
+
+def test_a_reference_that_is_not_feasible_has_no_gap(run_of: RunOf) -> None:
+    run = run_of(*EXACT, "comparison.reference=[1, 3, 6, 9]", "problem.forbidden=[3, 4]")
+    reasons = {gap.name: gap.reason for gap in bound(run).gaps}
+    assert reasons == {"reference": "the set is not feasible", "genetic": "", "random": ""}
+
+
+def test_an_error_of_the_users_own_has_no_bound(small_job: Job, tmp_path: Path) -> None:
+    """A run that was to have a bound says so and stands; the bound says why."""
+    (tmp_path / "own.py").write_text(
+        "from dataclasses import replace\n"
+        "from pfdist import load_model\n"
+        "model = replace(load_model('ungm'), error=lambda z, e, t, p: abs(z[0] - e[0]))\n"
+    )
+    few, said = [*QUICK, OWN, "filter.engine=numpy", "evaluation.draws=3"], list[str]()
+    options: Any = {"bound_draws": LEAST_DRAWS, "figures": False, "say": said.append}
+    run = pfdist.run(small_job.with_changes(few), tmp_path / "run", **options)
+    assert run.state == "finished"
+    (line,) = (line for line in said if line.startswith("Not proved: "))
+    assert "squared Euclidean norm" in line
+    with pytest.raises(ModelError, match="squared Euclidean norm"):
+        bound(run)
+    with pytest.warns(PfdistWarning, match=re.escape(line)):  # if nobody receives lines
+        again = pfdist.run(run.path / "job.toml", run.path, bound_draws=LEAST_DRAWS, figures=False)
+    assert again.summary().unproved == line
+
+
+def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
+    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The speed is that of the run's own comparison, not a guess for all models.
+
+    The last sentence of every answer says why there is no proof, and which command makes one, in
+    how many minutes.
+    """
+    table, said = Run.table, list[str]()
+
+    def slow(run: Run, name: str, draws: int | None = None) -> pd.DataFrame:
+        rows = table(run, name, draws)
+        return rows.assign(seconds=1e7 * rows["seconds"]) if name == "timings" else rows
+
+    again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
+    with monkeypatch.context() as patched:
+        patched.setattr(Run, "table", slow)
+        assert "bound" not in pfdist.run(walk / "job.toml", walk, **again, say=said.append).tables
+    (line,) = said  # no pool was started
+    says = r"Not proved: `pfdist bound JOB --draws 480` takes about ([\d,]+) minutes of one core\."
+    told = re.fullmatch(says, line)
+    assert told is not None
+    assert int(told[1].replace(",", "")) > 4
+    run = pfdist.open_run(walk)
+    assert repr(run).endswith(f"draws compared | {line}>")
+    assert run._repr_html_().endswith(f"<p>Note: {line}</p>")
+    assert line in (pfdist.report(walk)).read_text()
+    assert main(["status", str(walk)]) == 0
+    printed, _, _ = capsys.readouterr().out.partition("\n\ntables: ")
+    assert " ".join(printed.split()).endswith(f" Note: {line}")
+    assert "bound" in pfdist.run(walk / "job.toml", walk, **again).tables
+    assert pfdist.open_run(walk).summary().unproved == ""
+
+
+def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever refuses a proof, in the prover or in its table: the results of the run stand."""
+
+    def refuse(*_: Any) -> Any:
+        raise ModelError("the log-likelihood does not fit the measurements")
+
+    again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
+    with monkeypatch.context() as patched:
+        patched.setattr(Prover, "_parts", refuse)
+        with pytest.warns(PfdistWarning, match="^Not proved: the log-likelihood does not fit"):
+            run = pfdist.run(walk / "job.toml", walk, **again)
+    line = "Not proved: the log-likelihood does not fit the measurements."
+    assert run.summary().unproved == line
+    assert repr(run).endswith(f" | {line}>")
+    with monkeypatch.context() as patched:
+        patched.setattr(Prover, "_sums", refuse)
+        proved = bound(walk)
+    of_set = line.replace("proved", "proved for random")
+    assert repr(proved).endswith(f" | {of_set}>")
+    of_sets = of_set.replace("random", "genetic, random")
+    assert pfdist.open_run(walk).summary().unproved == of_sets
+
+
+def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
+    exact: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("pfdist.questions.at_work.make_pool")
+    with pytest.raises(JobError, match=r"; take a smaller window, or more memory$") as refused:
+        bound(exact, window=6, memory=1)
+    assert refused.value.argument == "window"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("draws", LEAST_DRAWS - 1), ("draws", 100_001), ("particles", 0), ("window", 0),
+     ("window", 7), ("within", 0.0), ("within", 1.0)],
+)  # fmt: skip
+def test_a_setting_out_of_its_range_is_refused(name: str, value: float) -> None:
+    with pytest.raises(JobError, match=f"{name} must be"):
+        BoundSettings(**{name: value})  # type: ignore[arg-type]
+
+
+# --- what a run keeps of its bounds ---------------------------------------------------------------
+
+
+def _tables(run: Path) -> dict[str, bytes]:
+    """The published files of a bound."""
+    paths = (run / "tables").glob("*/bound.proof*.parquet")
+    found = {f"{path.parent.name}/{path.name}": path.read_bytes() for path in paths}
+    return {name: content for name, content in found.items() if not name.startswith("timings")}
+
+
+def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
+    walk: Path, tmp_path: Path
+) -> None:
+    other, reports = shutil.copytree(walk, tmp_path / "other"), iter(range(30))
+
+    def stop(progress: object) -> None:
+        if next(reports, None) is None:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bound(walk, 2 * LEAST_DRAWS, progress=stop)
+    stopped = pfdist.open_run(walk)
+    assert stopped.state == "finished"
+    assert "error_sums" in stopped.tables
+    assert "bound" not in stopped.tables
+    bound(walk, 2 * LEAST_DRAWS)
+    bound(other, 2 * LEAST_DRAWS)
+    assert _tables(walk) == _tables(other)
+    assert {name.partition("/")[0] for name in _tables(walk)} == {"bound", "error_sums", "draws"}
+
+
+@pytest.mark.slow
+def test_it_has_the_same_bytes_with_two_workers_of_ray(
+    walk: Path, tmp_path: Path, ray_cluster: None
+) -> None:
+    other = shutil.copytree(walk, tmp_path / "other")
+    bound(walk)
+    bound(other, pool="ray", workers=2)
+    assert _tables(walk) == _tables(other)
+
+
+def test_what_is_committed_is_not_computed_again(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocks = list[tuple[str, ...]]()
+
+    class Counting(SerialPool):
+        def run(self, tasks: Any) -> Any:
+            for outcome in super().run(tasks):
+                blocks.extend(work.ids for work in outcome.task.work if work.summed)
+                yield outcome
+
+    monkeypatch.setattr("pfdist.questions.at_work.make_pool", lambda *_, **__: Counting())
+    bound(walk, LEAST_DRAWS)
+    first = len(blocks)
+    rounds, rest = divmod(first - 40, 20)  # growing windows; the bound, and the truth's places
+    assert rounds >= 1
+    assert rest == 0
+    for _ in range(2):
+        bound(walk, 2 * LEAST_DRAWS)  # the windows are chosen as before
+        assert len(blocks) == first + 40
+
+
+def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
+    run = pfdist.open_run(run_of(*WALK, f"comparison.draws={SET_DRAWS}"))
+    found, statistics = bound(run.path, LEAST_DRAWS), statistics_of(run)
+    for gap in found.gaps:
+        mse = statistics.mse[gap.name]
+        assert gap.expected_mse.value == mse.mean
+        assert gap.expected_mse.standard_error == mse.standard_error
+        assert not gap.reason
+    of_bounds = pfdist.open_run(run.path).table("draws").groupby("evaluation").size()
+    variances = min(SET_DRAWS, 12 * LEAST_DRAWS)  # 12 draws for each draw of the bound
+    assert (of_bounds == variances).sum() == len(found.gaps)  # the variances alone
+
+
+def test_more_compared_draws_are_proved_again(walk: Path) -> None:
+    for draws in (300, 300, 400):
+        job = load_job(walk / "job.toml", [f"comparison.draws={draws}", "execution.pool=serial"])
+        run = pfdist.run(job, walk, figures=False, bound_draws=LEAST_DRAWS)
+        assert set(run.table("bound")["compared_draws"]) == {draws}
+
+
+def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound_once_it_is_removed(
+    walk: Path,
+) -> None:
+    bound(walk, LEAST_DRAWS)
+    before = _tables(walk)
+    for path in (walk / "tables").glob("bound*/*.parquet"):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+        with pytest.raises(StoreError, match=f"{path.name} is damaged"):
+            bound(walk, LEAST_DRAWS)
+        path.unlink()
+    bound(walk, LEAST_DRAWS)
+    assert _tables(walk) == before
+    assert pfdist.open_run(walk).state == "finished"
+    assert main(["verify", str(walk)]) == 0
+
+
+def test_a_run_of_another_version_is_proved_and_not_written_to(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.runner.identity.version", lambda name: "99")
+    said, before = list[str](), sorted(walk.rglob("*"))
+    found = bound(walk, LEAST_DRAWS, say=said.append)
+    assert not any(gap.reason for gap in found.gaps)
+    assert any("is of another program (pfdist: 0.3.0 -> 99)" in line for line in said)
+    assert sorted(walk.rglob("*")) == before
+
+
+@pytest.mark.parametrize("work", [1e6, 3e6])
+def test_the_growth_of_windows_is_foreseen(walk: Path, work: float) -> None:
+    built = build(load_job(walk / "job.toml"))
+    steps = [Prover(built, BoundSettings(LEAST_DRAWS, work=each)).steps for each in (0, work)]
+    assert steps[1] - steps[0] == work
+    seen = list[Progress]()
+    bound(walk, LEAST_DRAWS, work=work, progress=seen.append)
+    assert len({each.total for each in seen if each.phase == "windows of the bound"}) == 1
+    assert max(each.done / each.total for each in seen) == 1.0
+    assert seen[-1].done == seen[-1].total
+
+
+# --- what users see -------------------------------------------------------------------------------
+
+
+def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path) -> None:
+    found = bound(walk, 2 * LEAST_DRAWS, figures=True)
+    assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
+    bound(walk, LEAST_DRAWS, window=1)
+    run = pfdist.open_run(walk)
+    rows, summary = run.table("bound"), run.summary().results
+    looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
+    assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
+    assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
+    last = rows[(rows["window"] == 2) & (rows["draws"] == 2 * LEAST_DRAWS)]
+    assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
+    assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
+    for gap in found.gaps:  # the proof of most work
+        assert summary[gap.name].lower_bound["gap"] == gap.gap
+        assert summary[gap.name].lower_bound["window"] == 2
+    assert main(["verify", str(walk)]) == 0
+
+
+def test_work_that_may_be_left_out_is_told_apart(walk: Path) -> None:
+    """The proof of a plan may take too long, and draws beyond a look may not be needed."""
+    seen = list[Progress]()
+    again: Any = {"figures": False, "pool": "serial", "progress": seen.append}
+    job = load_job(walk / "job.toml").with_changes(["seed=2"])
+    pfdist.run(job, walk.parent / "other", bound_draws=LEAST_DRAWS, **again)
+    phases = {each.phase: each for each in seen}
+    assert 0 < phases["random"].optional < phases["random"].total
+    assert phases["random"].optional == phases["comparison"].optional
+    assert phases["lower bound"].optional == 0
+    assert seen[-1].done == seen[-1].total
+    seen.clear()
+    bound(walk, 4 * LEAST_DRAWS, within=1e-4, progress=seen.append)
+    looks = [each.optional for each in seen if each.phase == "lower bound" and each.evaluations]
+    first, second, third = dict.fromkeys(looks)
+    assert first == pytest.approx(1.5 * second)  # 480 of 1,920 draws, then 960, then all
+    assert third == 0
+
+
+def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
+    walk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = bound(walk, 4 * LEAST_DRAWS)
+    widest = max(gap.gap_at_most for gap in whole.gaps[1:])  # without the reference's
+    soon = bound(walk, within=0.9)
+    late = bound(walk, 4 * LEAST_DRAWS, within=widest / 2)
+    assert (soon.draws, late.draws) == (LEAST_DRAWS, 4 * LEAST_DRAWS)
+    reached = (whole.within_reached, soon.within_reached, late.within_reached)
+    assert reached == (None, True, False)
+    assert f"is above {50 * widest:g} %" in late._repr_html_()
+    # With three looks, each limit holds with 1 - 0.05/3.
+    assert late.confidence == pytest.approx(1 - 0.05 / 3)
+    for gap, other in zip(whole.gaps, late.gaps, strict=True):
+        assert gap.bound == other.bound
+        assert gap.gap_at_most < other.gap_at_most
+    demand = ["--pool", "serial", "--draws", "480", "--within", "0.0001"]
+    assert main(["bound", str(walk / "job.toml"), *demand]) == 0
+    assert "The limit of a found set is above 0.01 % with 480 draws." in capsys.readouterr().out
+
+
+def test_the_command_says_how_much_is_left(exact: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bound", str(exact / "job.toml"), "--pool", "serial"]
+    assert main([*words, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert list(answer["sets"]) == ["regular", "genetic", "random"]
+    assert answer == bound(exact).as_json()
+    assert main(words) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for name, gap in answer["sets"].items():
+        percent = f"{100 * rounded_up(gap['gap']):.2g} %"
+        sentence = f"Proved: no other 4 times lower the error by more than a further {percent}."
+        assert f"{name}: {sentence}" in text
+
+
+def test_the_sentence_states_the_limit_rounded_up_and_then_the_estimate() -> None:
+    for gap, printed in ((0.02901, "3.0 %"), (0.029, "2.9 %"), (0.1, "10 %"), (0.0, "0 %")):
+        row = {"reason": "", "budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.0123}
+        sentence = gap_sentence(row | {"gap_at_most": gap}, 4).replace("\xa0", " ")
+        sure = f"a further {printed} (95 % confidence; estimate 1.2 %)."
+        assert sentence == f"Proved: no other 4 times lower the error by more than {sure}"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_plan_says_how_good_its_times_are(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = ["--set", "model.name=random_walk", "filter.particles=50", "comparison.draws=200"]
+    command = ["plan", str(small_job.path), *changes, "--pool", "serial", "--results"]
+    assert main([*command, str(tmp_path / "plan")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"Proved: no other 4 times lower .* \(95 % confidence; estimate ", printed)
+    assert len(pfdist.open_run(tmp_path / "plan").table("bound")) == 2  # regular and found times
+    tables = _tables(tmp_path / "plan")
+    assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do
+    assert _tables(tmp_path / "plan") == tables
+    assert main([*command, str(tmp_path / "bare"), "--bound-draws", "0"]) == 0
+    assert "bound" not in pfdist.open_run(tmp_path / "bare").tables

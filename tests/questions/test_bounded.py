@@ -1,0 +1,195 @@
+"""`check-model` returns soon for slow models, and checks a job's filter as the job uses it."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.three_sensors import HORIZON, ThreeSensors
+from pfdist import Problem, StateSpaceModel, load_model
+from pfdist.filters.kalman import expected_mse
+from pfdist.questions import model_checks as checks_of_models
+from pfdist.questions.model_checks import Check, check_loaded
+
+WALK = load_model("random_walk")
+
+
+def slow(burnt: int, engine: str = "numpy") -> StateSpaceModel:
+    """A walk of which a step takes time: in NumPy about 10 ns for each burnt sine."""
+
+    def transition(x: Any, t: Any, w: Any, p: Any) -> Any:
+        a = x[0]
+        for _ in range(burnt):
+            a = a + 1e-9 * np.sin(a)
+        if engine == "numpy":
+            a = a * np.piecewise(a, [a > 0], [1.0, 1.0])  # Numba has no piecewise
+        return (a + w[0],)
+
+    return replace(WALK, name="slow", transition=transition, linear_gaussian=False)
+
+
+def checked(model: StateSpaceModel, horizon: int, particles: int) -> dict[str, Check]:
+    return {check.name: check for check in check_loaded(lambda: model, horizon, particles)}
+
+
+@pytest.mark.parametrize("engine", ["numpy", pytest.param("compiled", marks=pytest.mark.slow)])
+def test_a_slow_model_has_fewer_draws_and_its_checks_say_so(
+    monkeypatch: pytest.MonkeyPatch, engine: str
+) -> None:
+    """A thousand draws would take half a minute; here a check may take about two seconds."""
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 2.0)
+    checks = checked(slow(400, engine), 12, 500)
+    says = r"0\.00% of draws with 4 regular times .* \(only \d+ draws: each takes [\d.]+ s\)"
+    assert re.fullmatch(says, checks["degenerate draws"].text), checks["degenerate draws"]
+    assert checks["expected MSE"].state == "ok"
+    assert checks["particles"].text.startswith("500 particles lose ")
+    assert "particles after 4 measurements" in checks["effective sample size"].text
+
+
+def test_of_a_model_that_is_too_slow_nothing_is_filtered_but_the_time_is_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.01)
+    checks = checked(slow(1000), 12, 500)
+    assert "degenerate draws" not in checks
+    assert checks["an evaluation"].state == "note"
+    text = checks["an evaluation"].text
+    assert re.fullmatch(r"\d[\d.]* s for 1,000 draws .*; so nothing else is filtered here", text)
+
+
+@pytest.mark.parametrize(("longest", "says"), [(20.0, "; 500 are enough"), (0.2, None)])
+def test_more_particles_are_tried_only_if_there_is_time(
+    monkeypatch: pytest.MonkeyPatch, longest: float, says: str | None
+) -> None:
+    monkeypatch.setattr(checks_of_models, "_LONGEST", longest)
+    checks = checked(slow(0, "compiled") if says else slow(300), 12, 5)
+    text = checks["particles"].text
+    assert checks["particles"].state == "note"
+    assert text.endswith(says or "; no more, up to 20,000, can be tried in 0 s"), text
+
+
+def test_long_horizons_have_fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks_of_models, "_MOST_STEPS", 1000)
+    checks = checked(WALK, 12, 100)
+    assert checks["simulate"].text == "x, y and z are finite in 76 draws of 13 instants"
+    assert checks["every instant"].state == "ok"
+
+
+# --- the filter of a job --------------------------------------------------------------------------
+
+
+def by_name(problem: Problem | Path) -> dict[str, tuple[str, str]]:
+    """State and text of each check; of a name that comes again, the last."""
+    rows = pfdist.check_model(problem).itertuples()
+    return {row.check: (row.state, row.text) for row in rows}
+
+
+def estimated(text: str) -> tuple[float, float]:
+    """Value and standard error of a text like "1.68 ± 0.02 with these times"."""
+    value, _, error, *_ = text.split()
+    return float(value), float(error)
+
+
+def test_a_job_is_checked_at_its_own_regular_times() -> None:
+    problem = Problem(WALK, horizon=12, measurement_budget=3, forbidden=range(9), particles=2000)
+    checks = by_name(problem)
+    times = problem.job().problem.feasible.regular()
+    assert checks["degenerate draws"][1] == (
+        "0.00% of draws with 3 regular times and 2000 particles"
+    )
+    mse, error = estimated(checks["expected MSE"][1])
+    assert mse == pytest.approx(expected_mse(WALK, 12, [times])[0], abs=4 * error)
+
+
+def test_the_sensors_of_a_job_are_filtered_together_and_once() -> None:
+    system = ThreeSensors(0.4, 0.95, 0.5, ((1, 0), (0, 1), (1, 1)), (0.6, 0.5, 0.7))
+    costs: dict[str, Any] = {name: {"cost": cost} for name, cost in zip(
+        ("near", "far", "both"), (1, 2, 3), strict=True
+    )}  # fmt: skip
+    problem = Problem(
+        system.as_model(), horizon=HORIZON, total_cost=9, sensors=costs, particles=2000
+    )
+    table = pfdist.check_model(problem)
+    names = table["check"].tolist()
+    assert names.count("log_likelihood") == 3
+    assert names.count("particles") == names.count("expected MSE") == 1
+    times = problem.job().problem.feasible.regular()
+    checks = by_name(problem)
+    assert f"with {len(times)} regular times" in checks["degenerate draws"][1]
+    mse, error = estimated(checks["expected MSE"][1])
+    assert mse == pytest.approx(system.expected_mse(times), abs=4 * error)
+
+
+def test_sensors_without_a_job_measure_in_turn() -> None:
+    system = ThreeSensors(0.4, 0.95, 0.5, ((1, 0), (0, 1), (1, 1)), (0.6, 0.5, 0.7))
+    found = list(check_loaded(system.as_model, HORIZON, 2000))
+    assert [check.name for check in found].count("particles") == 1
+    (cost,) = (check.text for check in found if check.name == "expected MSE")
+    mse, error = estimated(cost)
+    times = (0, 4 * 3 + 1, 8 * 3 + 2, 12 * 3)
+    assert mse == pytest.approx(system.expected_mse(times), abs=4 * error)
+
+
+def test_a_job_whose_filter_has_another_model_has_one_loss_on_its_own_draws() -> None:
+    """A filter with less process noise than the truth; the loss is that of its own model."""
+    wrong = replace(WALK, parameters={**WALK.parameters, "step_sd": 0.3})
+    keys: dict[str, Any] = {"horizon": 12, "measurement_budget": 4, "particles": 100}
+    checks = by_name(Problem(WALK, filter_model=wrong, **keys))
+    alone = by_name(Problem(wrong, **keys))
+    assert {"log_likelihood", "filter: log_likelihood"} < set(checks)
+    assert "filter: particles" not in checks
+    assert checks["effective sample size"] == alone["effective sample size"]
+    (truth, error), (own, own_error) = (
+        estimated(each["expected MSE"][1]) for each in (checks, alone)
+    )
+    assert truth - own > 4 * np.hypot(error, own_error)
+
+
+def test_a_wrong_formula_of_the_filters_model_ends_the_checks_of_a_job() -> None:
+    wrong = replace(WALK, transition=lambda x, t, w, p: (x[0] / 0.0 + w[0],))
+    problem = Problem(WALK, filter_model=wrong, horizon=12, measurement_budget=4)
+    assert "expected MSE" not in by_name(problem)
+
+
+def test_what_only_the_job_shows_is_a_row_of_the_checks() -> None:
+    problem = Problem(
+        WALK, horizon=12, measurement_budget=4, scenarios={"parameters": [{"steps": 1.0}]}
+    )
+    state, text = by_name(problem)["filter"]
+    assert state == "wrong"
+    assert "scenarios.parameters: model random_walk: unknown parameter 'steps'" in text
+
+
+def test_a_job_that_finds_its_number_of_particles_is_checked_with_the_usual_number() -> None:
+    checks = by_name(Problem(WALK, horizon=12, measurement_budget=4, particles="auto"))
+    assert checks["particles"][1].startswith("500 particles lose ")
+
+
+@pytest.mark.parametrize(("origin", "state"), [(0.0, "ok"), (1e8, "note")])
+def test_float32_states_far_from_the_origin_lose_digits(origin: float, state: str) -> None:
+    """Near 1e8 neighbours are 8 apart, and a step of the walk is about 1."""
+    model = replace(
+        WALK,
+        initial=lambda w, p: (origin + w[0],),
+        linear_gaussian=False,
+    )
+    keys: dict[str, Any] = {"horizon": 12, "measurement_budget": 4, "particles": 100}
+    found, text = by_name(Problem(model, dtype="float32", **keys))["float32"]
+    change, error = map(float, re.findall(r"-?[\d.]+", text)[:2])
+    assert found == state
+    assert (change > 4 * error) == (state == "note")
+    assert "float32" not in by_name(Problem(model, **keys))
+
+
+def test_a_job_with_the_kalman_filter_has_no_particles() -> None:
+    problem = Problem(WALK, horizon=12, measurement_budget=4, engine="kalman")
+    checks = by_name(problem)
+    assert checks["degenerate draws"] == ("ok", "0.00% of draws with 4 regular times")
+    assert not {"particles", "effective sample size"} & set(checks)
+    mse, error = estimated(checks["expected MSE"][1])
+    exact = expected_mse(WALK, 12, [problem.job().problem.feasible.regular()])[0]
+    assert mse == pytest.approx(exact, abs=4 * error)

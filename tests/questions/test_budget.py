@@ -1,0 +1,267 @@
+"""`pfdist budget`: what it finds, that it goes on, and what it says."""
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.errors import JobError
+from pfdist.filters.kalman import expected_mse
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.results import reaching
+from pfdist.runner.bound_settings import LEAST_DRAWS
+from pfdist.runner.progress import Progress
+
+EXACT = ["model.name=random_walk", "filter.engine=kalman"]
+WALK = pfdist.load_model("random_walk")
+
+
+@pytest.fixture
+def exact_job(small_job: Job) -> Job:
+    """T = 12, and every cost known."""
+    return small_job.with_changes(EXACT)
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
+    """Times and a lower bound for 2 to 6 measurements, all exact."""
+    job = pfdist.load_job(Path(__file__).parents[1] / "small.toml", EXACT)
+    folder = tmp_path_factory.mktemp("exact") / "run"
+    return pfdist.budget(job, (2, 6), folder, draws=300, figures=False)
+
+
+@pytest.fixture
+def found(exact: pfdist.Run) -> pd.DataFrame:
+    """The found times of each number of measurements."""
+    table = exact.table("budget")
+    return table[table["kind"] == "found"].set_index("measurements")
+
+
+@pytest.fixture(scope="module")
+def optima() -> "pd.Series[float]":
+    """The least expected MSE of all sets of 2 to 6 times, by brute force."""
+    sets = {number: list(Feasible(12, number).every()) for number in range(2, 7)}
+    return pd.Series({n: expected_mse(WALK, 12, times).min() for n, times in sets.items()})
+
+
+def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regular_ones(
+    exact: pfdist.Run,
+) -> None:
+    table = exact.table("budget")
+    kinds = ("regular", DEFAULT_METHOD)
+    assert table["name"].tolist() == [f"{name}_{n:02}" for name in kinds for n in range(2, 7)]
+    for row in table.to_dict("records"):
+        feasible, times = Feasible(12, row["measurements"]), tuple(row["measurement_times"])
+        if row["kind"] == "regular":
+            assert times == feasible.regular()
+        else:
+            sets = list(feasible.every())
+            costs = expected_mse(WALK, 12, sets)
+            assert row["search_cost"] == pytest.approx(costs.min(), rel=1e-9)
+            assert times == sets[int(costs.argmin())]
+        cost = expected_mse(WALK, 12, [times])[0]
+        assert abs(row["expected_mse"] - cost) < 4 * row["standard_error"]
+        assert row["low"] < row["expected_mse"] < row["high"]
+    assert not (exact.path / "tables" / "trajectories").exists()
+
+
+def test_no_set_costs_less_than_the_bound_and_a_set_that_costs_as_much_is_optimal(
+    exact: pfdist.Run, found: pd.DataFrame, optima: "pd.Series[float]"
+) -> None:
+    assert found.index.tolist() == optima.index.tolist()
+    assert (found["bound"] <= optima * (1 + 1e-12)).all()
+    assert (found["bound_error"] == 0).all()
+    assert (found["bound_low"] == found["bound"]).all()
+    optimal = found["bound"] >= found["search_cost"] * (1 - 1e-11)
+    assert optimal.all()  # windows have grown until the gap is 0
+    assert found["search_cost"].tolist() == pytest.approx(optima.tolist(), rel=1e-9)
+    regular = exact.table("budget").query("kind == 'regular'")
+    assert regular[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
+
+
+def test_a_number_is_impossible_if_no_set_of_so_many_times_reaches_the_target(
+    exact: pfdist.Run, optima: "pd.Series[float]"
+) -> None:
+    for target in (1.0, 1.5, 1.8, 2.2, 2.6):
+        cannot = optima.index[optima > target]
+        reached = reaching(exact.table("budget"), target)["found"]
+        assert reached["impossible"] == (max(cannot) if len(cannot) else None)
+        assert reached["measurements"] is None or reached["measurements"] not in cannot
+
+
+def test_with_particles_the_limit_lies_below_the_optimum(
+    small_job: Job, tmp_path: Path, optima: "pd.Series[float]"
+) -> None:
+    job = small_job.with_changes(["model.name=random_walk", "filter.particles=100"])
+    table = pfdist.budget(job, (3, 5), tmp_path / "run", draws=60, figures=False).table("budget")
+    for row in table[table["kind"] == "found"].to_dict("records"):
+        optimum = optima[row["measurements"]]
+        assert row["bound_error"] > 0
+        assert 0.9 * optimum < row["bound_low"] < optimum
+        assert row["bound_low"] < row["bound"] < optimum + 4 * row["bound_error"]
+
+
+def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
+    small_job: Job, tmp_path: Path
+) -> None:
+    few = small_job.with_changes(["problem.horizon=8", "filter.particles=10"])
+    whole = pfdist.budget(few, (2, 4), tmp_path / "whole", draws=60, figures=False)
+    for phase in (DEFAULT_METHOD, "comparison", "lower bound"):
+
+        def stop(progress: Progress, phase: str = phase) -> None:
+            if progress.phase == phase and progress.evaluations > 20:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, progress=stop, figures=False)
+        stopped = pfdist.open_run(tmp_path / phase)
+        assert (stopped.state == "finished") is ("bound" in phase)
+        assert "bound" not in stopped.tables
+        other = few.with_changes(["problem.measurement_budget=3"])  # is left aside
+        pfdist.budget(other, (2, 4), tmp_path / phase, draws=60, figures=False)
+        assert hashes(tmp_path / phase) == hashes(tmp_path / "whole")
+    assert whole.state == "finished"
+    assert whole.names[0] == "regular_2"
+    assert whole.table("bound")["draws"].tolist() == [LEAST_DRAWS] * 3
+    found = whole.table("budget").tail(3)
+    assert (found["bound_low"] < found["bound"]).all()
+
+
+def test_the_command_says_how_many_are_enough(
+    exact: pfdist.Run,
+    found: pd.DataFrame,
+    small_job: Job,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = shutil.copytree(exact.path, tmp_path / "run")
+    costs, bounds = found["expected_mse"], found["bound"]
+    target = (costs[3] + costs[4]) / 2
+    words = f"--measurements 2:6 --draws 300 --target {target} --set {' '.join(EXACT)} --results"
+    command = ["budget", str(small_job.path), *words.split(), str(run)]
+    assert main([*command, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["results"][f"{DEFAULT_METHOD}_05"]["expected_mse"] == costs[5]
+    assert answer["target"] == target
+    assert answer["reached"]["found"]["measurements"] == 4
+    assert answer["reached"]["found"]["impossible"] == 3
+    row = answer["results"][f"{DEFAULT_METHOD}_03"]
+    assert row["bound"] == row["bound_low"] == row["search_cost"] > target
+    assert answer["results"]["regular_03"]["bound"] is None
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert f"\ntarget {target:g}: 4 found times reach it (95 %: " in text
+    assert "; proved: no 3 times can (95 % confidence)" in " ".join(text.split())
+    assert f"\nTo reach {target:g}, measure at t = " in text
+    row = rf"^5  .*\(.* to .*\) +{costs[5]:.2f} \(.* to .*\) +{bounds[5]:.4f}$"
+    assert re.search(row, text, re.MULTILINE)
+    assert main(["status", str(run)]) == 0
+    assert "\n2  " in capsys.readouterr().out
+    assert main(["why", str(run / "job.toml")]) == 1
+    assert "several numbers of measurements" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_without_draws_there_is_no_bound(
+    exact_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = f"--measurements 3:4 --draws 20 --target 2 --bound-draws 0 --set {' '.join(EXACT)}"
+    command = ["budget", str(exact_job.path), *words.split(), "--results", str(tmp_path / "run")]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "bound" not in text
+    assert "times can" not in text
+    run = pfdist.open_run(tmp_path / "run")
+    assert "bound" not in run.tables
+    assert run.table("budget")["bound_low"].isna().all()
+    assert reaching(run.table("budget"), 0.1)["found"]["impossible"] is None
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_numbers_with_gaps_have_the_times_that_they_have_without_gaps(
+    exact: pfdist.Run, exact_job: Job, tmp_path: Path
+) -> None:
+    words = ["--draws", "300", "--set", *EXACT, "--measurements", "2 4,6"]
+    assert main(["budget", str(exact_job.path), *words, "--results", str(tmp_path / "run")]) == 0
+    whole = exact.table("budget").set_index("name")
+    few = pfdist.open_run(tmp_path / "run").table("budget").set_index("name")
+    assert few["measurements"].tolist() == [2, 4, 6] * 2
+    for column in ("measurement_times", "expected_mse", "search_cost", "bound"):
+        pd.testing.assert_series_equal(few[column], whole[column][few.index])
+
+
+def test_numbers_that_were_not_tried_are_named(
+    exact_job: Job, found: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The report says the same as the terminal, and which numbers there are."""
+    costs, run = found["expected_mse"], tmp_path / "run"
+    words = f"--measurements 2:6:2 --draws 300 --target {(costs[3] + costs[4]) / 2}"
+    command = ["budget", str(exact_job.path), *words.split(), "--results", str(run)]
+    assert main([*command, "--set", *EXACT]) == 0
+    answer = " ".join(capsys.readouterr().out.split())
+    proved = "proved: no 2 times can (95 % confidence)"
+    said = f"4 found times reach it (95 %: 4 to 4); {proved}; 3 was not tried"
+    assert said in answer
+    page = " ".join((run / "report.html").read_text(encoding="utf-8").split())
+    assert said in page
+    assert "<dd>2, 4, 6</dd>" in page
+
+
+def test_numbers_may_be_a_range_or_a_set_and_without_a_gap_are_the_same_run(
+    exact: pfdist.Run, exact_job: Job, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(exact.path, tmp_path / "run")
+    for numbers in ((2, 6), range(2, 7), {6, 5, 4, 3, 2}):
+        run = pfdist.budget(exact_job, numbers, folder, draws=300, target=3.0)
+        assert run.job["budget"] == {"least": 2, "most": 6}
+    names = ("budget", "budget-target-3", "times")
+    figures = {f"{name}.{kind}" for name in names for kind in ("png", "svg")}
+    assert {file.name for file in (folder / "figures").iterdir()} == figures
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("0:5", r"measurements must be at least 1, got 0 \(--measurements\)"),
+        ("2:14", "budget of 14 measurements: .* number of instants, 13, got 14"),
+        ("2:3 --set problem.required=[1,2,3]", "budget of 2 .* at least 3"),
+        ("2:3 --set search.relaxation.rounds=-1", "rounds .* got -1"),
+        ("2:3 --set comparison.draws=9", "as measurements and draws say, got c"),
+        ("2:3 --set search.relaxation.polish=true", "polish = false, got true"),
+        ("2:3 --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
+        ("2:3 --bound-draws 9", r"bound_draws must be 480 .* \(--bound-draws\)"),
+        ("7:5", "--measurements: must .*, got '7:5'"),
+        ("2:x", "--measurements: must .*, got '2:x'"),
+        ("2:5:0", "--measurements: must .*, got '2:5:0'"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    options: str, words: str, small_job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = f"budget {small_job.path} --results nowhere --measurements {options}"
+    with pytest.raises(SystemExit):
+        sys.exit(main(command.split()))
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(words, error)
+    assert not Path("nowhere").exists()
+
+
+def test_money_and_other_searches_are_refused(small_job: Job) -> None:
+    text = small_job.path.read_text()
+    money = text.replace("measurement_budget = 4", f"cost = {[1] * 13}\ntotal_cost = 4")
+    small_job.path.write_text(money)
+    with pytest.raises(JobError, match=r"needs problem.measurement_budget, got problem.total_cost"):
+        pfdist.budget(small_job.path, (2, 3))
+    small_job.path.write_text(f"{text}\n[budget]\nleast = 2\nmost = 3\n")
+    with pytest.raises(JobError, match=f"search of method '{DEFAULT_METHOD}', got genetic, random"):
+        pfdist.load_job(small_job.path)

@@ -1,0 +1,414 @@
+"""Jobs with a clock: formulas read it, errors are weighted by it, and people read it.
+
+The oracle is an Ornstein-Uhlenbeck process, whose transition over any time is known exactly.
+"""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+import pfdist
+from pfdist.cli.main import main
+from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistError, PriorError
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.measurements import read_measurements
+from pfdist.filters.user_prior import as_prior
+from pfdist.filters.work import Estimation, Work
+from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.questions.why import Why
+from pfdist.runner.build import build
+
+pytestmark = pytest.mark.usefixtures("no_figures")
+
+MODEL = """
+import numpy as np
+from pfdist import StateSpaceModel
+
+
+def transition(x, t, w, p):
+    kept = np.exp(-p.rate * p.dt[t])
+    return (kept * x[0] + p.sd * np.sqrt(1 - kept**2) * w[0],)
+
+
+model = StateSpaceModel(
+    name="ornstein_uhlenbeck",
+    initial=lambda w, p: (p.sd * w[0],),
+    transition=transition,
+    measurement=lambda x, t, v, p: (x[0] + p.noise * v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.noise) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={"rate": 0.3, "sd": 2.0, "noise": 0.5},
+    linear_gaussian=True,
+)
+"""
+TIMES = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0)
+JOB = f"""
+seed = 1
+[model]
+name = "ou.py:model"
+[problem]
+times = {list(TIMES)}
+time_unit = "h"
+measurement_budget = 3
+forbidden = ["2:3"]
+[filter]
+engine = "kalman"
+particles = 60
+[evaluation]
+draws = 60
+[[search]]
+method = "exhaustive"
+[comparison]
+draws = 200
+[execution]
+pool = "serial"
+"""
+
+
+@pytest.fixture
+def job(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """The job with the exact filter; for slow tests with particles, whose filter is compiled."""
+    (tmp_path / "ou.py").write_text(MODEL)
+    slow = request.node.get_closest_marker("slow")
+    path = tmp_path / "ou.toml"
+    path.write_text(JOB.replace('engine = "kalman"\n', "") if slow else JOB)
+    return path
+
+
+def exact_errors(times: NDArray[np.float64], measured: tuple[int, ...]) -> NDArray[np.float64]:
+    """Variance of x at each time given the measurements up to it, by the scalar Kalman filter."""
+    rate, sd, noise, variance, errors = 0.3, 2.0, 0.5, 4.0, []
+    for t, step in enumerate(np.diff(times, append=times[-1])):
+        if t in measured:
+            variance = 1 / (1 / variance + 1 / noise**2)
+        errors.append(variance)
+        kept = np.exp(-rate * step)
+        variance = kept**2 * variance + sd**2 * (1 - kept**2)
+    return np.array(errors)
+
+
+def weighted(errors: NDArray[np.float64], times: tuple[float, ...] = TIMES) -> float:
+    """The mean over time by the trapezoidal rule."""
+    return float(np.trapezoid(errors, times) / (times[-1] - times[0]))
+
+
+MEASURED = exact_errors(np.array(TIMES), (1, 5, 6))  # at 0.5, 5 and 8 h
+
+
+def test_on_an_irregular_grid_the_error_is_weighted_by_trapezoids(job: Path) -> None:
+    """The exact expected MSE is the integral of the Kalman filter's variance over time."""
+    found = pfdist.evaluate(job, [0.5, 5, 8])
+    assert found.expected_mse == pytest.approx(weighted(MEASURED))
+    assert found.measurement_times == (0.5, 5.0, 8.0)
+
+
+@pytest.mark.slow
+def test_particles_agree_with_the_exact_error_on_an_irregular_grid(job: Path) -> None:
+    found = pfdist.evaluate(job, "0.5, 5:8", draws=4000, particles=2000)
+    assert abs(found.expected_mse - weighted(MEASURED)) < 4 * found.standard_error
+    assert found.standard_error < 0.03 * weighted(MEASURED)
+
+
+def test_given_weights_take_the_place_of_the_clocks(job: Path) -> None:
+    last = pfdist.load_job(job, ["problem.instant_weights=[0, 0, 0, 0, 0, 0, 0, 1]"])
+    assert pfdist.evaluate(last, [0.5, 5, 8]).expected_mse == pytest.approx(MEASURED[-1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_engines_weigh_instants_alike(job: Path, estimator: str) -> None:
+    """The compiled filter and the plain filter, for whole sets, for prefixes and for sums."""
+    made = build(pfdist.load_job(job)).evaluator
+    sets, ends, estimation = ((1, 5, 6), (1, 5)), (7, 5), Estimation(30, "systematic", estimator)
+    work = Work(sets, ends, (3, 3), 4, (0, 6), estimation)
+    plain, compiled = (
+        Evaluator(made.model, 7, made.believed, engine=engine, weights=made.weights)
+        for engine in ("numpy", "compiled")
+    )
+    np.testing.assert_allclose(plain(work).mse, compiled(work).mse, rtol=1e-9)
+    sums = compiled.sum_errors(work)
+    np.testing.assert_allclose(plain.sum_errors(work)[0], sums[0], rtol=1e-9)
+    np.testing.assert_allclose(sums[0].sum() / 8, compiled(work).mse[:, 0].sum(), rtol=1e-9)
+    alone = Evaluator(made.model, 7, made.believed, weights=(1.0,) * 8)
+    without = Evaluator(made.model, 7, made.believed)
+    assert (alone(work).mse == without(work).mse).all()
+    assert not np.allclose(alone(work).mse, compiled(work).mse)
+
+
+@pytest.mark.slow
+def test_a_clock_of_one_step_an_instant_changes_no_figure(small_job: pfdist.Job) -> None:
+    without = small_job.with_changes(["problem.minimum_spacing=2"])
+    with_clock = without.with_changes(['problem.time_unit="s"'])
+    found = [pfdist.evaluate(job, [0, 4, 8, 12]) for job in (with_clock, without)]
+    assert (found[0].mse == found[1].mse).all()
+    assert with_clock.problem.feasible.size == without.problem.feasible.size
+
+
+def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
+    """Summary, tables and the sets of a run have times in hours; nothing has instants."""
+    run = pfdist.run(job, tmp_path / "run")
+    (regular, exhaustive), allowed = run.sets.values(), set(TIMES) - {2.0, 3.0}
+    assert set(regular) | set(exhaustive) <= allowed
+    summary = run.summary()
+    assert summary.time_unit == "h"
+    weights = np.array(summary.instant_weights)
+    assert np.average(np.arange(8.0), weights=weights) == pytest.approx(weighted(np.arange(8.0)))
+    page = pfdist.report(run).read_text()
+    assert "weights of instants in the MSE" in page
+    assert "by the trapezoidal rule, because the steps differ, from 0.1667 to 2.333" in page
+    assert summary.results["exhaustive"].measurement_times == list(exhaustive)
+    rows = run.table("trajectories")
+    assert rows["t"].tolist()[: len(TIMES)] == list(TIMES)
+    assert rows.attrs["time_unit"] == "h"
+    table = pd.read_parquet(run.path / "tables" / "evaluations")
+    assert {time for times in table["measurement_times"] for time in times} <= allowed
+    again = pfdist.run(job, tmp_path / "run")  # a finished run is read, not computed
+    assert again.sets == run.sets
+    more = pfdist.run(pfdist.load_job(job, ["comparison.draws=300"]), tmp_path / "run")
+    assert (more.sets, more.draws_compared) == (run.sets, 300)
+
+
+def _profile(run: pfdist.Run, found: Why) -> tuple[pd.DataFrame, float, NDArray[np.float64]]:
+    """Errors of the best set at each instant, its expected MSE, and its exact errors."""
+    profile = found.profile[found.profile["name"] == "exhaustive"]
+    cost = found.sets.set_index("name").loc["exhaustive", "expected_mse"]
+    measured = tuple(TIMES.index(time) for time in run.sets["exhaustive"])
+    return profile, cost, exact_errors(np.array(TIMES), measured)
+
+
+def test_why_speaks_of_the_clock_and_its_profile_is_not_weighted(job: Path, tmp_path: Path) -> None:
+    """The profile has the error of each instant; its weighted mean is the expected MSE."""
+    run = pfdist.run(job, tmp_path / "run")
+    found = pfdist.why(run, figures=False)
+    profile, cost, exact = _profile(run, found)
+    assert profile["t"].tolist() == list(TIMES)
+    np.testing.assert_allclose(profile["error"], exact)
+    assert weighted(profile["error"].to_numpy()) == pytest.approx(cost)
+    assert set(found.worth["t"]) <= set(TIMES)
+    assert not {2.0, 3.0} & set(found.sampling_windows["moved_to"])
+    assert run.summary().results["exhaustive"].exact_mse == pytest.approx(cost)
+
+
+@pytest.mark.parametrize("engine", ["kalman", pytest.param("compiled", marks=pytest.mark.slow)])
+def test_why_keeps_the_exact_cost_where_instants_do_not_count(
+    engine: str, job: Path, tmp_path: Path
+) -> None:
+    """An instant of weight 0 has an error too, but no part in the mean over time."""
+    given = [1, 0, 2, 0, 0, 0, 0, 5]
+    changes = [f"filter.engine={engine}", f"problem.instant_weights={given}"]
+    run = pfdist.run(pfdist.load_job(job, changes), tmp_path / "run")
+    before = run.summary().results["exhaustive"].exact_mse
+    profile, cost, exact = _profile(run, pfdist.why(run, draws=300, figures=False))
+    after = pfdist.open_run(run.path).summary().results["exhaustive"].exact_mse
+    assert np.average(profile["error"], weights=given) == pytest.approx(cost)
+    apart = np.abs(profile["error"] - exact)
+    if engine == "kalman":
+        assert apart.max() < 1e-9
+        assert before == pytest.approx(np.average(exact, weights=given))
+        assert after == pytest.approx(before, rel=1e-12)
+    else:  # 60 particles have their own error beside
+        assert (apart < 5 * profile["standard_error"] + 0.1 * exact).all()
+        assert before is after is None
+
+
+@pytest.mark.parametrize("engine", ["numpy", pytest.param("compiled", marks=pytest.mark.slow)])
+def test_an_infinite_error_of_weight_0_does_not_count(job: Path, engine: str) -> None:
+    model = pfdist.load_model(f"{job.with_name('ou.py')}:model").on_clock(TIMES)
+    infinite = replace(model, error=lambda z, e, t, p: np.where(t == 2, np.inf, (z[0] - e[0]) ** 2))
+    work = Work(((1, 5), (1,)), (7, 7), (3, 3), 4, (0, 6), Estimation(30))
+    weights = (2.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    found, without = (
+        Evaluator(each, 7, engine=engine, weights=weights) for each in (infinite, model)
+    )
+    np.testing.assert_allclose(found(work).mse, without(work).mse, rtol=1e-12)
+    np.testing.assert_allclose(found.sum_errors(work), without.sum_errors(work), rtol=1e-12)
+    assert np.isinf(Evaluator(infinite, 7, engine=engine)(work).mse).all()
+
+
+def test_the_bound_holds_on_an_irregular_grid(job: Path, tmp_path: Path) -> None:
+    """With an exact engine and windows long enough the bound is the optimum of brute force."""
+    spaced = pfdist.load_job(job, ["problem.minimum_spacing=1.5"])
+    run = pfdist.run(spaced, tmp_path / "run")
+    (gap,) = [gap for gap in pfdist.bound(run).gaps if gap.name == "exhaustive"]
+    errors = {
+        times: weighted(exact_errors(np.array(TIMES), times))
+        for times in spaced.problem.feasible.every()
+    }
+    assert run.sets["exhaustive"] == tuple(TIMES[t] for t in min(errors, key=lambda t: errors[t]))
+    assert gap.bound.value <= min(errors.values()) * (1 + 1e-12)
+    assert gap.gap < 0.05
+
+
+def test_commands_read_and_write_hours(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(job), "--results", str(tmp_path / "run")]) == 0
+    text = capsys.readouterr().out
+    times = pfdist.open_run(tmp_path / "run").sets["exhaustive"]
+    assert f"Measure at t = {', '.join(f'{time:g}' for time in times)} h." in text
+    assert main(["evaluate", str(job), "--times", "0.5:8", "--json"]) == 0
+    broken = json.loads(capsys.readouterr().out)["broken_constraints"]
+    assert "problem.forbidden: 2, 3 are measured" in broken
+    assert main(["evaluate", str(job), "--times", "0.7"]) == 1
+    assert "got 0.7; the nearest are 0.5 and 1 h (--times)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("problem.horizon=12", r"problem\.horizon must be left out, because times say every inst"),
+        ("problem.forbidden=[4]", r"problem\.forbidden must be times .* nearest are 3 and 5 h"),
+        ("problem.minimum_spacing=0", r"problem\.minimum_spacing must be above 0, got 0"),
+        ("problem.instant_weights=[1, 2]", r"needs 8 values, one for each instant, got 2"),
+        ("comparison.reference=[0, 4]", r"comparison\.reference must be times of .*, got 4"),
+    ],
+)
+def test_a_wrong_clock_is_told_in_one_line(job: Path, change: str, message: str) -> None:
+    with pytest.raises(PfdistError, match=message):
+        pfdist.load_job(job, [change])
+
+
+def test_a_model_that_reads_the_clock_needs_one(job: Path) -> None:
+    text = job.read_text().replace(f"times = {list(TIMES)}", "horizon = 7")
+    job.write_text(text.replace('time_unit = "h"', ""))
+    with pytest.raises(PfdistError, match=r"problem\.time_step, problem\.time_unit or"):
+        pfdist.evaluate(job, [1])
+    model = pfdist.load_model(f"{job.with_name('ou.py')}:model")
+    with pytest.raises(PfdistError, match=r"or take the model's on_clock\(times\)"):
+        pfdist.Filter(model, particles=20, engine="numpy").update(1, 0.3)
+    filtering = pfdist.Filter(model.on_clock([0.0, 0.5, 2.0]), particles=20, engine="numpy")
+    assert np.isfinite(filtering.update(2, 0.3).mean).all()
+
+
+def test_a_parameter_may_not_have_a_name_of_the_clock(job: Path) -> None:
+    source = job.with_name("ou.py")
+    source.write_text(source.read_text().replace('"sd": 2.0', '"sd": 2.0, "time": 1.0'))
+    with pytest.raises(PfdistError, match=r"p\.time is the clock's"):
+        pfdist.evaluate(job, [1])
+
+
+def test_a_parameter_that_varies_has_a_number_for_each_instant(job: Path) -> None:
+    source = job.with_name("ou.py")
+    varying = MODEL.replace("p.rate *", "p.rate[t] *").replace('"rate": 0.3', '"rate": [0.3] * 8')
+    source.write_text(varying)
+    found = pfdist.evaluate(job, [0.5, 5, 8])
+    assert found.expected_mse == pytest.approx(weighted(MEASURED))
+
+
+def test_measurements_and_the_next_time_speak_of_the_clock(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`filter`, `next` and a planner read and write hours; a planner repeats what `next` says."""
+    run = pfdist.run(job, tmp_path / "run")
+    planned = run.sets["exhaustive"]
+    measured = pd.DataFrame({"t": [planned[0], 12.0], "y0": [0.3, -1.0]})
+    found = pfdist.filter_measurements(run, measured, out=tmp_path, report=False)
+    assert found.table["t"].tolist() == list(TIMES)
+    assert found.measured == (planned[0], 12.0)
+    assert set(found.missing) == set(planned) - {planned[0], 12.0}
+    assert found.as_json()["time_unit"] == "h"
+    assert pd.read_csv(tmp_path / "measurements.filtered.csv")["t"].tolist() == list(TIMES)
+    measured.to_csv(tmp_path / "mine.csv", index=False)
+    capsys.readouterr()
+    job_of_run = str(run.path / "job.toml")
+    assert main(["filter", job_of_run, str(tmp_path / "mine.csv"), "--no-report"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"planned, missing +[\d., ]+ h\n", out)
+    assert re.search(r"most surprising +t = [\d., ]+ h", out)
+    main(["next", job_of_run, str(tmp_path / "mine.csv")])
+    assert re.search(r"expected MSE .* from t = 12 h on", capsys.readouterr().out)
+    main(["filter", job_of_run, str(tmp_path / "mine.csv")])
+    report = (tmp_path / "mine.filtered.html").read_text()
+    assert re.search(r"surprising measurement is that at t = [\d.]+ h: p", report)
+    after = pfdist.next_time(run, measured[:1], now=planned[0])
+    planner = pfdist.Planner(pfdist.load_job(job), planned)
+    assert planner.next_time() == planned[0]
+    assert planner.update(0.3).t == planned[0]
+    assert (planner.plan(), planner.measured) == (after.plan, after.measured)
+    assert set(after.plan) <= set(TIMES)
+    with pytest.raises(PfdistError, match=r"t must be times of the clock, got 4; .* 3 and 5 h"):
+        pfdist.filter_measurements(run, pd.DataFrame({"t": [4.0], "y0": [0.0]}))
+    with pytest.raises(PfdistError, match=r"now must be times of the clock, got 6"):
+        pfdist.next_time(run, measured[:1], now=6)
+
+
+@pytest.mark.slow
+def test_a_planner_expects_errors_at_times_of_the_clock(job: Path) -> None:
+    planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
+    assert [each.measurement_times for each in planner.expected(draws=20)] == [(0.5, 5.0, 8.0)]
+    planner.update(0.3)
+    found = planner.expected([5, 12], [8], draws=20)
+    assert [each.measurement_times for each in found] == [(5.0, 12.0), (8.0,)]
+
+
+@pytest.mark.slow
+def test_the_t_of_a_table_of_particles_is_a_time_on_the_clock(job: Path, tmp_path: Path) -> None:
+    """A `Cloud` has an instant; a table has a time, as the measurements beside it."""
+    x = np.linspace(-1.0, 1.0, 50)
+    table = pd.DataFrame({"x0": x, "t": 0.5})
+    loaded = pfdist.load_job(job)
+    planners = [
+        pfdist.Planner(loaded, [1.0, 5.0, 8.0], prior=prior)
+        for prior in (table, pfdist.Cloud(1, x[None]))
+    ]
+    for planner in planners:
+        assert planner.estimate().t == 0.5
+        assert planner.update(0.2).t == 1.0
+    assert planners[0].estimate().mean == planners[1].estimate().mean
+    clock = loaded.problem.clock
+    for wrong, message in [
+        (0.75, r"t must be times of the clock, got 0\.75; the nearest are 0\.5 and 1 h$"),
+        (np.where(x > 0, 0.5, 1.0), r"t must be one time for all particles, got 0\.5$"),
+    ]:
+        with pytest.raises(PriorError, match=message):
+            as_prior(table.assign(t=wrong), planners[0]._filter.model, clock)
+    path = tmp_path / "prior.csv"
+    table.to_csv(path, index=False)
+    run = pfdist.run(loaded, tmp_path / "run")
+    measured = pd.DataFrame({"t": [1.0], "y0": [0.2]})
+    found = pfdist.filter_measurements(run, measured, prior=path, out=tmp_path, report=False)
+    assert found.table["t"].tolist() == list(TIMES[1:])
+
+
+@pytest.mark.slow
+def test_errors_about_measurements_tell_times_of_the_clock(job: Path) -> None:
+    planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
+    with pytest.raises(MeasurementsError, match=r"must be finite.* at t = 0\.5$"):
+        planner.update(np.inf)
+    with pytest.raises(MeasurementsError, match=r"no particle .* explains .* at t = 0\.5: more"):
+        planner.update(1e200)
+    planner.update(0.3, 1.0)
+    with pytest.raises(MeasurementsError, match=r"t must not be before 1, got 0\.5$"):
+        planner.estimate(0.5)
+    clock, model = planner.clock, planner._filter.model
+    for rows, message in [
+        ({"t": [0.5, 0.5], "y0": [1.0, 2.0]}, r"one row, got t = 0\.5 twice$"),
+        ({"t": [12.0, 0.5], "y0": [1.0, np.inf]}, r"must be finite.* at t = 0\.5$"),
+    ]:
+        with pytest.raises(MeasurementsError, match=message):
+            read_measurements(pd.DataFrame(rows), model, clock)
+    with pytest.raises(MeasurementTimesError, match=r"must differ from each other, got 0\.5 h twi"):
+        pfdist.evaluate(job, [0.5, 5, "0.5"])
+
+
+@pytest.mark.slow
+def test_a_problem_in_python_has_the_clock_of_a_job_file(job: Path) -> None:
+    source = {"model": f"{job.with_name('ou.py')}:model", "particles": 60}
+    problem = pfdist.Problem(
+        **source, times=np.array(TIMES), time_unit="h", measurement_budget=3, forbidden=["2:3"]
+    )
+    assert problem.job().problem == pfdist.load_job(job).problem
+    draws = pfdist.simulate(problem, draws=2)
+    assert draws["t"].tolist() == [*TIMES, *TIMES]
+    assert draws.attrs["time_unit"] == "h"
+    checks = pfdist.check_model(problem)
+    assert "wrong" not in set(checks["state"])

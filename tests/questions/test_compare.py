@@ -1,0 +1,351 @@
+"""Named sets compared on common draws: exact differences, the same bytes again, what is refused."""
+
+import json
+import re
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.results import Run
+from pfdist.results.stored_run import found_sets, named_sets
+
+WALK = """
+seed = 4
+[model]
+name = "random_walk"
+[problem]
+horizon = 12
+measurement_budget = 4
+[filter]
+particles = 400
+[comparison]
+draws = 1500
+[execution]
+pool = "serial"
+"""
+SETS = {"clinic": [0, 3, 6, 12], "late": "6:12:2", "few": [4, 9]}
+WORDS = ["--times", "clinic=0,3,6,12", "--times", "late=6:12:2", "--times", "few=4 9"]
+
+
+KALMAN = ["filter.engine=kalman", "comparison.draws=40"]
+compare: Any = partial(pfdist.compare, figures=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("compare")
+    (folder / "walk.toml").write_text(WALK)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def job(folder: Path) -> Job:
+    return pfdist.load_job(folder / "walk.toml")
+
+
+@pytest.fixture(scope="module")
+def few(job: Job) -> Job:
+    return job.with_changes(["comparison.draws=2"])
+
+
+@pytest.fixture(scope="module")
+def compared(job: Job, folder: Path) -> Run:
+    run: Run = compare(job, times=SETS, results=folder / "compared")
+    return run
+
+
+@pytest.fixture(scope="module")
+def exact(job: Job, folder: Path) -> Run:
+    run: Run = compare(job.with_changes(KALMAN), times=SETS, results=folder / "exact")
+    return run
+
+
+def _bytes(run: Path) -> dict[str, bytes]:
+    files = [run / "job.toml", *(run / "tables").glob("*/*.parquet")]
+    own = [file for file in files if "timings" not in str(file)]
+    return {str(file.relative_to(run)): file.read_bytes() for file in own}
+
+
+def test_an_exact_engine_gives_the_exact_differences_and_ranks(job: Job, exact: Run) -> None:
+    kalman = job.with_changes(["filter.engine=kalman"])
+    known = {name: each.exact for name, each in pfdist.evaluate(kalman, SETS).items()}
+    for pair in exact.table("pairs").to_dict("records"):
+        difference = known[pair["first"]] - known[pair["second"]]
+        assert pair["difference"] == pair["low"] == pair["high"] == pytest.approx(difference)
+        assert pair["clear"]
+    ranks = exact.table("ranks")
+    assert ranks["name"].to_list() == sorted(known, key=lambda name: known[name])
+    assert ranks["best_rank"].to_list() == ranks["worst_rank"].to_list() == [1, 2, 3]
+    assert (ranks["standard_error"] == 0.0).all()
+
+
+@pytest.mark.slow
+def test_differences_of_a_particle_filter_agree_with_the_exact_ones(
+    compared: Run, exact: Run
+) -> None:
+    pairs, known = compared.table("pairs"), exact.table("pairs")
+    error = (pairs["high"] - pairs["low"]) / 2 / 1.9615  # Student's t of 1500 draws
+    assert (np.abs(pairs["difference"] - known["difference"]) < 4 * error).all()
+    assert pairs["clear"].any()
+    assert compared.table("ranks")["name"].to_list() == exact.table("ranks")["name"].to_list()
+
+
+def test_one_command_gives_the_numbers_of_three_lines_of_python(
+    compared: Run, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["compare", str(folder / "walk.toml"), *WORDS, "--results", str(folder / "command")]
+    assert main([*words, "--no-report", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["pairs"] == compared.table("pairs").to_dict("records")
+    assert answer["ranks"] == compared.table("ranks").to_dict("records")
+    assert _bytes(folder / "command") == _bytes(compared.path)
+    few = answer["results"]["few"]
+    assert few["broken_constraints"] == ["problem.measurement_budget is 4, got 2 times"]
+    assert answer["results"]["clinic"]["broken_constraints"] == []
+
+
+def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
+    compared: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", str(compared.path)]) == 0
+    *lines, files = capsys.readouterr().out.splitlines()
+    assert files.startswith("tables: ")
+    assert [line for line in lines[1:] if len(line) > 80] == []
+    text = " ".join(" ".join(lines).split())
+    assert "break a constraint of the job. problem.measurement_budget is 4, got 2 times." in text
+    assert "Ranks on 1,500 draws" in text
+    assert "Pairs of sets first second" in text
+    page = pfdist.report(compared).read_text()
+    assert "How the sets compare" in page
+    assert "problem.measurement_budget is 4, got 2 times" in page
+    for words in ("took no part in the search", "found times", "The answer", "How the times were"):
+        assert words not in page
+
+
+def test_an_interrupted_comparison_takes_more_draws_and_ends_with_the_same_bytes(
+    job: Job, compared: Run, tmp_path: Path
+) -> None:
+    def stop(progress: Any) -> None:
+        if progress.evaluations:
+            raise KeyboardInterrupt
+
+    results = tmp_path / "stopped"
+    with pytest.raises(KeyboardInterrupt):
+        compare(job, times=SETS, results=results, draws=600, progress=stop)
+    with pytest.raises(StoreError, match="is not finished"):
+        compare(job, results)
+    compare(job, times=SETS, results=results, draws=600)
+    compare(job, times=SETS, results=results)
+    assert _bytes(results) == _bytes(compared.path)
+    with pytest.raises(RunMismatchError, match=r"comparison\.sets\.few: \[4, 9\] -> \[4, 8\]"):
+        compare(job, times=SETS | {"few": [4, 8]}, results=results)
+
+
+@pytest.mark.slow
+def test_workers_change_no_byte(job: Job, tmp_path: Path, compared: Run, ray_cluster: None) -> None:
+    run = compare(job, times=SETS, results=tmp_path / "ray", pool="ray", workers=2)
+    assert _bytes(run.path) == _bytes(compared.path)
+
+
+@pytest.mark.slow
+def test_times_are_times_on_the_clock(job: Job, tmp_path: Path, compared: Run) -> None:
+    clock = {"problem": {"time_unit": "h", "time_step": 0.5, "horizon": 6}}
+    times = {"clinic": [0, 1.5, 3, 6], "late": "3:6:1", "few": [2, 4.5]}
+    run = compare(job.with_changes(settings=clock), times=times, results=tmp_path / "clock")
+    assert run.sets == {"clinic": (0.0, 1.5, 3.0, 6.0), "late": (3, 4, 5, 6), "few": (2, 4.5)}
+    np.testing.assert_array_equal(
+        run.table("pairs")["difference"], compared.table("pairs")["difference"]
+    )
+
+
+def test_the_sets_of_runs_are_compared_on_the_problem_of_the_job(
+    job: Job, tmp_path: Path, exact: Run
+) -> None:
+    changes = [*KALMAN, "search=[{method='random'}]", "search.random.evaluations=5"]
+    first = pfdist.run(job.with_changes(changes), tmp_path / "first", figures=False)
+    other = job.with_changes([*changes, "seed=8", "comparison.reference=[1, 2]"])
+    second = pfdist.run(other, tmp_path / "second", figures=False)
+    kalman = job.with_changes(KALMAN)
+    both = compare(kalman, first, second.path, exact, results=tmp_path / "both")
+    named = ["regular", "random", "second_reference", "second_random", "clinic", "late", "few"]
+    assert [*both.sets] == named
+    assert both.sets["second_random"] == second.sets["random"]
+    assert both.job["search"] == []
+    more = {"mine": [0, 12]}
+    again = compare(kalman, first.path, first, times=more, results=tmp_path / "again")
+    assert [*again.sets] == ["regular", "random", "mine"]
+
+
+def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Questions about the comparison need no model either: this process made the run."""
+    monkeypatch.chdir(tmp_path)
+    model = replace(pfdist.load_model("random_walk"), name="my_walk")
+    problem = pfdist.Problem(model, horizon=12, measurement_budget=4, engine="kalman")
+    search = [{"method": "random", "evaluations": 3}]
+    job = problem.job(search=search, comparison={"draws": 40})
+    run = pfdist.run(job, tmp_path / "object", pool="serial", figures=False)
+    found = compare(problem, run, times={"late": "6:12:2"}, pool="serial")
+    assert found.path == Path("results/my_walk-compare").absolute()
+    assert pfdist.why(found, draws=2, figures=False).sets["name"].tolist() == found.names
+
+
+def test_the_model_of_a_run_whose_sets_are_compared_is_not_run(job: Job, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("from pfdist.models.library.random_walk import model\n")
+    (tmp_path / "mine.toml").write_text(WALK.replace('"random_walk"', '"mine.py:model"'))
+    first = compare(tmp_path / "mine.toml", times=SETS, results=tmp_path / "a", draws=20)
+    (tmp_path / "mine.py").write_text("raise SystemExit\n")
+    found = compare(job, first.path, times={"more": [1]}, results=tmp_path / "b", draws=20)
+    assert [*found.sets] == [*SETS, "more"]
+
+
+@pytest.mark.parametrize(
+    ("own", "of_run", "message"),
+    [
+        ({}, {"horizon": 20}, "and ends at 12, got a run that ends at 20"),
+        ({}, {"time_unit": "h"}, "first problem, which counts instants, got .* clock in h"),
+        ({"time_unit": "h"}, {"time_unit": "h", "time_step": 0.5},
+         r"instant 1 is 1 h, got .* instant 1 is 0\.5 h"),
+    ],
+)  # fmt: skip
+def test_a_run_on_another_clock_is_refused_by_its_name(
+    own: dict[str, Any], of_run: dict[str, Any], message: str, few: Job, tmp_path: Path
+) -> None:
+    job, other = (few.with_changes(KALMAN[:1], settings={"problem": e}) for e in (own, of_run))
+    run = compare(other, times={"a": [0], "b": [1]}, results=tmp_path / "other")
+    with pytest.raises(JobError, match=rf"{message}.* \(.*other\)"):
+        compare(job, run)
+
+
+def test_each_difference_of_the_problem_of_a_run_is_said(few: Job, tmp_path: Path) -> None:
+    weights = {"problem": {"instant_weights": [1, 1, 1, 1, 1, 1, 2]}}
+    changes = ["problem.horizon=6", "model.parameters.step_sd=2"]
+    other, times = few.with_changes(changes, settings=weights), {"a": [0], "b": [1]}
+    same = compare(few, times=times, results=tmp_path / "same")
+    run = compare(other, times=times, results=tmp_path / "other")
+    lines = list[str]()
+    compare(few, same, run, say=lines.append, results=tmp_path / "all")
+    differs = f"{run.path} has another problem than the first: "
+    assert [line.removeprefix(differs) for line in lines if "another problem" in line] == [
+        "its horizon is 6, not 12",
+        "its errors have other weights of instants",
+        "its model differs in model.parameters.step_sd",
+    ]
+
+
+def test_a_reference_that_the_job_lists_is_compared(few: Job, tmp_path: Path) -> None:
+    listed = few.with_changes(["comparison.reference=[0, 3, 6]"])
+    run = compare(listed, times={"a": [0]}, results=tmp_path / "listed")
+    assert run.sets == {"reference": (0, 3, 6), "a": (0,)}
+
+
+def test_the_name_of_a_set_fits_a_column_however_long_its_parts_are(
+    few: Job, tmp_path: Path
+) -> None:
+    runs = [
+        compare(few, times={"s" * 64: [t], "b": [1]}, results=tmp_path / f"{'a_long_name' * 3}{t}")
+        for t in (2, 3, 4)
+    ]
+    names = [*compare(few, *runs, results=tmp_path / "cut").sets]
+    assert len({*names}) == len(names) == 4
+    assert max(map(len, names)) == 64
+
+
+def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) -> None:
+    changes = ["comparison.draws=30", "search=[{method='random', evaluations=3}]"]
+    changes += ["comparison.sets.mine=[0, 1, 2]", "comparison.sets.every='0:12'"]
+    run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
+    assert run.names == ["regular", "mine", "every", "random"]
+    assert (named_sets(run), found_sets(run)) == (["mine", "every"], ["random"])
+    results = run.summary().results
+    assert results["random"].search_cause
+    assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]
+    assert (tmp_path / "both" / "figures" / "compared.svg").exists()
+    page = (tmp_path / "both" / "report.html").read_text()
+    assert "How the sets compare" in page
+    assert "The times of mine break a constraint of the job." in page
+    assert results["every"].expected_mse < results["random"].expected_mse
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ({"a": [0]}, "compare needs at least two sets of times, got a: "),
+        ({"A": [0], "b": [1]}, r"names of comparison\.sets must be lower-case .* got 'A'"),
+        ({"regular": [0], "b": [1]}, "names of times must not be 'regular', .* got 'regular'"),
+        ({"a": [13], "b": [1]}, r"must lie in 0\.\.12, got 13 \(times of a\)"),
+        ({"a": 3, "b": [1]}, "times of a must be a sequence of times, got 3"),
+        ([[0], [1]], "times must name sets, as .* got "),
+    ],
+)
+def test_wrong_sets_are_refused_in_one_line(
+    times: Any, message: str, job: Job, tmp_path: Path
+) -> None:
+    with pytest.raises(PfdistError, match=message) as caught:
+        compare(job, times=times, results=tmp_path / "never")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "never").exists()
+
+
+def test_wrong_options_are_refused_in_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, message in (
+        (["--times", "0,3"], "times of several sets must be NAME=TIMES"),
+        (["--times", "a=0", "--times", "a=1"], "'a' twice"),
+    ):
+        assert main(["compare", str(folder / "walk.toml"), *words]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert message in line
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["search=[]"], "search must name at least one search, unless"),
+        (["comparison.reference='mine'"], "or the name of a set of comparison.sets"),
+        (["comparison.sets.genetic=[0]"], "other names than the searches, got 'genetic'"),
+        (["comparison.sets.reference=[0]"], "must not name a set 'reference'"),
+        (["comparison.sets.a=[13]"], r"0\.\.12, got 13 \(comparison\.sets\.a\)"),
+        (["comparison.sets.a=3"], r"comparison\.sets\.a must be 'regular', or times"),
+        (["comparison.sets.a=[0]", "search=[]", "online.draws=3"], "online needs a search"),
+        (["comparison.sets.a=[0]", "budget={least=2, most=3}"],
+         r"budget needs comparison\.reference = 'regular', got comparison\.sets"),
+    ],
+)  # fmt: skip
+def test_a_wrong_job_is_refused(changes: list[str], message: str, small_job: Job) -> None:
+    with pytest.raises(JobError, match=message):
+        small_job.with_changes(changes)
+
+
+def test_sets_that_are_evaluated_together_share_draws_and_noise(job: Job) -> None:
+    sets = pfdist.evaluate(job, {"a": [0, 6], "same": "0:6:6", "regular": "regular"}, draws=50)
+    np.testing.assert_array_equal(sets["a"].mse, sets["same"].mse)
+    assert sets["regular"].measurement_times == (0, 4, 8, 12)
+    assert pfdist.evaluate(job, "regular", draws=50).measurement_times == (0, 4, 8, 12)
+    alone = pfdist.evaluate(job, {"a": [0, 6]}, draws=50)["a"]
+    np.testing.assert_array_equal(alone.mse, sets["a"].mse)
+    assert isinstance(pfdist.evaluate(job, [0, 6], draws=50), pfdist.Evaluation)
+
+
+def test_evaluate_prints_a_line_for_each_set(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", str(folder / "walk.toml"), *WORDS, "--draws", "30"]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    rows = [line.split()[0] for line in out.splitlines() if re.search(r"± \d", line)]
+    assert rows == ["clinic", "late", "few"]
+    assert "Note: the times of few break a constraint: problem.measurement_budget" in out
+    assert not err
+    assert main([*words, "--json"]) == 0
+    assert [*json.loads(capsys.readouterr().out)["sets"]] == ["clinic", "late", "few"]

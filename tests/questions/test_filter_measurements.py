@@ -1,0 +1,308 @@
+"""Measurements of a user, filtered from the command line: the table, the figure and the words."""
+
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Filter, Job
+from pfdist.cli.main import main
+from pfdist.common.component_names import numbered_components
+from pfdist.errors import JobError, MeasurementsError, PfdistWarning, PriorError, StoreError
+from pfdist.filters.simulation import simulate
+from pfdist.questions.filter_measurements import IMPROBABLE, FilteredMeasurements
+from pfdist.store import filtered_schema
+
+HORIZON = 12
+QUANTILES = {5: 0.05, 25: 0.25, 50: 0.5, 75: 0.75, 95: 0.95}
+
+
+FEW = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
+
+
+@pytest.fixture
+def job(finished: Callable[..., Path]) -> Path:
+    """The job of a finished run, in the folder of the run."""
+    wrong = ["model.filter.parameters.process_sd=1.5"]
+    return finished(*FEW, *wrong) / "job.toml"
+
+
+@pytest.fixture
+def y() -> Any:
+    return simulate(pfdist.load_model("ungm"), HORIZON, range(1), 99).y[0, :, 0]
+
+
+def _written(path: Path, times: Any, y: Any) -> Path:
+    frame = pd.DataFrame({"t": list(times), "y0": [float(y[t]) for t in times]})
+    frame.to_parquet(path) if path.suffix == ".parquet" else frame.to_csv(path, index=False)
+    return path
+
+
+def test_the_table_is_the_filter_of_the_run_at_every_instant(
+    job: Path, y: Any, tmp_path: Path
+) -> None:
+    times = (1, 4, 8)
+    found = pfdist.filter_measurements(job, _written(tmp_path / "mine.csv", times, y))
+    believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
+    filtering = Filter(believed, 40, 1, resampling="multinomial")
+    rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
+    assert list(found.table.columns) == filtered_schema(numbered_components(1)).names
+    assert [row["t"] for row in rows] == list(range(HORIZON + 1))
+    for t, row in enumerate(rows):
+        estimate = filtering.update(t, y[t]) if t in times else filtering.predict(t)
+        assert row["measured"] is (t in times)
+        assert row["mean_0"] == estimate.mean[0]
+        assert row["sd_0"] == estimate.standard_deviation[0]
+        for percent, level in QUANTILES.items():
+            assert row[f"q{percent:02d}_0"] == estimate.quantiles(level)[0, 0]
+        assert row["effective_sample_size"] == estimate.effective_sample_size
+        surprise = None if math.isnan(row["surprise"]) else row["surprise"]
+        assert surprise == estimate.surprise
+
+
+def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
+    job: Path, y: Any, tmp_path: Path
+) -> None:
+    before = hashes(job.parent)
+    path = _written(tmp_path / "patient 7.csv", (0, 3, 8), y)
+    found = pfdist.filter_measurements(job, path)
+    names = [f"patient 7.filtered.{ending}" for ending in ("csv", "png", "html")]
+    assert [file.name for file in found.files] == names
+    once = [file.read_bytes() for file in found.files]
+    again = pfdist.filter_measurements(job, path)
+    assert [file.read_bytes() for file in again.files] == once
+    assert hashes(job.parent) == before
+    assert {file.name for file in tmp_path.iterdir()} == {path.name, *names}
+    assert matplotlib.image.imread(found.files[1]).shape[:2] == (825, 1050)
+    report = " ".join(found.files[2].read_text().split())  # names files and no folder
+    assert "3 measurements of patient 7.csv, filtered as the run run does" in report
+    made = "Made by pfdist from the measurements patient 7.csv by the filter of the run run."
+    assert made in report
+    assert "from tables alone" not in report
+    assert str(tmp_path) not in report
+
+
+def test_parquet_gives_parquet_in_another_folder(job: Path, y: Any, tmp_path: Path) -> None:
+    path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
+    found = pfdist.filter_measurements(job, path, out=tmp_path / "new" / "folder")
+    table, *_ = found.files
+    assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
+    schema = pq.read_schema(table)
+    assert schema.names == filtered_schema(numbered_components(1)).names
+    assert all(schema.field(name).metadata[b"description"] for name in schema.names)
+    pd.testing.assert_frame_equal(pd.read_parquet(table), found.table)
+    assert found.table["surprise"].notna().tolist() == found.table["measured"].tolist()
+
+
+@pytest.mark.slow
+def test_planned_times_that_are_missing_and_extra_times_are_named(
+    job: Path, y: Any, tmp_path: Path
+) -> None:
+    path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
+    found = pfdist.filter_measurements(job, path, planned="regular")  # 0, 4, 8, 12
+    assert (found.name, found.measured) == ("regular", (0, 5, 8))
+    assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
+    results = pfdist.open_run(job.parent).summary().results
+    least = min(("genetic", "random"), key=lambda name: results[name].expected_mse)
+    assert pfdist.filter_measurements(job, path).name == least
+    nothing = pfdist.filter_measurements(job, _written(path, (), y), planned="regular")
+    assert (nothing.missing, nothing.to_come) == ((), (0, 4, 8, 12))
+    assert (nothing.most_surprising, nothing.is_improbable) == (None, False)
+
+
+def test_a_prior_is_where_the_filter_starts(job: Path, y: Any, tmp_path: Path) -> None:
+    path, prior = _written(tmp_path / "mine.csv", (5, 8), y), tmp_path / "prior.parquet"
+    pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(prior)
+    found = pfdist.filter_measurements(job, path, planned="regular", prior=prior)
+    assert found.table["t"].tolist() == list(range(4, HORIZON + 1))
+    assert (found.table["mean_0"][0], found.table["sd_0"][0]) == (7.0, 0.5)
+    assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
+    _written(path, (3, 8), y)
+    with pytest.raises(MeasurementsError, match=r"mine\.csv: t must lie in 4\.\.12, got 3"):
+        pfdist.filter_measurements(job, path, prior=prior)
+    pd.DataFrame({"x0": [6.5], "t": [13]}).to_parquet(prior)
+    with pytest.raises(PriorError, match=r"0\.\.12, got 13"):
+        pfdist.filter_measurements(job, path, prior=prior)
+
+
+def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
+    job: Path, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
+    words = ["filter", str(job), str(path), "--planned", "regular"]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("3 measurements, filtered as ")
+    assert "does; planned: regular" in " ".join(text.split())
+    for line in (
+        "  planned, missing      4\n",
+        "  planned, to come      12\n",
+        "  measured, not planned 5\n",
+        "  log evidence          none: the model ungm does not declare normalised=True,\n",
+        "  most surprising       t = ",
+        "".join(f"\n{tmp_path / f'mine.filtered.{ending}'}" for ending in ("csv", "png", "html")),
+    ):
+        assert line in text
+    assert "may be wrong" not in text
+    assert main([*words, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {key: answer[key] for key in ("measured", "missing", "extra", "to_come")} == {
+        "measured": [0, 5, 8], "missing": [4], "extra": [5], "to_come": [12],
+    }  # fmt: skip
+    assert answer["log_evidence"] is None
+    assert answer["is_improbable"] is False
+    assert answer["most_surprising"]["t"] in (0, 5, 8)
+    y[5] = 1e3
+    _written(path, (0, 5, 8), y)
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "most surprising       t = 5, p = " in text
+    note = r"Note: The measurement at t = 5 is improbable, p = [\de.-]+ \([\de.-]+ among all\): "
+    assert re.search(note + "the model may be wrong about this system", " ".join(text.split()))
+
+
+def test_an_improbable_measurement_is_a_warning_and_shows_itself(
+    job: Path, y: Any, tmp_path: Path
+) -> None:
+    """Where nobody receives lines; the command line prints a note."""
+    y[5] = 1e3
+    path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
+    options: Any = {"planned": "regular", "report": False}
+    with pytest.warns(
+        PfdistWarning, match=r"^The measurement at t = 5 is improbable, p = "
+    ) as said:
+        found = pfdist.filter_measurements(job, path, **options)
+    line = str(said[0].message)
+    assert repr(found).endswith(f" | {line}>")
+    assert f"<p>Note: {line}</p>" in found._repr_html_()
+    lines = list[str]()
+    pfdist.filter_measurements(job, path, **options, say=lines.append)  # raises no warning
+    _written(path, (0, 8), y)
+    assert "improbable" not in repr(pfdist.filter_measurements(job, path, **options))
+
+
+@pytest.mark.slow
+def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often() -> None:
+    """Bonferroni's bound: the number of wrong suspicions is at most binomial with 1 %."""
+    model, systems = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5}), 40
+    noisier = model.with_parameters({"measurement_sd": 6.0})
+    suspected = {}
+    for name, truth in (("right", model), ("wrong", noisier)):
+        draws = simulate(truth, HORIZON, range(systems), 5).y[:, :, 0]
+        found = [_suspected(model, draws[d], range(0, HORIZON + 1, 2), d) for d in range(systems)]
+        suspected[name] = sum(found)
+    assert suspected["right"] <= 3  # 1 in 1,000 of binomials with 40 draws of 1 %
+    assert suspected["wrong"] > systems / 2
+
+
+def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
+    filtering = Filter(model, 400, draw=draw)
+    surprises = [filtering.update(t, y[t]).surprise for t in times]
+    table = pd.DataFrame({"t": list(times), "surprise": surprises})
+    found = FilteredMeasurements(
+        Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
+    )
+    assert found.is_improbable is (min(surprises) * len(surprises) < IMPROBABLE)
+    return found.is_improbable
+
+
+def test_the_exact_filter_gives_its_evidence(
+    finished: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = finished(*FEW, "model.name=random_walk", "filter.engine=kalman") / "job.toml"
+    path = tmp_path / "mine.csv"
+    path.write_text("t,y0\n0,3.0\n4,1.0\n")
+    found = pfdist.filter_measurements(job, path)
+    exact = Filter("random_walk", engine="kalman")
+    exact.update(0, 3.0)
+    exact.update(4, 1.0)
+    assert found.log_evidence == exact.log_evidence
+    assert found.table["effective_sample_size"].isna().all()
+    np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
+    assert main(["filter", str(job), str(path)]) == 0
+    assert f"  log evidence          {exact.log_evidence:.4f}\n" in capsys.readouterr().out
+
+
+def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> None:
+    def refused(path: Path, name: str) -> None:
+        with pytest.raises(StoreError, match=rf"{name} exists and is no earlier result"):
+            pfdist.filter_measurements(job, path)
+
+    path = _written(tmp_path / "mine.csv", (0, 3), y)
+    for name in ("mine.filtered.csv", "mine.filtered.png", "mine.filtered.html"):
+        other = tmp_path / name
+        for content in (b"", b"t,measured\n", b"\x89PNG" + b"x" * 9000):
+            other.write_bytes(content)
+            refused(path, name)
+            assert other.read_bytes() == content
+        other.unlink()
+        other.symlink_to(tmp_path / "elsewhere")
+        refused(path, name)
+        other.unlink()
+    pfdist.filter_measurements(job, path)
+    pfdist.filter_measurements(job, path)  # now they are earlier results
+    _written(tmp_path / "mine.filtered.parquet", (0, 3), y)
+    refused(_written(tmp_path / "mine.parquet", (0, 3), y), "mine.filtered.parquet")
+
+
+def test_a_set_or_a_folder_that_there_is_not_is_one_line(
+    job: Path, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = _written(tmp_path / "mine.csv", (0, 3), y)
+    for words, message in (
+        (["--planned", "none"], ", genetic, random, got 'none' (--planned)\n"),
+        (["--out", str(path)], "cannot "),
+    ):
+        assert main(["filter", str(job), str(path), *words]) == 1
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert message in error
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
+    small_job: Job, y: Any, tmp_path: Path
+) -> None:
+    few = small_job.with_changes(["filter.particles=20", "evaluation.draws=10"])
+    curve = pfdist.budget(few, (3, 4), tmp_path / "budget", draws=20, figures=False)
+    path, name = _written(tmp_path / "mine.csv", (0, 3), y), curve.names[-1]
+    with pytest.raises(JobError, match="several numbers of measurements: planned must say which"):
+        pfdist.filter_measurements(curve, path)
+    assert pfdist.filter_measurements(curve, path, planned=name).name == name
+
+
+def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
+    from pfdist.pages.plots import draw_filtered, filtered_plot
+
+    for number, height in ((1, 825), (3, 1695), (8, 3000)):
+        names = filtered_schema(numbered_components(number)).names
+        table = pd.DataFrame({name: np.zeros(5) for name in names})
+        table["t"], table["measured"] = range(5), [True, False, True, False, False]
+        path = tmp_path / f"{number}.png"
+        draw_filtered(path, filtered_plot(table, ((0, 2), (1,), (2,), (4,))))
+        assert matplotlib.image.imread(path).shape[0] == height
+
+
+@pytest.mark.slow
+def test_missing_components_reach_the_filter(tmp_path: Path, small_job: Job) -> None:
+    model = pfdist.load_model("constant_velocity")
+    assert replace(model, missing_components=True).components == (4, 2, 2)
+    changes = ["model.name=constant_velocity", "filter.engine=numpy", *FEW[1:]]
+    job = small_job.with_changes([*changes, "evaluation.draws=3", "comparison.draws=5"])
+    ship = pfdist.run(job, tmp_path / "ship", figures=False)
+    (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,\n")
+    with pytest.raises(MeasurementsError, match=r" missing at t = 0: the model constant_v"):
+        pfdist.filter_measurements(ship, tmp_path / "mine.csv")
+    (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,-1.3\n4,,\n")
+    assert pfdist.filter_measurements(ship, tmp_path / "mine.csv").measured == (0,)

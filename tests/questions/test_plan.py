@@ -1,0 +1,124 @@
+"""`pfdist plan`: one search in the place of a job's own, with all that `run` allows."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.errors import JobError
+from pfdist.problem.methods import METHODS
+
+EXACT = ["model.name=random_walk", "filter.engine=kalman"]
+
+
+@pytest.fixture
+def unnamed(small_job: Job) -> Path:
+    """A job that names no search."""
+    text = small_job.path.read_text()
+    head, _, rest = text.partition("[[search]]")
+    path = small_job.path.with_name("unnamed.toml")
+    path.write_text(head + rest[rest.index("[comparison]") :])
+    return path
+
+
+def test_it_is_the_run_of_a_job_without_searches_and_its_bound_that_of_the_command_bound(
+    unnamed: Path, tmp_path: Path
+) -> None:
+    run, plan = tmp_path / "run", tmp_path / "plan"
+    pfdist.run(unnamed, run, changes=EXACT, figures=False)
+    pfdist.plan(unnamed, plan, changes=EXACT, bound_draws=0, figures=False)
+    without = hashes(run)
+    assert hashes(plan) == without
+    pfdist.bound(run / "job.toml", pool="serial", figures=False)
+    pfdist.plan(unnamed, plan, changes=EXACT, figures=False)
+    assert hashes(plan) == hashes(run) != without
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_any_method_may_search_and_the_jobs_own_are_left_aside(
+    method: str, small_job: Job, tmp_path: Path
+) -> None:
+    run = pfdist.plan(
+        small_job, tmp_path / "run", method, changes=[*EXACT, "comparison.draws=2"], figures=False
+    )
+    assert run.names == ["regular", method]
+    phases = set(run.table("evaluations")["phase"])
+    assert method in phases <= {method, f"{method}.polish", f"{method}.shortlist"}
+
+
+def test_its_own_folder_unless_the_job_is_the_same(
+    small_job: Job, unnamed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    changes = [*EXACT, "comparison.draws=2"]
+    job = pfdist.load_job(unnamed).with_changes(changes)
+    assert (
+        pfdist.plan(unnamed, changes=changes, figures=False).path
+        == Path("results/unnamed").absolute()
+    )
+    assert pfdist.plan(job, figures=False).path == Path("results/unnamed").absolute()
+    assert (
+        pfdist.plan(small_job, changes=changes, figures=False).path
+        == Path("results/small-plan").absolute()
+    )
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = shlex.quote(str(small_job.path))
+    a, b = (shlex.quote(str(path)) for path in (tmp_path / "a", tmp_path / "b"))
+    changes = f"{' '.join(EXACT)} comparison.draws=3 search.relaxation.paths=3"
+    command = f"plan {job} --pool serial --json --set {changes}"
+    assert main(shlex.split(f"{command} --results {a}")) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert main(["status", str(tmp_path / "a"), "--json"]) == 0
+    assert answer == json.loads(capsys.readouterr().out)
+    assert pfdist.open_run(tmp_path / "a").job["search"][0]["paths"] == 3
+    assert main(shlex.split(f"{command} comparison.draws=4 --results {b} --reuse {a}")) == 0
+    assert json.loads(capsys.readouterr().out)["draws_compared"] == 4
+
+
+def test_a_job_has_only_the_search_that_it_is_planned_with(small_job: Job, tmp_path: Path) -> None:
+    words = "no search 'random', allowed: genetic"
+    with pytest.raises(JobError, match=words):
+        pfdist.plan(small_job, tmp_path / "no", "genetic", ["search.random.evaluations=3"])
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(0), *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 8))]
+)
+def test_few_particles_find_the_optimum_where_the_likelihood_has_bounded_support(
+    seed: int, tmp_path: Path
+) -> None:
+    """The best t is 3, by brute force: the noise before it is large. Then many draws degenerate.
+
+    If these draws killed a set, or did not count, a search would measure where it is of no use.
+    """
+    model = pfdist.StateSpaceModel(
+        name="bounded",
+        initial=lambda w, p: (0.1 * w[0],),
+        transition=lambda x, t, w, p: (x[0] + pfdist.where(t == 2, 1.6, 0.3) * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + v[0],),
+        log_likelihood=lambda y, x, t, p: pfdist.where(abs(y[0] - x[0]) <= 0.5, 0.0, -np.inf),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("centred",),
+    )
+    problem = pfdist.Problem(model, horizon=5, measurement_budget=1, particles=500)
+    exact = pfdist.evaluate(problem, {f"t{t}": [t] for t in range(6)}, particles=20_000)
+    best = min(exact, key=lambda name: exact[name].expected_mse)
+    changes = [f"seed={seed}", "comparison.draws=400"]
+    run = pfdist.plan(problem, tmp_path / "run", bound_draws=0, figures=False, changes=changes)
+    assert f"t{run.best.measurement_times[0]}" == best == "t3"
+    rows = run.table("evaluations")
+    assert rows["degenerate_draws"].any()
+    assert np.isfinite(rows["expected_mse"]).all()

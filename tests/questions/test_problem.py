@@ -1,0 +1,411 @@
+"""A problem that is handed over in Python is the problem of a job file."""
+
+import inspect
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Problem, Run, StateSpaceModel
+from pfdist.errors import PfdistError, RunMismatchError, StoreError
+from pfdist.models.library import epidemic
+from pfdist.models.recorded import differences
+from pfdist.problem.job import job_toml, load_job
+from pfdist.problem.problem_section import ProblemSection
+from pfdist.problem.sections import Filter
+from pfdist.runner.build import build
+
+ROOT = Path(__file__).parents[2]
+ROBOT = '''
+import numpy as np
+import pfdist
+from pfdist import StateSpaceModel
+
+WIND = np.array([0.1, 0.3])
+
+def steered(x):
+    """Give the heading after the wind."""
+    return {slope} * x + WIND[1] * np.sin(x)
+
+robot = StateSpaceModel(
+    name="robot",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
+    measurement=lambda x, t, v, p: (x[0] + 0.5 * v[0],),
+    log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={{"sd": 0.7}},
+)
+'''
+IN_NUMPY = {"horizon": 10, "measurement_budget": 3, "particles": 30, "engine": "numpy"}
+"""For tests in which the engine makes no difference: nothing is compiled."""
+SHORT = {"horizon": 10, "measurement_budget": 3, "particles": 30}
+RUN = """
+SECTIONS = {"search": [{"method": "random", "evaluations": 3}], "comparison": {"draws": 40}}
+if __name__ == "__main__":
+    import sys
+    problem = pfdist.Problem(robot, horizon=10, measurement_budget=3, particles=30, engine="numpy")
+    job = problem.job(seed=4, **SECTIONS)
+    try:
+        print(pfdist.run(job, sys.argv[1], pool=sys.argv[2], workers=1, figures=False).state)
+    except pfdist.PfdistError as error:
+        sys.exit(f"{type(error).__name__}: {error}")
+"""
+SECTIONS: dict[str, Any] = {
+    "search": [{"method": "random", "evaluations": 3}],
+    "comparison": {"draws": 40},
+    "evaluation": {"draws": 10},
+}
+
+
+def robot_of(gain: float, sd: float = 0.7) -> StateSpaceModel:
+    """A model whose formulas are closures over an array and a function."""
+    table = np.array([gain, 0.3])
+
+    def steered(x: Any) -> Any:
+        return table[0] * x + table[1] * np.sin(x)
+
+    return StateSpaceModel(
+        name="robot",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + 0.5 * v[0],),
+        log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        parameters={"sd": sd},
+    )
+
+
+def finished(problem: Problem, path: Path) -> Run:
+    return pfdist.run(problem.job(**SECTIONS), path, pool="serial", figures=False)
+
+
+def script(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    file = folder / "script.py"
+    file.write_text(text)
+    command = [sys.executable, str(file), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+
+
+def test_a_shipped_model_makes_the_run_of_the_job_file(tmp_path: Path) -> None:
+    (tmp_path / "same.toml").write_text(
+        'seed = 3\nmodel = {name = "ungm", parameters = {process_sd = 2.0}}\n'
+        'problem = {horizon = 10, measurement_budget = 3, forbidden = ["4-6", 9]}\n'
+        "filter = {particles = 30}\ncomparison = {draws = 40}\nevaluation = {draws = 10}\n"
+        'search = [{method = "random", evaluations = 3}]\n'
+    )
+    of_file = load_job(tmp_path / "same.toml")
+    model = pfdist.load_model("ungm").with_parameters({"process_sd": 2.0})
+    problem = Problem(model, **SHORT, forbidden=[range(4, 7), np.int64(9)])
+    job = problem.job(seed=3, **SECTIONS)
+    assert job_toml(job.identity()) == job_toml(of_file.identity())
+    here, there = tmp_path / "here", tmp_path / "there"
+    pfdist.run(job, here, pool="serial", figures=False)
+    pfdist.run(of_file, there, pool="serial", figures=False)
+    assert hashes(here) == hashes(there)
+    assert pfdist.run(of_file, here, pool="serial", figures=False).state == "finished"
+
+
+def test_every_key_of_the_sections_is_an_argument() -> None:
+    arguments = set(inspect.signature(Problem).parameters)
+    keys = {*ProblemSection.model_fields, *Filter.model_fields}
+    assert arguments == keys | {"model", "filter_model", "scenarios"}
+    doc = inspect.getdoc(Problem)
+    assert doc is not None
+    assert all(key in doc for key in keys)
+
+
+@pytest.mark.parametrize(
+    ("forbidden", "section"),
+    [
+        (range(4, 7), ("4-6",)),
+        (range(0, 6, 2), (0, 2, 4)),
+        (range(1), (0,)),
+        (np.array([4, 5]), (4, 5)),
+        (pd.Series([4, 5]), (4, 5)),
+        (["4-6", range(8, 10)], ("4-6", "8-9")),
+        ({5, "7-8", np.int64(4), range(1, 3)}, (1, 2, 4, 5, "7-8")),
+        (None, None),
+    ],
+)
+def test_times_may_be_ranges_arrays_and_lists(forbidden: Any, section: Any) -> None:
+    assert Problem("ungm", **SHORT, forbidden=forbidden).job().problem.forbidden == section
+
+
+def test_on_a_clock_a_range_of_python_means_the_numbers_that_it_lists() -> None:
+    """The text "2-4" would mean the half hours between them, too."""
+    for forbidden, times in (
+        (range(2, 5), {2, 3, 4}),
+        ([range(2, 4), 7], {2, 3, 7}),
+        ({3, "6-7", np.int64(2)}, {2, 3, 6, 6.5, 7}),
+    ):
+        problem = Problem("ungm", **SHORT, time_step=0.5, forbidden=forbidden).job().problem
+        assert set(problem.clock.times_of(problem.feasible.forbidden)) == times
+
+
+def test_ranges_arrays_and_mappings_may_stand_for_numbers() -> None:
+    def problem(**keys: Any) -> Any:
+        return Problem("ungm", **keys).job().problem
+
+    assert problem(measurement_budget=3, times=range(25)).clock.times == tuple(range(25))
+    weights = problem(measurement_budget=3, horizon=3, instant_weights=range(4)).weights
+    assert weights == (0.0, 2 / 3, 4 / 3, 2.0)
+    for cost, costs in (
+        (range(1, 5), (1, 2, 3, 4)),
+        (np.ones(4, int), (1, 1, 1, 1)),
+        ({0: 1, "1-3": 2}, (1, 2, 2, 2)),
+    ):
+        assert problem(horizon=3, total_cost=9, cost=cost).feasible.cost == costs
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: Problem("ungm", **SHORT, forbidden=range(-5, 0)), r"must lie in 0\.\.10, got -5"),
+        (
+            lambda: Problem("ungm", horizon=3, total_cost=4, cost={-1: 1, "0-3": 1}),
+            r"name every time in 0\.\.3 once, got -1 for a horizon of 3",
+        ),
+        (lambda: Problem("ungm", **SHORT).job(filter={}), "got 'filter': all else is an argument"),
+        (lambda: pfdist.evaluate("job.toml", [0]), "'python:robot' was given as an object in Py"),
+    ],
+)
+def test_a_mistake_is_named(
+    call: Callable[[], object], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("job.toml").write_text(
+        'seed = 3\nmodel.name = "python:robot"\nproblem = {horizon = 10, measurement_budget = 3}\n'
+    )
+    with pytest.raises(PfdistError, match=words):
+        call()
+
+
+def test_a_problem_is_frozen_shown_and_can_be_changed_into_another() -> None:
+    problem = Problem("ungm", **SHORT)
+    with pytest.raises(AttributeError, match="frozen"):
+        problem.horizon = 3  # type: ignore[attr-defined]
+    longer = problem.with_changes(horizon=20)
+    assert (problem.job().problem.horizon, longer.job().problem.horizon) == (10, 20)
+    assert problem == longer.with_changes(horizon=10) != longer
+    assert "<td>ungm</td>" in problem._repr_html_()
+
+
+def test_a_problem_computes_with_the_model_as_it_is() -> None:
+    """A constant that changes between two calls is another model, as Python has it."""
+    table = np.array([0.5])
+    model = replace(robot_of(0.5), transition=lambda x, t, w, p: (table[0] * x[0] + w[0],))
+    problem = Problem(model, **IN_NUMPY)
+    first = build(problem.job()).evaluator.model
+    table[0] = 0.9
+    changed = dict(differences(first, build(problem.job()).evaluator.model))
+    assert changed == {"transition": "the constant 0.5 -> 0.9"}
+
+
+def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
+    alike = Problem(robot_of(0.8), **SHORT, filter_model=robot_of(0.8))
+    evaluator = build(alike.job()).evaluator
+    assert evaluator.believed == evaluator.model
+    assert evaluator.cheapest_estimator == "filter_variance"
+
+
+@pytest.mark.slow
+def test_a_filters_model_may_be_an_object(tmp_path: Path) -> None:
+    true, believed = robot_of(0.8), robot_of(0.5)
+    problem = Problem(true, **IN_NUMPY, filter_model=believed)
+    wrong, right = (
+        pfdist.evaluate(each, [0, 5], draws=200).expected_mse
+        for each in (problem, problem.with_changes(filter_model=None))
+    )
+    assert wrong > right
+    run = finished(problem, tmp_path / "run")
+    job = problem.job(**SECTIONS)
+    with pytest.raises(RunMismatchError, match=r"model\.filter\.name: python:robot -> "):
+        pfdist.why(Problem(true, **IN_NUMPY).job(**SECTIONS), results=run.path)
+    again = pfdist.why(job, draws=20, results=run.path, figures=False)
+    of_run = pfdist.why(run, draws=20, figures=False)
+    pd.testing.assert_frame_equal(again.worth, of_run.worth)
+
+
+@pytest.mark.slow
+def test_questions_about_a_problem_find_its_run_and_need_no_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def job_of(model: StateSpaceModel) -> pfdist.Job:
+        return Problem(model, **IN_NUMPY).job(**SECTIONS, execution={"pool": "serial"})
+
+    monkeypatch.chdir(tmp_path)
+    job = job_of(robot_of(0.8))
+    with pytest.raises(StoreError, match=r"run of this job in results/robot.*run\(problem\)"):
+        pfdist.why(job, draws=20)
+    run = pfdist.run(job, figures=False)
+    found = pfdist.why(job, draws=20, figures=False)
+    assert found.run == Path("results/robot").absolute()
+    assert set(found.sets["name"]) == {"regular", "random"}
+    pd.testing.assert_frame_equal(found.worth, pfdist.why(run, draws=20, figures=False).worth)
+    measured = pd.DataFrame({"t": [0], "y0": [0.3]})
+    assert pfdist.next_time(job, measured).measured == (0,)
+
+    assert 'name = "python:robot"' in (run.path / "job.toml").read_text()
+    for file in run.path.rglob("*"):
+        assert not file.is_file() or b"cloudpickle" not in file.read_bytes()
+    of_folder = pfdist.why(run.path, draws=20, figures=False)
+    pd.testing.assert_frame_equal(found.worth, of_folder.worth)
+    with pytest.raises(RunMismatchError, match=r"model\.transition: .* \S+ -> \S+$"):
+        pfdist.why(job_of(robot_of(0.9)))
+    with pytest.raises(RunMismatchError, match=r"model\.parameters\.sd: 0\.7 -> 0\.6$"):
+        pfdist.why(job_of(robot_of(0.8, sd=0.6)))
+    with pytest.raises(RunMismatchError, match=r"model\.transition"):
+        pfdist.run(job_of(robot_of(0.9)), figures=False)
+
+
+def test_the_bound_of_an_objects_run_is_proved(tmp_path: Path) -> None:
+    linear = replace(
+        robot_of(0.8),
+        transition=lambda x, t, w, p: (0.8 * x[0] + p.sd * w[0],),
+        linear_gaussian=True,
+    )
+    problem = Problem(linear, horizon=10, measurement_budget=3, engine="kalman")
+    run = finished(problem, tmp_path / "run")
+    job = problem.job(**SECTIONS)
+    for proved in (pfdist.bound(run), pfdist.bound(job, results=run.path)):
+        assert {gap.name for gap in proved.gaps} == {"regular", "random"}
+        assert all(gap.bound.value <= gap.expected_mse.value for gap in proved.gaps)
+
+
+def test_an_installed_model_is_known_by_its_name_and_travels_with_its_constants(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keys: dict[str, Any] = {"horizon": 12, "time_unit": "d", "measurement_budget": 3}
+    fewer = replace(
+        epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0}
+    )
+    for model in (epidemic.model, fewer, pfdist.load_model("epidemic")):
+        assert Problem(model, **keys).job().model.name == "epidemic"
+    sizes = list[int]()
+    for steps in (2, 4):
+        monkeypatch.setattr(epidemic, "SUBSTEPS", steps)
+        evaluator = build(Problem(fewer, **keys).job()).evaluator
+        sizes.append(len(evaluator.model.transition.traced.programs[0].operations))
+    assert sizes[0] < sizes[1]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("ray_cluster")
+def test_closures_and_a_module_beside_the_script_give_the_same_bytes_on_ray(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "winds.py").write_text("import numpy as np\nWIND = np.array([0.1, 0.3])\n")
+    helper = "import winds\ndef steered(x):\n    return 0.8 * x + winds.WIND[1]\n"
+    (tmp_path / "steering.py").write_text(helper)
+    monkeypatch.syspath_prepend(tmp_path)
+    import steering  # type: ignore[import-not-found]
+
+    robot = robot_of(0.8)
+    closure = robot.transition
+    both = replace(
+        robot, transition=lambda x, t, w, p: (steering.steered(x[0]) + closure(x, t, w, p)[0],)
+    )
+    for number, model in enumerate((robot, both)):
+        problem, serial, ray = Problem(model, **IN_NUMPY), f"serial-{number}", f"ray-{number}"
+        finished(problem, tmp_path / serial)
+        pfdist.run(problem.job(**SECTIONS), tmp_path / ray, pool="ray", workers=1, figures=False)
+        assert hashes(tmp_path / serial) == hashes(tmp_path / ray)
+
+
+@pytest.mark.slow
+def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file_and_resumes_its_run(
+    tmp_path: Path,
+) -> None:
+    text = ROBOT.format(slope=0.8) + RUN
+    for pool in ("serial", "ray"):
+        done = script(tmp_path, text, pool, pool)
+        assert done.stdout == "finished\n", done.stderr
+    before = hashes(tmp_path / "serial")
+    assert before == hashes(tmp_path / "ray")
+    (tmp_path / "robot.py").write_text(ROBOT.format(slope=0.8))
+    (tmp_path / "robot.toml").write_text(
+        'seed = 4\nmodel.name = "robot.py:robot"\ncomparison.draws = 40\n'
+        'filter = {particles = 30, engine = "numpy"}\n'
+        "problem = {horizon = 10, measurement_budget = 3}\n"
+        'search = [{method = "random", evaluations = 3}]\n'
+    )
+    of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", pool="serial", figures=False)
+    of_script = pfdist.open_run(tmp_path / "serial")
+    pd.testing.assert_frame_equal(of_file.table("comparison"), of_script.table("comparison"))
+
+    more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
+    done = script(tmp_path, more, "serial", "serial")
+    assert done.stdout == "finished\n", done.stderr
+    assert len(pfdist.open_run(tmp_path / "serial").table("comparison")) == 60
+    assert before.keys() == hashes(tmp_path / "serial").keys()
+    changed = ROBOT.format(slope=0.9) + RUN.replace("40", "60")
+    done = script(tmp_path, changed, "serial", "serial")
+    assert "RunMismatchError" in done.stderr
+    assert "model.formulas: " in done.stderr
+
+
+def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
+    problem = Problem(robot_of(0.8), **IN_NUMPY)
+    many, few = (pfdist.simulate(problem, draws=draws) for draws in (50, 20))
+    assert list(many) == ["draw", "t", "x_0", "y_0", "z_0"]
+    assert many.groupby("draw")["t"].apply(list).map(lambda t: t == list(range(11))).all()
+    pd.testing.assert_frame_equal(many[many["draw"] < 20], few)
+    assert (many["x_0"] == many["z_0"]).all()
+    noise = pfdist.simulate(problem, draws=2000)
+    error = (noise["y_0"] - noise["x_0"]).std()
+    assert error == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(2 * len(noise)))
+    assert not many.equals(pfdist.simulate(problem, draws=50, seed=1))
+
+
+@pytest.mark.slow
+def test_a_model_is_checked_as_a_table() -> None:
+    problem = Problem(robot_of(0.8), **SHORT, filter_model=robot_of(0.5))
+    checks = pfdist.check_model(problem)
+    assert list(checks) == ["check", "state", "text"]
+    assert not (checks["state"] == "wrong").any()
+    assert {"load", "compile", "filter: load", "filter: compile"} <= set(checks["check"])
+    assert "10 instants" not in " ".join(checks["text"])
+    alone = pfdist.check_model(robot_of(0.8), horizon=10, particles=30)["check"]
+    assert set(alone) == {name for name in checks["check"] if not name.startswith("filter: ")}
+
+
+def test_a_wrong_model_is_a_row_of_the_checks() -> None:
+    diverging = replace(robot_of(0.8), transition=lambda x, t, w, p: (x[0] / 0.0 + w[0],))
+    assert pfdist.check_model(diverging, horizon=10)["state"].tolist()[-1] == "wrong"
+
+
+def test_measurements_and_priors_may_be_data_frames(tmp_path: Path) -> None:
+    run = finished(Problem("ungm", **SHORT), tmp_path / "run")
+    table = pd.DataFrame({"t": [0, 4], "y0": [0.3, 1.2]})
+    table.to_csv(tmp_path / "mine.csv", index=False)
+    prior = pd.DataFrame({"x0": [0.1, 0.2, 0.4]})
+    prior.to_csv(tmp_path / "prior.csv", index=False)
+    for question in (pfdist.filter_measurements, pfdist.next_time):
+        of_frame = question(run, table, prior=prior).as_json()
+        of_file = question(run, tmp_path / "mine.csv", prior=tmp_path / "prior.csv").as_json()
+        for file in ("table", "figure", "report"):
+            assert of_frame.pop(file, None) is None
+            of_file.pop(file, None)
+        of_frame.pop("measurements", None), of_file.pop("measurements", None)
+        assert of_frame == of_file
+    named = pfdist.filter_measurements(run, table.set_index("t"), out=tmp_path, prior=prior)
+    assert [file.name for file in named.files] == [
+        f"measurements.filtered.{ending}" for ending in ("csv", "png", "html")
+    ]
+    means = [pfdist.Filter("ungm", 3, prior=each).now.mean for each in (prior, prior.T.to_numpy())]
+    assert means[0] == means[1]

@@ -1,0 +1,443 @@
+"""Scenarios: parameters that the truth may have, plans for their mean and for the worst."""
+
+from dataclasses import replace
+from functools import partial
+from itertools import chain, combinations
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.walks import (
+    HORIZON,
+    NOMINAL,
+    SCENARIOS,
+    WALK,
+    WEIGHTS,
+    combined,
+    costs,
+    expected_mse,
+)
+from pfdist.common.scenario import Scenario
+from pfdist.errors import JobError, ModelError
+from pfdist.filters.estimate import Evaluation, difference
+from pfdist.filters.scenarios import scenarios_of_draws
+from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
+from pfdist.problem.scenarios_section import Scenarios
+from pfdist.questions.robust import worst_effect
+from pfdist.results.summary import Summary
+from pfdist.runner import search_phase
+from pfdist.runner.build import build
+from pfdist.search.programme import Programme
+from pfdist.search.proof import best_shares
+from pfdist.search.relaxation import relaxation_with
+
+SETS = list(combinations(range(HORIZON + 1), 4))
+# The least error that each scenario allows. Divided by it, the worst scenario has the largest loss
+# ("standardized maximin", Dette 1997).
+SCALES = costs(SETS, told=True).min(axis=0).tolist()
+
+
+def problem(criterion: str = "mean", **keys: Any) -> pfdist.Problem:
+    """The restless walk with three scenarios, four measurements and a filter that is told."""
+    section = {"parameters": SCENARIOS, "weights": WEIGHTS, "criterion": criterion}
+    if "scales" in keys:
+        section["scales"] = keys.pop("scales")
+    return pfdist.Problem(
+        WALK,
+        horizon=HORIZON,
+        measurement_budget=4,
+        scenarios=section | {"filter": keys.pop("filter", "told")},
+        **keys,
+    )
+
+
+# --- the draws ------------------------------------------------------------------------------------
+
+
+def test_each_block_is_a_systematic_sample_and_each_draw_has_the_shares() -> None:
+    shares = (0.1, 0.25, 0.65)
+    draws = BLOCK * 4000
+    numbers = scenarios_of_draws(shares, 7, range(draws)).reshape(-1, BLOCK)
+    for number, share in enumerate(shares):
+        counts = np.sum(numbers == number, axis=1)
+        assert np.all(np.abs(counts - share * BLOCK) < 1.0)  # systematic sampling
+        first_draws = numbers[:, 0] == number  # one of each block: these are independent
+        error = np.sqrt(share * (1 - share) / len(numbers))
+        assert abs(first_draws.mean() - share) < 4 * error
+
+
+def test_the_scenario_of_a_draw_depends_on_its_key_alone() -> None:
+    shares, whole = (0.5, 0.5), scenarios_of_draws((0.5, 0.5), 3, range(200))
+    assert np.array_equal(scenarios_of_draws(shares, 3, range(31, 97)), whole[31:97])
+    assert not np.array_equal(scenarios_of_draws(shares, 4, range(200)), whole)
+
+
+def test_a_scenario_without_a_share_has_no_draw() -> None:
+    assert {*scenarios_of_draws((0.0, 1.0, 0.0), 3, range(500)).tolist()} == {1}
+
+
+def test_a_work_may_be_cut_between_any_two_draws() -> None:
+    evaluator = build(problem(particles=20).job()).evaluator
+    work = Work(((0, 4), (3,)), (HORIZON,) * 2, (5, 5), 9, (0, 60), Estimation(20))
+    whole = evaluator(work).mse
+    parts = [evaluator(replace(work, draws=draws)).mse for draws in ((0, 7), (7, 8), (8, 60))]
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_each_draw_is_that_of_a_model_with_the_parameters_of_its_scenario() -> None:
+    evaluator = build(problem(particles=20).job()).evaluator
+    work = Work(((0, 4),), (HORIZON,), (5,), 9, (0, 60), Estimation(20))
+    mse = evaluator(work).mse
+    numbers = scenarios_of_draws([0.25, 0.25, 0.5], 9, range(60))
+    for number, parameters in enumerate(SCENARIOS):
+        model = WALK.with_parameters(parameters)
+        alone = build(pfdist.Problem(model, horizon=HORIZON, measurement_budget=4).job()).evaluator
+        assert np.array_equal(alone(work).mse[numbers == number], mse[numbers == number])
+
+
+@pytest.mark.parametrize("keys", [{}, {"instant_weights": [1.0, 3.0] + [1.0] * (HORIZON - 1)}])
+def test_the_squared_errors_of_a_scenario_are_divided_by_its_scale(keys: dict[str, Any]) -> None:
+    plain, scaled = problem(particles=20, **keys), problem(particles=20, scales=(2, 4, 0.5), **keys)
+    first, second = (pfdist.evaluate(each, [0, 6], draws=120) for each in (plain, scaled))
+    assert first.scenarios is not None
+    np.testing.assert_allclose(first.mse / np.array([2, 4, 0.5])[first.scenarios], second.mse)
+
+
+def test_one_scenario_of_the_models_own_parameters_changes_no_number() -> None:
+    plain = pfdist.Problem(WALK, horizon=HORIZON, measurement_budget=4, particles=20)
+    same = plain.with_changes(scenarios={"parameters": [NOMINAL]})
+    first, second = (pfdist.evaluate(each, [0, 6], draws=50) for each in (plain, same))
+    assert np.array_equal(first.mse, second.mse)
+
+
+# --- costs ----------------------------------------------------------------------------------------
+
+
+def test_the_filter_has_nominal_parameters_or_is_told() -> None:
+    times = (0, 3, 7, 10)
+    for filter_, told in (("nominal", False), ("told", True)):
+        evaluation = pfdist.evaluate(
+            problem(filter=filter_, particles=200), times, draws=BLOCK * 200
+        )
+        for number, own in evaluation.of_scenarios.items():
+            believed = SCENARIOS[number] if told else NOMINAL
+            exact = expected_mse(times, SCENARIOS[number], believed)
+            # 200 particles cost about 1 / 200 more than the Kalman filter
+            assert abs(own.expected_mse / 1.005 - exact) < 4 * own.standard_error
+
+
+def test_the_cost_of_the_worst_is_the_largest_mean_and_differences_are_paired() -> None:
+    scenarios = np.array([0, 1, 0, 1])
+    first = Evaluation((1,), np.array([1.0, 5.0, 3.0, 7.0]), scenarios=scenarios, is_worst=True)
+    second = replace(first, mse=np.array([1.0, 4.0, 3.0, 6.5]))
+    assert first.cost == 6.0
+    assert first.standard_error == pytest.approx(1.0)  # of 5 and 7: sd sqrt(2), over sqrt(2)
+    apart = difference(first, second)
+    assert (apart.value, apart.standard_error) == (0.75, pytest.approx(0.25))
+    elsewhere = replace(first, mse=np.array([9.0, 1.0, 11.0, 3.0]))  # scenario 0 is its worst
+    apart = difference(first, elsewhere)
+    assert (apart.value, apart.standard_error) == (-4.0, pytest.approx(np.sqrt(2)))
+
+
+# --- plans, by brute force ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scales", [[1.0] * 3, SCALES])
+@pytest.mark.parametrize(
+    ("criterion", "method"),
+    [
+        ("mean", "exchange"),
+        ("mean", "relaxation"),
+        ("worst", "exhaustive"),
+        ("worst", "relaxation"),
+    ],
+)
+def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
+    criterion: str, method: str, scales: list[float], tmp_path: Path
+) -> None:
+    exact = combined(costs(SETS, told=True) / scales, criterion)
+    run = pfdist.run(
+        problem(criterion, engine="kalman", scales=scales).job(
+            search=[{"method": method}], comparison={"draws": 100}, execution={"pool": "serial"}
+        ),
+        tmp_path / "run",
+        figures=False,
+        report=False,
+    )
+    found = combined(costs([run.sets[method]], told=True) / scales, criterion)
+    assert found[0] == pytest.approx(exact.min(), rel=1e-12)
+    believed = run.table("compared").set_index("name")["search_cost"][method]
+    assert believed == pytest.approx(exact.min(), rel=1e-9)
+
+
+def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of the sets that the search for the best mean found."""
+    winners, costs_of = search_phase._winners, list[tuple[float, float]]()
+
+    def seen(session: Any, name: str, attempts: Any, raced: Any) -> Any:
+        for each in chain.from_iterable(attempt.finalists for attempt in attempts):
+            means = [own.expected_mse for own in each.of_scenarios.values()]
+            costs_of.append((each.cost, max(means)))
+        return winners(session, name, attempts, raced)
+
+    monkeypatch.setattr(search_phase, "_winners", seen)
+    changes = ["comparison.draws=48", "execution.pool=serial"]
+    asked = problem("worst", filter="nominal", particles=100)
+    pfdist.plan(asked, tmp_path / "run", changes=changes, bound_draws=0, report=False)
+    assert len(costs_of) > 1
+    assert all(cost == largest for cost, largest in costs_of)
+
+
+@pytest.mark.parametrize(
+    ("engine", "scales"), [("kalman", [1.0] * 3), ("kalman", SCALES), ("", [1.0] * 3)]
+)
+def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
+    engine: str, scales: list[float], tmp_path: Path
+) -> None:
+    """With the Kalman filter the search knows the error of the worst exactly, so chance is left."""
+    asked = problem(
+        "worst", scales=scales, **({"engine": engine} if engine else {"particles": 100})
+    )
+    search = {"method": "exhaustive", "evaluation": {"draws": 240}}
+    job = asked.job(search=[search], comparison={"draws": 12_000})
+    run = pfdist.run(job, tmp_path / "run", figures=False, report=False)
+    rows = run.table("scenarios").query("name == 'exhaustive'")
+    fresh = rows.loc[rows["expected_mse"].idxmax()]
+    assert fresh["expected_mse"] > 1.05 * run.best.expected_mse  # the mean is another error
+    believed = run.best.search_cost / fresh["expected_mse"]
+    assert run.best.search_cause == "its draws chose the set"
+    assert run.best.search_excess == pytest.approx(believed - 1, rel=1e-9, abs=1e-12)
+    if engine:
+        assert abs(run.best.search_excess) < 4 * fresh["standard_error"] / fresh["expected_mse"]
+
+
+def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Path) -> None:
+    numbers = range(2, 6)
+    run = pfdist.budget(
+        problem(engine="kalman"), numbers, draws=48, results=tmp_path / "run", report=False
+    )
+    rows = run.table("budget").query("kind == 'found'").set_index("measurements")
+    for number in numbers:
+        sets = list(combinations(range(HORIZON + 1), number))
+        exact = combined(costs(sets, told=True), "mean").min()
+        assert rows["search_cost"][number] == pytest.approx(exact, rel=1e-9)
+        assert rows["bound"][number] == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_path: Path) -> None:
+    """A Kalman filter by hand knows the mean error with a measurement, and without it."""
+    asked = problem(filter="told" if told else "nominal", particles=400)
+    few = ["comparison.draws=48"]
+    run = pfdist.plan(asked, tmp_path / "run", changes=few, bound_draws=0, report=False)
+    answer = pfdist.why(asked, results=run.path, draws=4000, changes=few, figures=False)
+    rows = answer.worth.query("name == 'relaxation'").set_index("t")
+    times = list(run.sets["relaxation"])
+    without = [[t for t in times if t != out] for out in times]
+    cost, *others = combined(costs([times, *without], told=told), "mean")
+    for out, other in zip(times, others, strict=True):
+        assert abs(rows["removed"][out] - (other - cost)) < 4 * rows["removed_error"][out]
+
+
+@pytest.mark.parametrize("criterion", ["mean", "worst"])
+def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
+    criterion: str, tmp_path: Path
+) -> None:
+    of_sets = combined(costs(SETS, told=False), criterion)
+    run = pfdist.run(
+        problem(criterion, filter="nominal", particles=100).job(
+            search=[
+                {
+                    "method": "exhaustive",
+                    "evaluation": {"draws": 720, "particles": 50, "noise": "common"},
+                }
+            ],
+            comparison={"draws": 6000},
+        ),
+        tmp_path / "run",
+        figures=False,
+        report=False,
+    )
+    times = run.sets["exhaustive"]
+    rows = run.table("scenarios")
+    own = rows[rows["name"] == "exhaustive"].set_index("scenario")
+    exact = costs([times], told=False)[0]
+    # 100 particles cost about 1 / 100 more than the Kalman filter
+    assert np.all(abs(own["expected_mse"] / 1.01 - exact) < 4 * own["standard_error"])
+    error = own["standard_error"].max()
+    assert combined(exact[None], criterion)[0] - of_sets.min() < 2 * error
+    gap = {each.name: each for each in pfdist.bound(run, 1000).gaps}["exhaustive"]
+    told = combined(costs(SETS, told=True), criterion).min()
+    assert gap.reason == ""
+    assert gap.bound.value < told + 4 * gap.bound.standard_error
+    assert gap.bound.value > 0.8 * told  # or the test could not fail
+
+
+@pytest.mark.parametrize("scales", [[1.0] * 3, SCALES])
+@pytest.mark.parametrize("criterion", ["mean", "worst"])
+def test_the_exact_bound_is_that_of_brute_force_but_for_a_duality_gap(
+    criterion: str, scales: list[float], tmp_path: Path
+) -> None:
+    of_scenarios = costs(SETS, told=True) / scales
+    best = combined(of_scenarios, criterion).min()
+    run = pfdist.run(
+        problem(criterion, engine="kalman", scales=scales).job(
+            search=[{"method": "exhaustive"}], comparison={"draws": 100}
+        ),
+        tmp_path / "run",
+        figures=False,
+        report=False,
+    )
+    answer = pfdist.bound(run)
+    bound = {each.name: each for each in answer.gaps}["exhaustive"].bound.value
+    if criterion == "mean":
+        assert bound == pytest.approx(best, rel=1e-9)
+        return
+    # No weighting on a grid gives a larger bound, and no bound lies above the best worst case.
+    steps = np.linspace(0.0, 1.0, 41)
+    grid = [(a, b, 1 - a - b) for a in steps for b in steps if a + b <= 1.0]
+    dual = max((of_scenarios @ np.array(shares)).min() for shares in grid)
+    assert bound <= best * (1 + 1e-12)
+    assert bound >= dual * (1 - 2e-3)
+    assert sum(answer.shares) == pytest.approx(1.0)
+
+
+def test_a_list_of_runs_names_the_best_set_as_the_run_does(tmp_path: Path) -> None:
+    sets = {"early": (0, 1, 2, 3), "mean": (0, 8, 11, 12), "worst": (5, 6, 11, 12)}
+    for criterion in ("mean", "worst"):
+        best = combined(costs([*sets.values()], told=True), criterion).argmin()
+        assert [*sets][best] == criterion
+        asked, path = problem(criterion, engine="kalman"), tmp_path / criterion
+        run = pfdist.compare(asked, times=sets, results=path, draws=1000, figures=False)
+        assert run.best.measurement_times == list(sets[criterion])
+        assert pfdist.list_runs(path)["best"].tolist() == [criterion]
+
+
+def test_the_best_shares_beat_every_weighting_on_a_grid() -> None:
+    feasible = problem().job().problem.feasible
+    relaxation = relaxation_with(feasible, 2, HORIZON + 1)
+    rng = np.random.default_rng(1)
+    errors = rng.exponential(size=(2, relaxation.offsets[-1]))
+    shares = np.array(best_shares(relaxation, errors, 4))
+
+    def value(weights: np.ndarray) -> float:
+        return float(Programme(relaxation, weights @ errors, 4).mse[4])
+
+    grid = max(value(np.array([a, 1 - a])) for a in np.linspace(0.0, 1.0, 101))
+    assert value(shares) >= grid * (1 - 1e-4)
+
+
+def test_the_truth_in_the_cloud_of_a_told_filter_costs_no_more_than_the_kalman_filter() -> None:
+    evaluator = build(problem(filter="nominal", particles=30).job()).evaluator.truth
+    draws = 200 * BLOCK
+    work = Work(((0, 6),), (HORIZON,), (5,), 9, (0, draws), with_truth(30))
+    variance = evaluator.filtered(work).mse[:, 0]
+    exact = combined(costs([(0, 6)], told=True), "mean")[0]
+    error = variance.std() / np.sqrt(draws)
+    assert 0.8 * exact < variance.mean() < exact + 4 * error
+
+
+# --- the section ----------------------------------------------------------------------------------
+
+
+def test_a_distribution_has_a_scenario_for_each_part_of_equal_probability() -> None:
+    section = Scenarios(
+        parameters={"k": {"uniform": (0.0, 8.0)}, "l": {"normal": (1.0, 2.0)}}, count=4
+    )
+    values = sorted(each.parameters["k"] for each in section.each)
+    assert values == [1.0, 3.0, 5.0, 7.0]
+    assert sum(each.share for each in section.each) == 1.0
+    normal = sorted(each.parameters["l"] for each in section.each)
+    quartile = 0.3186393639643752  # of a standard normal variate, 62.5 %: tables
+    assert normal[2] == pytest.approx(1.0 + 2.0 * quartile)
+    assert normal[1] == pytest.approx(1.0 - 2.0 * quartile)
+
+
+def test_weights_become_shares() -> None:
+    section = Scenarios(parameters=({"k": 1.0}, {"k": 2.0}), weights=(1.0, 3.0))
+    assert section.each == (Scenario(0.25, {"k": 1.0}), Scenario(0.75, {"k": 2.0}))
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        ({"parameters": [1.0]}, "must be a list with the parameters of each scenario"),
+        ({"parameters": [{"early": "x"}]}, "scenarios.parameters.early must be a number"),
+        ({"parameters": [{"early": 1.0}, {"late": 1.0}]}, "must have the same parameters"),
+        ({"parameters": SCENARIOS, "weights": [1.0]}, "a number for each of 3 scenarios, got 1"),
+        ({"parameters": SCENARIOS, "scales": [1.0]}, "a number for each of 3 scenarios, got 1"),
+        ({"parameters": SCENARIOS, "scales": [1.0, 0.0, 1.0]}, "scenarios.scales"),
+        ({"parameters": {"early": {"normal": [1.0, 0.1]}}, "count": 2, "scales": [1.0]}, "got 1"),
+        ({"parameters": SCENARIOS, "count": 3}, "has no scenarios.count, got 3"),
+        ({"parameters": {"early": {"normal": [1.0, 0.1]}}}, "need scenarios.count"),
+        ({"parameters": {"early": {"normal": [1.0, -1.0]}}, "count": 3}, "sd and a median above 0"),
+        (
+            {"parameters": {"early": {"gamma": [1.0, 1.0]}}, "count": 3},
+            "scenarios.parameters.early",
+        ),
+        ({"parameters": {"early": 3.0}, "count": 3}, "scenarios.parameters.early must be"),
+        ({"parameters": SCENARIOS, "criterion": "best"}, "scenarios.criterion"),
+        ({}, "scenarios.parameters"),
+    ],
+)
+def test_a_wrong_section_is_refused_in_a_line(section: dict[str, Any], says: str) -> None:
+    with pytest.raises(JobError, match=says) as caught:
+        problem().with_changes(scenarios=section)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_parameter_is_refused_by_name() -> None:
+    wrong = problem().with_changes(scenarios={"parameters": [{"erly": 1.0}]})
+    with pytest.raises(ModelError, match=r"scenarios\.parameters: .*unknown parameter 'erly'"):
+        build(wrong.job())
+
+
+def test_the_worst_needs_searches_that_compare_whole_sets() -> None:
+    with pytest.raises(JobError, match=r"needs searches that compare whole sets .*got corridor"):
+        problem("worst").job(search=[{"method": "corridor"}])
+
+
+def test_other_questions_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="with scenarios must have no section online"):
+        problem().job(online={})
+    with pytest.raises(JobError, match="the worst scenario must have no section budget"):
+        problem("worst").job(budget={"least": 3, "most": 5})
+    worst = problem("worst", engine="kalman")
+    few = ["comparison.draws=48"]
+    pfdist.plan(worst, tmp_path / "run", changes=few, bound_draws=0, report=False)
+    with pytest.raises(JobError, match="why explains means, got criterion = 'worst'"):
+        pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
+
+
+def test_a_planner_and_a_told_filter_are_refused() -> None:
+    with pytest.raises(ModelError, match="only without scenarios"):
+        pfdist.Planner(problem(), times=[0, 3, 6, 9])
+
+
+@pytest.mark.parametrize(
+    ("scenario", "says"),
+    [
+        (1, "lowers the expected error of the worst scenario by 50.0 % (95 %: 49.0 to 51.0 %)"),
+        # Independent draws: 1 - exp(log(2 / 4) -+ 1.96 * hypot(0.01, 0.01))
+        (0, "lowers the expected error of the worst scenario by 50.0 % (95 %: 48.6 to 51.4 %)"),
+    ],
+)
+def test_the_answer_for_the_worst_names_its_error_and_its_gain(scenario: int, says: str) -> None:
+    ends = {"gain_of_means_low": 0.49, "gain_of_means_high": 0.51}
+    rows = [
+        {"name": name, "scenario": number, "expected_mse": mse, "standard_error": 0.01 * mse} | ends
+        for name, errors in (("found", (1.0, 2.0)), ("regular", (3.0, 3.0)))
+        for number, mse in enumerate(errors)
+    ]
+    rows[2 + scenario] |= {"expected_mse": 4.0, "standard_error": 0.04}
+    summary = SimpleNamespace(scenarios=rows, is_worst=True)
+    summary.worst_scenario = partial(Summary.worst_scenario, summary)
+    subject = SimpleNamespace(summary=summary, results={"regular": None})
+    said = f"{says}, from 4.000 ± 0.040 to 2.000 ± 0.020."
+    assert worst_effect(subject, "found") == said

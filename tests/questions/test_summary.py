@@ -1,0 +1,281 @@
+"""A run's summary: no cost from draws that chose a set is given as the set's own."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job, Problem, StateSpaceModel
+from pfdist.common.parts import Table
+from pfdist.common.rounding import with_error, with_interval
+from pfdist.errors import RunMismatchError, StoreError
+from pfdist.pages.terminal import lines_of
+from pfdist.problem.search_section import CommonNoiseSettings
+from pfdist.questions.run_page import answer_of, page_of, searches
+from pfdist.questions.subject import Subject
+from pfdist.results import Run, reaching
+from pfdist.results.stored_run import check_one_number
+
+SURVIVORS = """
+[[search]]
+method = "survivors"
+[search.evaluation]
+draws = 30
+noise = "common"
+particles = 20
+"""
+
+
+def _all_that_is_said(run: Run) -> str:
+    return " ".join(" ".join(lines_of(answer_of(run, details=True), verbose=True)).split())
+
+
+@pytest.fixture
+def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """A run whose search ended with several sets, between which a race on other draws decided."""
+    monkeypatch.setattr("pfdist.search.probe.BELOW", 10.0)  # 20 particles are believed
+    text = small_job.path.read_text()
+    head, _, rest = text.partition("[[search]]")
+    small_job.path.write_text(head + SURVIVORS + rest[rest.index("[comparison]") :])
+    return pfdist.run(small_job.path, tmp_path / "run", figures=False)
+
+
+def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
+    raced: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, rows = raced.summary().results["survivors"], raced.table("evaluations")
+    times = rows["measurement_times"].map(tuple) == tuple(result.measurement_times)
+    own = rows[times & rows["phase"].isin(["survivors", "survivors.polish"]) & (rows["end"] == 12)]
+    race = rows[rows["phase"] == "survivors.shortlist"]
+    assert len(race) > 1
+    polished = own[own["phase"] == "survivors.polish"]
+    chosen = polished if len(polished) else own  # on the most draws that it was tried on
+    believed = chosen.loc[chosen["draws"].idxmax()]
+    assert result.search_cost == believed["expected_mse"]
+    assert result.search_standard_error == believed["standard_error"]
+    fresh = raced.table("comparison")["mse_survivors"].mean()
+    assert result.expected_mse == pytest.approx(fresh)
+    assert result.search_excess == pytest.approx(result.search_cost / fresh - 1)
+    differs = {"particles": 20, "resampling": "systematic", "estimator": "filter_variance"}
+    assert result.search_estimation == differs
+    text = _all_that_is_said(raced)
+    (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
+    assert row[3].text == with_error(result.search_cost, result.search_standard_error)
+    excess = 100 * result.search_excess
+    assert row[4].text == f"{abs(excess):.1f} % {'below' if excess < 0 else 'above'}"
+    assert row[4].value == result.search_excess
+    how = "particles = 20, resampling = systematic, estimator = filter_variance"
+    assert row[5].text == f"{result.search_cause}; {how}"
+    for cost in race["expected_mse"]:
+        assert not np.isclose(cost, [result.expected_mse, result.search_cost]).any()
+        assert f"{cost:.3f}" not in re.findall(r"[\d.]+", text)
+
+
+def test_a_program_that_would_search_otherwise_does_not_go_on(
+    raced: Run, small_job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CommonNoiseSettings, "particles_of", lambda own, job_particles: 21)
+    with pytest.raises(RunMismatchError, match=r"estimations.survivors.particles: 20 -> 21$"):
+        pfdist.run(small_job.path, raced.path, figures=False)
+
+
+def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.runner.comparison_phase.REPEATED", 100)
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
+    again, once = run.table("repeated"), run.table("comparison")[:100]
+    assert again["draw"].tolist() == list(range(100))
+    a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
+    assert (a != b).all()  # other noise,
+    assert np.corrcoef(a, b)[0, 1] > 4 / np.sqrt(100)  # the same draws
+    result = run.summary().results["regular"]
+    assert result.gain_over_itself == pytest.approx(np.mean(-((a - b) ** 2) / (2 * a * b)))
+    assert result.gain_over_itself_draws == 100
+    low, high = result.gain_over_itself_interval
+    assert low < result.gain_over_itself < high
+
+
+SKEWED = """
+import numpy as np
+from pfdist import StateSpaceModel, where
+
+# Most draws fade from their start, where a measurement tells most; the others jump late.
+model = StateSpaceModel(
+    name="skewed",
+    initial=lambda w, p: (w[0], w[1]),
+    transition=lambda x, t, w, p: (
+        where(x[1] > 1, x[0] + where(t > 6, 5.0 * w[0], 0.0), x[0] * 0.5 + 0.05 * w[0]), x[1]
+    ),
+    measurement=lambda x, t, v, p: (x[0] + 0.1 * v[0],),
+    log_likelihood=lambda y, x, t, p: -50.0 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal", "normal"), process_noise=("normal",), measurement_noise=("normal",),
+)
+"""
+
+
+@pytest.mark.slow
+def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it_says_why(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "skewed.py").write_text(SKEWED)
+    small = ["search.genetic.generations=1", "search.random.evaluations=2"]
+    changes = ["model.name=skewed.py:model", "comparison.draws=1500", "filter.particles=100"]
+    # The found times measure late, where the jumps are; this reference where most draws vary.
+    required = ["problem.required=[8, 9, 10, 12]", "comparison.reference=[0, 1, 2, 3]"]
+    job = pfdist.load_job(small_job.path, [*small, *changes, *required])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    genetic = run.summary().results["genetic"]
+    assert genetic.mean_relative_gain < 0 < genetic.gain_of_means
+    assert genetic.gains_disagree
+    text = _all_that_is_said(run)
+    best = run.summary().results[run.summary().by_error[0]]
+    shown = with_interval(
+        *(100 * part for part in (best.gain_of_means, *best.gain_of_means_interval))
+    )
+    headline = "lowers the expected error by {} % (95 %: {} to {} %)".format(*shown)
+    assert 0 < text.index(headline) < text.index("mean relative gain")
+    noise = run.summary().results["reference"].gain_over_itself
+    assert f"of the filters alone gives a mean of {100 * noise:.2f} %" in text
+    visible = " ".join(" ".join(lines_of(answer_of(run))).split())
+    value, *ends = with_interval(
+        *(100 * part for part in (genetic.mean_relative_gain, *genetic.mean_relative_gain_interval))
+    )
+    told = f"The mean relative gain of genetic is {value} % (95 %: {ends[0]} to {ends[1]}), and"
+    assert told in visible
+    assert "A mean relative gain weighs all draws alike and has no lower limit, while" in visible
+
+
+@pytest.mark.parametrize("is_papers", [True, False])
+def test_the_papers_search_shows_its_figures_and_its_own_experiment_those_of_the_paper(
+    is_papers: bool, finished: Callable[..., Path]
+) -> None:
+    """The paper, section 3: a mean relative gain of 27.7 %, and 87.5 % of the draws gain."""
+    run = pfdist.open_run(finished())
+    papers = pfdist.load_job(Path(__file__).parents[2] / "jobs" / "paper.toml").identity()
+    assert {each["name"] for each in papers["search"]} == {*run.names} - {"regular"}
+    run.job["filter"]["particles"] = 500
+    if is_papers:
+        run.job.update({key: papers[key] for key in ("model", "filter", "evaluation", "search")})
+        run.job["problem"] = papers["problem"]
+    text = " ".join(" ".join(lines_of(answer_of(run))).split())
+    genetic = run.summary().results["genetic"]
+    share = 100 * genetic.positive_fraction
+    told = re.search(r"The mean relative gain of genetic is (-?[\d.]+) % \(.*?\), and (.*)", text)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(100 * genetic.mean_relative_gain, abs=0.5)
+    assert told[2].startswith(f"{share:.1f} % of the draws gain.")
+    assert ("The paper prints 27.7 % and 87.5 %" in text) == is_papers
+
+
+@pytest.mark.slow
+def test_a_summary_warns_where_few_draws_carry_the_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The squared error of exp(2 x), x standard normal, is about lognormal with sigma = 4.
+
+    The top 1 % of a lognormal distribution carry Phi(sigma - 2.33) of its mean: 95 %.
+    """
+    model = StateSpaceModel(
+        name="exponential",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: (x[0],),
+        measurement=lambda x, t, v, p: (x[0] + 5 * v[0],),
+        log_likelihood=lambda y, x, t, p: -0.02 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (np.exp(2 * x[0]),),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+    )
+    problem = Problem(model, horizon=3, measurement_budget=2, particles=30, engine="numpy")
+    sets = {"early": [0, 1], "late": [2, 3]}
+    run = pfdist.compare(problem, times=sets, results=tmp_path / "run", draws=400, figures=False)
+    for name, result in run.summary().results.items():
+        mse = np.sort(run.table("comparison")[f"mse_{name}"])
+        assert result.top_percent_share == pytest.approx(mse[-4:].sum() / mse.sum())
+        assert result.top_percent_share > 0.5
+    told = _all_that_is_said(run)
+    share = run.summary().results["late"].top_percent_share
+    assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in told
+    page = page_of(run).warnings[-1]
+    assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in page
+    evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
+    assert evaluation.top_percent_share > 0.5
+    assert "of the error: 95 % intervals are too narrow" in evaluation._repr_html_()
+
+
+def test_a_table_with_standard_errors_says_so_in_its_heads_or_in_its_caption(
+    finished: Callable[..., Path],
+) -> None:
+    """For the reader, "±" is one standard error everywhere."""
+    run = pfdist.open_run(finished())
+    pages = page_of(run), answer_of(run, details=True), run._page()
+    blocks = [block for page in pages for section in page.sections for block in section.blocks]
+    columns = [
+        (block.caption + block.head[place], any("±" in row[place].text for row in block.rows))
+        for block in blocks
+        if isinstance(block, Table)
+        for place in range(len(block.head))
+    ]
+    assert sum(has_error for _, has_error in columns) >= 5
+    assert all("± standard error" in told for told, has_error in columns if has_error)
+
+
+def test_the_papers_model_has_no_heavy_tail(
+    finished: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = pfdist.open_run(finished())
+    summary = run.summary()
+    assert all(0.01 < each.top_percent_share < 0.25 for each in summary.results.values())
+    assert "carry" not in _all_that_is_said(run)
+
+
+# --- One number of measurements is a budget curve of a single number ----------------------------
+
+EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=50"]
+
+
+@pytest.fixture
+def budget(small_job: Job, tmp_path: Path) -> Run:
+    job = small_job.with_changes(EXACT)
+    return pfdist.budget(job, (2, 4), tmp_path / "budget", draws=50, figures=False)
+
+
+def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., Path]) -> None:
+    run = pfdist.open_run(finished(*EXACT))
+    sets, table = run.sets, run.table("budget")
+    assert list(sets) == run.names
+    assert all(len(measurement_times) == 4 for measurement_times in sets.values())
+    assert table["kind"].tolist() == ["regular", "found", "found"]
+    assert table["measurements"].tolist() == [4, 4, 4]
+    check_results(run)
+    least = table[table["kind"] == "found"]["expected_mse"].min()
+    assert reaching(run.table("budget"), least)["found"]["measurements"] == 4
+    below = reaching(run.table("budget"), least * 0.999)
+    assert (below["found"]["measurements"], below["regular"]["measurements"]) == (None, None)
+
+
+def check_results(run: Run) -> None:
+    """Check that there is a result for each row of the curve."""
+    results, table = run.summary().results, run.table("budget").set_index("name")
+    assert list(results) == run.names == table.index.tolist()
+    for name, result in results.items():
+        assert result.expected_mse == table.loc[name, "expected_mse"]
+        assert (result.search_cause is not None) == (result.kind == "found")
+
+
+def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
+    check_results(budget)
+    results, gains = budget.summary().results, budget.table("gains")
+    assert len(budget.references) == 3
+    assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
+    for name, reference in budget.references.items():
+        cost, other = (results[each].expected_mse for each in (name, reference))
+        assert results[name].measurements == results[reference].measurements
+        assert results[name].gain_of_means == pytest.approx(1 - cost / other)
+    with pytest.raises(StoreError, match="times of several numbers of measurements"):
+        check_one_number(budget)

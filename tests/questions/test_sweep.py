@@ -1,0 +1,522 @@
+"""A sweep is the same as its runs, started one by one."""
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.errors import PfdistError, RunMismatchError, SweepError
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import Result, Work
+from pfdist.problem.sweep import START_SECONDS, judged_sets, parts_that_pay
+from pfdist.questions.sweep import foreseen
+from pfdist.results.judged import times_by_search
+from pfdist.runner.progress import Progress
+from pfdist.store import held
+
+SWEEP = """
+job = "small.toml"
+[change]
+comparison.draws = 60
+[over]
+seed = [1, 2]
+problem.measurement_budget = "4:5"
+[[parallel]]
+model.parameters.process_sd = [1.0]
+model.filter.parameters.process_sd = [2.0]
+[[point]]
+seed = 7
+"""
+FIRST = {"comparison.draws": [60]}
+ALIKE = {"comparison.draws": [60, 100, 80]}  # points with the same searches
+SEEDS = {"seed": [1, 2]}
+EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=30"]
+EXHAUSTIVE = [*EXACT, 'search=[{method="exhaustive"}]']
+FORWARD = 'search=[{method="greedy_forward"}]'
+
+Sweeping = Callable[..., pfdist.Sweep]
+Finished = Callable[..., Path]
+
+
+@pytest.fixture
+def swept(small_job: Job, tmp_path: Path) -> Sweeping:
+    """A function that sweeps the small job in the folder "sweep"."""
+    return partial(pfdist.sweep, small_job, results=tmp_path / "sweep", report=False)
+
+
+@pytest.fixture
+def sweep_file(small_job: Job) -> Path:
+    path = small_job.path.with_name("study.toml")
+    path.write_text(SWEEP)
+    return path
+
+
+def alone(finished: Finished, *changes: str) -> dict[str, dict[str, str]]:
+    """Bytes of the runs that are alike, each started alone."""
+    names = [f"comparison.draws={draws}" for draws in ALIKE["comparison.draws"]]
+    return {name: hashes(finished(*changes, name)) for name in names}
+
+
+def bytes_of(sweep: pfdist.Sweep) -> dict[str, dict[str, str]]:
+    return {name: hashes(run.path) for name, run in sweep.runs.items()}
+
+
+@pytest.fixture
+def filtered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of filters that searches have run: sets times draws of each task."""
+    numbers: list[int] = []
+    filtered = Evaluator.filtered
+
+    def counting(evaluator: Evaluator, work: Work) -> Result:
+        if all(len(id_.partition(":")[0]) == 16 for id_ in work.ids):  # no set of a comparison
+            numbers.append((work.draws[1] - work.draws[0]) * len(work.measurement_times))
+        return filtered(evaluator, work)
+
+    monkeypatch.setattr(Evaluator, "filtered", counting)
+    return numbers
+
+
+# --- Its points ---------------------------------------------------------------------------------
+
+
+def test_every_point_has_the_bytes_of_its_own_run(
+    sweep_file: Path, finished: Finished, small_job: Job, tmp_path: Path
+) -> None:
+    """Before, its points can be listed with the work that they will be."""
+    points = foreseen(sweep_file, results=tmp_path / "sweep", judge=True)
+    assert points["state"].tolist() == ["none"] * 5
+    assert (points["steps"] > 0).all()
+    assert (points["seconds"] > 0).all()
+    job = small_job.with_changes(["comparison.draws=60"])
+    filtered = 60 * job.filter.particles * (job.problem.feasible.horizon + 1)
+    judging = filtered * (1 + 5 * len(job.search))  # the reference and all found
+    assert set(points["judging_steps"]) == {judging}
+    assert not (tmp_path / "sweep").exists()
+    sweep = pfdist.sweep(sweep_file, results=tmp_path / "sweep", report=False)
+    assert [sweep.path / point for point in points["point"]] == [
+        run.path for run in sweep.runs.values()
+    ]
+    assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
+    changes = ["seed=2", "problem.measurement_budget=5"]
+    changes += ["model.parameters.process_sd=1.0", "model.filter.parameters.process_sd=2.0"]
+    name = (
+        "seed=2_measurement_budget=5_model.parameters.process_sd=1.0_"
+        "filter.parameters.process_sd=2.0"
+    )
+    assert hashes(sweep.path / name) == hashes(finished("comparison.draws=60", *changes))
+    last = finished("seed=7", "comparison.draws=60")
+    assert hashes(sweep.path / "seed=7") == hashes(last)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [],
+        pytest.param(["search.genetic.share_copies=true"], marks=pytest.mark.slow),
+        pytest.param(['search=[{method="relaxation"}]'], marks=pytest.mark.slow),
+        pytest.param(
+            ['search=[{method="greedy_forward"}, {method="relaxation", name="again"}]'],
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_an_evaluation_that_several_points_need_is_seldom_computed_twice(
+    changes: list[str], swept: Sweeping, finished: Finished, tmp_path: Path, filtered: list[int]
+) -> None:
+    """Three points that differ in their comparison alone cost one search, and a little more."""
+    swept(FIRST, changes=changes, results=tmp_path / "one point")
+    once = sum(filtered)
+    assert once > 0
+    filtered.clear()
+    sweep = swept(ALIKE, changes=changes)
+    assert once <= sum(filtered) < 2 * once  # what is in flight elsewhere is computed again
+    assert bytes_of(sweep) == alone(finished, *changes)
+
+
+@pytest.mark.parametrize(
+    ("first", "changes", "searches"),
+    [
+        ("finished", [], 1),
+        ("stopped after the search", ['search=[{method="relaxation"}]'], 1),
+        pytest.param("stopped after the search", [], 1, marks=pytest.mark.slow),
+        ("of another processor", [], 2),  # whose last digits may differ
+        pytest.param("damaged", [], 2, marks=pytest.mark.slow),
+    ],
+)
+def test_points_that_are_added_take_what_another_has_computed_if_its_bytes_are_sure(
+    first: str,
+    changes: list[str],
+    searches: int,
+    swept: Sweeping,
+    finished: Finished,
+    tmp_path: Path,
+    filtered: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def stop(*_: Any) -> None:
+        raise PfdistError("the search is over")
+
+    with monkeypatch.context() as patched:
+        if first == "of another processor":
+            other = {"model": "x", "compiled_for": "y"}
+            patched.setattr("pfdist.runner.provenance.processor", lambda: other)
+        if first == "stopped after the search":
+            patched.setattr("pfdist.runner.driver.run_comparison", stop)
+            with pytest.raises(SweepError):
+                swept(FIRST, changes=changes)
+        else:
+            swept(FIRST, changes=changes)
+    if first == "damaged":
+        tables = tmp_path / "sweep" / "comparison.draws=60" / "tables"
+        damaged = next((tables / "draws").glob("*.parquet"))
+        damaged.write_bytes(damaged.read_bytes()[:-1] + b"?")
+    once = sum(filtered)
+    sweep = swept(ALIKE, changes=changes)
+    assert 0 < searches * once <= sum(filtered) < (searches + 1) * once
+    assert bytes_of(sweep) == alone(finished, *changes)
+
+
+@pytest.mark.slow
+def test_points_on_ray_have_the_same_bytes(
+    swept: Sweeping, finished: Finished, ray_cluster: None
+) -> None:
+    assert bytes_of(swept(ALIKE, pool="ray")) == alone(finished)
+
+
+def test_progress_is_that_of_the_whole_and_a_finished_sweep_needs_no_workers(
+    swept: Sweeping, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Progress] = []
+    first = swept(SEEDS, progress=seen.append)
+    assert {state.total for state in seen} == {2}
+    assert all(0 <= state.done <= 2 for state in seen)
+    assert seen[-1].done == 2
+    assert seen[-1].doing.startswith("2 of 2 points finished")
+    assert any("seed=2: genetic" in state.doing for state in seen)
+    before = bytes_of(first)
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("pfdist.pools.base.SerialPool.__enter__", refuse)
+    assert bytes_of(swept(SEEDS)) == before
+
+
+@pytest.mark.slow
+def test_a_problem_with_an_object_is_swept(tmp_path: Path) -> None:
+    mine = replace(
+        pfdist.load_model("random_walk"), transition=lambda x, t, w, p: (0.9 * x[0] + w[0],)
+    )
+    problem = pfdist.Problem(mine, horizon=12, measurement_budget=4, engine="kalman")
+    sweep = pfdist.sweep(
+        problem, SEEDS, pool="serial", results=tmp_path / "sweep", changes=["comparison.draws=60"]
+    )
+    assert all((run.path / "report.html").exists() for run in sweep.runs.values())
+
+
+def test_results_have_the_name_of_the_sweep_file(
+    sweep_file: Path, small_job: Job, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sweep = partial(pfdist.sweep, changes=EXACT[:2], report=False)
+    sweep_file.write_text('job = "small.toml"\n[over]\nseed = [3]\n')
+    assert sweep(sweep_file).path == Path("results/study").absolute()
+    assert sweep(small_job, {"seed": [3]}).path == Path("results/small-sweep").absolute()
+
+
+# --- In parts -----------------------------------------------------------------------------------
+
+
+def test_parts_look_at_no_other_point_and_together_are_the_sweep(
+    sweep_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Others hold all points but those of a part; afterwards nothing is left to compute."""
+    start = partial(pfdist.sweep, sweep_file, judge=False)
+    whole = start(results=tmp_path / "whole", report=False)
+    said: list[str] = []
+    for number in (1, 2):
+        with contextlib.ExitStack() as others:
+            for name in [*whole.runs][2 - number :: 2]:
+                others.enter_context(held(tmp_path / "parts" / name))
+            part = start(results=tmp_path / "parts", part=(number, 2), judge=True, say=said.append)
+        assert [*part.runs] == [*whole.runs][number - 1 :: 2]
+        assert part.busy == ()
+        assert not part.judges
+    assert said.count("the found times are not judged, because not all points are finished") == 2
+    assert not (tmp_path / "parts" / "report.html").exists()
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("pfdist.pools.base.SerialPool.__enter__", refuse)
+    joined = start(results=tmp_path / "parts")
+    assert bytes_of(joined) == bytes_of(whole)
+    assert (joined.path / "report.html").exists()
+
+
+@pytest.mark.parametrize("part", [(0, 2), (3, 2), (1, 3), (-1, 2)])
+def test_a_part_that_has_no_point_is_refused(part: tuple[int, int], swept: Sweeping) -> None:
+    words = r"part must be K/N with 1 <= K <= N <= 2, the number of points, got "
+    with pytest.raises(PfdistError, match=words):
+        swept(SEEDS, part=part)
+
+
+@pytest.mark.parametrize("seconds", [[5.0] * 40, [200.0] * 7, [1000.0, *[10.0] * 20], [0.0, 9e9]])
+def test_parts_that_pay_compute_for_half_of_their_time_and_more_do_not(
+    seconds: list[float],
+) -> None:
+    def share(parts: int) -> float:
+        longest = max(sum(seconds[part::parts]) for part in range(parts))
+        return sum(seconds) / parts / (longest + START_SECONDS)
+
+    pay = [parts for parts in range(2, len(seconds) + 1) if share(parts) >= 0.5]
+    assert parts_that_pay(seconds) == max(pay, default=1)
+
+
+# --- Points that fail ---------------------------------------------------------------------------
+
+
+def test_a_point_that_fails_is_said_and_the_others_go_on(swept: Sweeping, tmp_path: Path) -> None:
+    said: list[str] = []
+    over = {"model.parameters.process_sd": [1.0, -1.0, 2.0]}
+    with pytest.raises(SweepError) as caught:
+        swept(over, changes=["comparison.draws=60"], judge=True, say=said.append)
+    assert list(caught.value.failed) == ["process_sd=-1.0"]
+    assert str(caught.value).startswith("1 of 3 points failed, the others are finished in ")
+    assert "process_sd must be a finite number" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert sum("process_sd=-1.0: failed: " in line for line in said) == 1
+    assert "the found times are not judged, because not all points are finished" in said
+    for name in ("process_sd=1.0", "process_sd=2.0"):
+        assert pfdist.open_run(tmp_path / "sweep" / name).state == "finished"
+
+
+def test_a_point_that_is_free_again_is_computed_and_the_others_stay_left_out(
+    swept: Sweeping, tmp_path: Path
+) -> None:
+    with held(tmp_path / "sweep" / "seed=1"), contextlib.ExitStack() as stack:
+        stack.enter_context(held(tmp_path / "sweep" / "seed=2"))
+
+        def say(line: str) -> None:
+            if line.startswith("seed=3: finished"):
+                stack.close()
+
+        sweep = swept({"seed": [1, 2, 3]}, say=say)
+    assert (list(sweep.runs), sweep.busy) == (["seed=2", "seed=3"], ("seed=1",))
+
+
+def test_a_point_that_another_process_computes_is_left_out_and_said(
+    swept: Sweeping, small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "sweep"
+    said: list[str] = []
+    with held(folder / "seed=1"):
+        sweep = swept(SEEDS, say=said.append)
+        assert (list(sweep.runs), sweep.busy) == (["seed=2"], ("seed=1",))
+        words = ["sweep", str(small_job.path), "--results", str(folder), "--no-report", "--over"]
+        assert main([*words, "seed=1:2"]) == 0
+        assert "other processes compute seed=1\n" in capsys.readouterr().out
+        assert main([*words, "seed=1"]) == 0
+    assert any(line.startswith("seed=1: left out: ") and "by process" in line for line in said)
+    again = swept(SEEDS)
+    assert (list(again.runs), again.busy) == (["seed=1", "seed=2"], ())
+
+
+def test_the_work_is_foreseen_by_the_measured_speed_of_the_model(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hundreds of sines in a step take at least a microsecond; the guess for all models is 2 ns."""
+    (small_job.path.parent / "slow.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model\n"
+        "def transition(x, t, w, p):\n"
+        "    total = x[0]\n"
+        "    for k in range(300):\n"
+        "        total = np.sin(total + k)\n"
+        "    return (total + w[0],)\n"
+        "model = replace(load_model('random_walk'), linear_gaussian=False, transition=transition)\n"
+    )
+    seen = list[Progress]()
+    options: Any = {"results": tmp_path / "sweep", "changes": ["model.name=slow.py:model"]}
+    points = foreseen(small_job, SEEDS, **options, progress=seen.append)
+    assert (points["seconds"] / points["steps"]).between(2e-7, 1e-4).all()
+    assert [(each.done, each.total) for each in seen] == [(0, 2), (1, 2)]
+    assert [each.doing for each in seen] == ["measuring seed=1", "measuring seed=2"]
+    words = ["sweep", str(small_job.path), "--over", "seed=1:2", "--dry-run", "--results"]
+    assert main([*words, str(tmp_path / "sweep")]) == 0
+    assert "measuring seed=1" in capsys.readouterr().err
+
+
+def test_a_folder_of_another_run_fails_its_point_alone(
+    swept: Sweeping, small_job: Job, tmp_path: Path
+) -> None:
+    folder = tmp_path / "sweep"
+    pfdist.run(small_job, folder / "seed=1", changes=EXACT, figures=False)
+    few = foreseen(small_job, SEEDS, results=folder, changes=EXACT)
+    assert list(few["state"]) == ["finished", "none"]
+    other = [*EXACT, "problem.measurement_budget=3"]
+    assert list(foreseen(small_job, SEEDS, results=folder, changes=other)["state"]) == [
+        "other run",
+        "none",
+    ]
+    with pytest.raises(SweepError) as caught:
+        swept(SEEDS, changes=other)
+    assert RunMismatchError.__name__ not in str(caught.value)
+    assert "holds another run" in caught.value.failed["seed=1"]
+    assert pfdist.open_run(folder / "seed=2").state == "finished"
+
+
+@pytest.mark.parametrize("start", [pfdist.sweep, foreseen])
+@pytest.mark.parametrize(
+    ("over", "options", "words"),
+    [
+        ({"filter.particles": [9, 0]}, {}, "the point particles=0 of the sweep: filter.particles "),
+        (SEEDS, {"changes": ["seed = 3"]}, "must not be changed at all points, too, got seed"),
+        ({"problem.horizon": [12, 13]}, {"judge": True}, "must have the same horizon and clock "),
+        (SEEDS, {"results": "small.toml"}, "results must be a folder for .*, got a file: "),
+        (SEEDS, {"results": "run"}, "results must be a folder for .*, got a run: "),
+    ],
+)
+def test_a_wrong_sweep_is_refused_in_one_line_before_anything_is_touched(
+    start: Callable[..., object],
+    over: dict[str, list[Any]],
+    options: dict[str, Any],
+    words: str,
+    small_job: Job,
+    small_run: pfdist.Run,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = small_run.path.parent
+    monkeypatch.chdir(folder)
+    before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    with pytest.raises(PfdistError, match=words) as caught:
+        start(small_job, over, **{"results": "sweep"} | options)
+    assert "\n" not in str(caught.value)
+    assert {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('job = "small.toml"\novr = {seed = [1]}', "unknown key 'ovr', allowed: job, change, over"),
+        ('job = "study.toml"\n[over]\nseed = [1]', "is a sweep file, not a job: run it by"),
+    ],
+)
+def test_a_wrong_sweep_file_is_told_in_one_line(text: str, words: str, sweep_file: Path) -> None:
+    sweep_file.write_text(text)
+    with pytest.raises(PfdistError, match=words) as caught:
+        pfdist.sweep(sweep_file)
+    assert "\n" not in str(caught.value)
+
+
+# --- Judging ------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_times_found_at_each_point_are_judged_at_every_point(
+    swept: Sweeping, small_job: Job, tmp_path: Path
+) -> None:
+    """As `pfdist.compare` judges them: the same draws, filters and figures."""
+    over = {"model.parameters.process_sd": [1.0, 2.0], **SEEDS}
+    sweep = swept(over, changes=[FORWARD], judge=True)
+    judged = sweep.judged()
+    assert len(judged) == 16
+    assert set(judged["found_at"]) == set(sweep.runs)
+    assert judged["run"].nunique() == 4
+    assert set(judged["set"]) == {"greedy_forward"}
+    point = "process_sd=2.0_seed=1"
+    sets = judged_sets(times_by_search(sweep.runs))
+    compared = pfdist.compare(
+        small_job,
+        times=sets,
+        changes=["model.parameters.process_sd=2.0", "seed=1"],
+        results=tmp_path / "compared",
+        figures=False,
+    )
+    expected = {sets[name]: compared.table("comparison")[f"mse_{name}"].mean() for name in sets}
+    own = expected[sweep.runs[point].sets["greedy_forward"]]
+    for row in judged[judged["run"] == point].itertuples():
+        assert row.measurement_times == sweep.runs[row.found_at].sets["greedy_forward"]
+        mse = expected[row.measurement_times]
+        assert row.expected_mse == pytest.approx(mse, rel=1e-12)
+        assert row.loss == pytest.approx(mse / own - 1, rel=1e-9, abs=1e-12)
+        assert row.loss_low <= row.loss <= row.loss_high
+    assert (judged.loc[judged["found_at"] == judged["run"], "loss"] == 0).all()
+
+
+def test_times_found_at_several_points_are_judged_once(swept: Sweeping) -> None:
+    """Points that differ in their comparison alone find the same times."""
+    sweep = swept(ALIKE, judge=True)
+    for name, judge in sweep.judges.items():
+        assert list(judge.sets) == ["regular", "point_1_genetic", "point_1_random"]
+        assert judge.sets["point_1_genetic"] == sweep.runs[name].sets["genetic"]
+    judged = sweep.judged()
+    assert len(judged) == 18
+    best, other = sorted(judged.groupby("set")["loss"].min())
+    assert best == 0 < other
+    with pytest.raises(PfdistError, match="judged needs a sweep that judges"):
+        swept(ALIKE).judged()
+
+
+def test_losses_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
+    """Times of another number of measurements have no loss."""
+    over = {"model.parameters.step_sd": [0.2, 3.0], "problem.measurement_budget": [2, 3]}
+    sweep = swept(over, changes=EXHAUSTIVE, judge=True)
+    judged = sweep.judged()
+    assert len(judged) == 16
+    assert judged["loss"].notna().sum() == 8
+    for row in judged.itertuples():
+        own = sweep.runs[row.run]
+        if len(row.measurement_times) != len(own.sets["exhaustive"]):
+            assert math.isnan(row.loss)
+            continue
+        exact = own.summary().results["exhaustive"].exact_mse
+        assert row.loss == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
+        assert row.loss_low == row.loss == row.loss_high
+
+
+def test_times_of_other_methods_have_losses_too(swept: Sweeping) -> None:
+    """The best times that any search has found at a point are those that count there."""
+    over = {"search.exhaustive.method": ["exhaustive", "greedy_forward"]}
+    sweep = swept(over, changes=EXHAUSTIVE, judge=True)
+    losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
+    best, other = sweep.runs
+    assert losses.loc[best, other] <= 0 <= losses.loc[other, best]
+
+
+def test_affordable_times_have_losses_where_a_filter_is_wrong(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """A filter that trusts its sensor too much needs few times; the right filter needs more."""
+    problem = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    model = {"name": "random_walk", "parameters": {"measurement_sd": 6.0, "initial_sd": 2.0}}
+    search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
+    job = small_job.with_changes(sections={"problem": problem, "model": model, "search": search})
+    over = {"model.filter.parameters.measurement_sd": [6.0, 0.2]}
+    sweep = pfdist.sweep(job, over, results=tmp_path / "sweep", judge=True, report=False)
+    losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
+    assert losses.notna().all(axis=None)
+    right, wrong = sweep.runs
+    assert losses.loc[right, wrong] > 0 < losses.loc[wrong, right]
+
+
+@pytest.mark.slow
+def test_points_that_are_added_are_judged_too(swept: Sweeping) -> None:
+    """The report shows the newest comparisons, which know the times of all points."""
+    changes = [*EXACT, FORWARD]
+    for noises in ([0.2, 3.0], [0.2, 1.0, 3.0]):
+        sweep = swept({"model.parameters.step_sd": noises}, changes=changes, judge=True)
+        assert len(sweep.judged()) == len(noises) ** 2
+    assert "were judged at" not in pfdist.report(sweep.path).read_text()
+    swept({"model.parameters.step_sd": [5.0]}, changes=changes)
+    assert "judged at 3 of 4 points" in pfdist.report(sweep.path).read_text()

@@ -1,0 +1,277 @@
+"""Why times are what they are: against the exact recursion, and against filters one by one."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job, Run
+from pfdist.cli.main import main
+from pfdist.common.rounding import with_error
+from pfdist.common.streams import stream_of
+from pfdist.errors import RunMismatchError
+from pfdist.filters import kalman
+from pfdist.filters.work import Estimation, Work
+from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.questions.why import Why
+from pfdist.questions.worth import CHANGES
+from pfdist.results.sampling_windows import sentences, windows_of
+from pfdist.runner.build import build
+from pfdist.store.verify import verify_run
+
+QUICK = [
+    "search.random.evaluations=3",
+    "search.genetic.generations=1",
+    "comparison.draws=20",
+]
+WALK = [*QUICK, "model.name=random_walk"]
+KALMAN = [*WALK, "filter.engine=kalman"]
+
+
+@pytest.fixture
+def run_of(finished: Callable[..., Path], tmp_path: Path) -> Callable[..., Run]:
+    """A function that gives a finished run of the small job with changes."""
+    return lambda *changes: pfdist.open_run(shutil.copytree(finished(*changes), tmp_path / "run"))
+
+
+def why(run: Run, draws: int = 1000) -> Why:
+    return pfdist.why(run.path / "job.toml", draws, figures=False)
+
+
+def _by_riccati(times: tuple[int, ...], horizon: int) -> dict[tuple[int, str], float]:
+    """The rise of the exact expected MSE with every change there is."""
+    others: dict[tuple[int, str], set[int]] = {}
+    for t in times:
+        rest = set(times) - {t}
+        others[t, "removed"] = rest
+        others[t, "earlier"], others[t, "later"] = rest | {t - 1}, rest | {t + 1}
+    possible = {
+        key: tuple(sorted(other))
+        for key, other in others.items()
+        if key[1] == "removed"
+        or (len(other) == len(times) and 0 <= min(other) <= max(other) <= horizon)
+    }
+    model = pfdist.load_model("random_walk")
+    whole, *changed = kalman.expected_mse(model, horizon, [times, *possible.values()])
+    return {key: mse - whole for key, mse in zip(possible, changed, strict=True)}
+
+
+def _rises(found: Any, name: str) -> dict[tuple[int, str], tuple[float, float]]:
+    rows = found.worth[found.worth["name"] == name]
+    return {
+        (row["t"], change): (row[change], row[f"{change}_error"])
+        for row in rows.to_dict("records")
+        for change in CHANGES
+        if not np.isnan(row[change])
+    }
+
+
+@pytest.mark.slow
+def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
+    run_of: Callable[..., Run],
+) -> None:
+    particles = 200
+    run = run_of(*WALK, f"filter.particles={particles}")
+    found = why(run, draws=3000)
+    for name, result in run.summary().results.items():
+        exact = _by_riccati(tuple(result.measurement_times), 12)
+        rises = _rises(found, name)
+        assert rises.keys() == exact.keys()
+        for key, (rise, error) in rises.items():
+            # beside the draws' error, the filter's of order 1/particles
+            assert abs(rise - exact[key]) < 4 * error + 2 * abs(exact[key]) / particles, (name, key)
+            assert 0 < error < 0.1 * max(abs(exact[key]), 1.0)
+
+
+def test_where_everything_is_known_no_draws_are_taken(run_of: Callable[..., Run]) -> None:
+    run = run_of(*KALMAN)
+    found = why(run)
+    assert found.draws == 0
+    for name, result in run.summary().results.items():
+        exact = _by_riccati(tuple(result.measurement_times), 12)
+        for key, (rise, error) in _rises(found, name).items():
+            assert (rise, error) == (pytest.approx(exact[key]), 0.0)
+    means = found.profile.groupby("name")["error"].mean()
+    np.testing.assert_allclose(means[found.sets["name"]], found.sets["expected_mse"])
+
+
+def test_a_measurement_is_moved_only_to_where_the_job_allows_it(
+    run_of: Callable[..., Run], small_job: Job
+) -> None:
+    bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
+    allowed = set(small_job.with_changes(bound).problem.feasible.every())
+    run = run_of(*KALMAN, *bound)
+    found = why(run)
+    for name, result in run.summary().results.items():
+        times = set(result.measurement_times)
+        moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
+        possible = {
+            key for key, to in moves.items() if tuple(sorted(times - {key[0]} | {to})) in allowed
+        }
+        assert 0 < len(possible) < len(moves)
+        assert _rises(found, name).keys() == possible | {(t, "removed") for t in times}
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)  # of the searches: nothing to the profile
+def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
+    run_of: Callable[..., Run], small_job: Job, estimator: str
+) -> None:
+    changes, draws = [*QUICK, f"evaluation.estimator={estimator}"], 60
+    quick = small_job.with_changes(changes)
+    found, built = why(run_of(*changes), draws), build(quick)
+    for row in found.sets.to_dict("records"):
+        alone = Work(
+            measurement_times=(tuple(row["measurement_times"]),),
+            ends=(12,),
+            filter_streams=(stream_of("why", quick.seed, "filter", row["name"]),),
+            draws_stream=stream_of("why", quick.seed, "draws"),
+            draws=(0, draws),
+            estimation=Estimation(quick.filter.particles, quick.filter.resampling),
+            trajectories=True,
+        )
+        result = built.evaluator(alone)
+        error = (result.z - result.estimates[0])[:, :, 0] ** 2
+        profile = found.profile[found.profile["name"] == row["name"]]
+        np.testing.assert_allclose(profile["error"], error.mean(axis=0))
+        standard_error = error.std(axis=0, ddof=1) / np.sqrt(draws)
+        np.testing.assert_allclose(profile["standard_error"], standard_error)
+        assert profile["error"].mean() == pytest.approx(row["expected_mse"])
+        assert profile["t"][profile["measured"]].tolist() == row["measurement_times"]
+
+
+@pytest.mark.slow
+def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(
+    run_of: Callable[..., Run], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = run_of(*QUICK)
+    before = hashes(run.path)
+    assert main(["why", str(run.path / "job.toml"), "--draws", "30", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer) == {"run", "draws", "sets", "figures"}
+    assert answer["draws"] == 30
+    assert list(answer["sets"]) == ["regular", "genetic", "random"]
+    regular = answer["sets"]["regular"]
+    assert [row["t"] for row in regular["worth"]] == [0, 4, 8, 12]
+    assert regular["worth"][0]["earlier"] is None
+    assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
+    windows, jitter = regular["sampling_windows"], regular["jitter"]
+    assert {row["t"] for row in windows} == {0, 4, 8, 12}
+    assert [row["loss"] for row in windows if row["moved_to"] == row["t"]] == [0.0] * 4
+    assert [row["percent"] for row in jitter] == [1, 5]
+    assert all(row["low"] <= row["loss"] <= row["high"] for row in jitter)
+    drawn = "why-genetic why-random sampling_windows-genetic sampling_windows-random filters"
+    names = [f"{name}.{kind}" for name in drawn.split() for kind in ("png", "svg")]
+    assert [Path(file).name for file in answer["figures"]] == names
+    assert all(Path(file).stat().st_size > 5000 for file in answer["figures"])
+    after = {
+        file: content
+        for file, content in hashes(run.path).items()
+        if not re.search("why|windows|filters", file)
+    }
+    assert after == before
+    assert run.state == "finished"
+    assert run.table("profile")["error"].tolist()[:13] == [
+        row["error"] for row in regular["profile"]
+    ]
+    assert run.table("worth")["removed"].tolist()[:4] == [
+        row["removed"] for row in regular["worth"]
+    ]
+    stored = run.table("sampling_windows")
+    assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
+    assert run.table("jitter")["loss"].tolist()[:2] == [row["loss"] for row in jitter]
+    assert not list(verify_run(run.path))
+    again = hashes(run.path)
+    assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0
+    assert hashes(run.path) == again
+    text = capsys.readouterr().out
+    said = re.findall(r"^(\w+): expected MSE", text, re.MULTILINE)
+    errors = pfdist.why(run, 30, figures=False).sets.set_index("name")["expected_mse"]
+    assert said == errors.sort_values().index.tolist()  # the best first
+    cost = with_error(regular["expected_mse"], regular["standard_error"])
+    assert f"regular: expected MSE {cost}\n" in text
+    worth = regular["worth"][1]
+    assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
+    strict, wide = (windows_of(windows, percent)[1].text for percent in (1, 5))
+    unwrapped = " ".join(text.split())
+    assert f" 4 {strict} {wide} " in unwrapped
+    assert all(said in unwrapped for said in sentences(windows, jitter, is_found=False))
+    assert all(len(line) <= 80 for line in text.splitlines() if str(run.path) not in line)
+
+
+def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
+    run_of: Callable[..., Run], small_job: Job
+) -> None:
+    run = run_of(*WALK)
+    profile = why(run, draws=2).profile
+    at = profile["effective_sample_size"]
+    assert at.notna().tolist() == profile["measured"].tolist()
+    assert at[profile["measured"]].between(1, small_job.filter.particles).all()
+    assert why(run, draws=2).profile.equals(profile)  # from the same noise
+
+
+@pytest.mark.slow
+def test_degenerate_draws_are_counted_up_to_each_instant(small_job: Job, tmp_path: Path) -> None:
+    (tmp_path / "cut.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model, where\n"
+        "walk = load_model('random_walk')\n"
+        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
+        "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
+    )
+    changes = ["model.filter.name=cut.py:model", "filter.particles=5"]
+    job = small_job.with_changes([*WALK, *changes, "evaluation.degenerate_draws=continue"])
+    found = pfdist.why(pfdist.run(job, tmp_path / "run", figures=False), draws=50, figures=False)
+    known = found.sets.set_index("name")["degenerate_draws"]
+    for name, rows in found.profile.groupby("name"):
+        counts = rows["degenerate_draws"].to_numpy()
+        assert np.all(np.diff(counts) >= 0), name
+        assert 0 < counts[-1] == known[name]
+
+
+@pytest.mark.slow
+def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_same(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("from pfdist.models.library.ungm import model\n")
+    job = small_job.with_changes([*QUICK, "model.name=mine.py:model"])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    said: list[str] = []
+    pfdist.why(run.path / "job.toml", draws=2, say=said.append, figures=False)
+    assert said == [f"runs the model file {file}, which your job names"]
+    file.write_text(
+        '"""Another word."""\nfrom pfdist.models.library.ungm import model\n# another\n'
+    )
+    why(run, draws=2)
+    file.write_text("from pfdist.models.library.ungm_gordon import model\n")
+    words = r"model\.formulas: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
+    with pytest.raises(RunMismatchError, match=words):
+        why(run, draws=2)
+
+
+def test_a_lost_answer_is_computed_when_it_is_asked_for(
+    run_of: Callable[..., Run],
+) -> None:
+    run = run_of(*KALMAN)
+    why(run)
+    (worth,) = (run.path / "tables" / "worth").iterdir()
+    (ranks, *_) = (run.path / "tables" / "comparison").iterdir()
+    for file in (worth, ranks):
+        file.unlink()
+    again = pfdist.run(run.path / "job.toml", figures=False)
+    assert again.state == "finished"
+    assert "worth" not in again.tables
+    assert not list(verify_run(run.path))
+    why(again)
+    assert [worth] == list((run.path / "tables" / "worth").iterdir())
+    assert not list(verify_run(run.path))

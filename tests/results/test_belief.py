@@ -1,0 +1,52 @@
+"""Check what a summary says about a search's belief."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pfdist.results.belief import cause_of_excess, largest_of
+
+CHOSE = "its draws chose the set"
+UNDERESTIMATES = "the search's filter underestimates its error"
+ERRS_MORE = "the search's filter errs more than the job's own"
+UNEXPLAINED = "unexplained: {} standard errors; `pfdist verify results/x` checks the files"
+VARIANCE = {"particles": 100, "estimator": "filter_variance"}
+
+
+@pytest.mark.parametrize(
+    ("believed", "own", "cause"),
+    [
+        (4.7, VARIANCE, CHOSE),  # three standard errors: draws may do that
+        (4.5, VARIANCE, UNDERESTIMATES),
+        (0.1, {"estimator": "two_filters"}, UNDERESTIMATES),
+        (4.5, {"particles": 100}, CHOSE),  # by the squared error no filter flatters itself
+        (4.5, {}, CHOSE),  # 5 standard errors: the smallest of 1,000 may lie so low
+        (4.4, {}, UNEXPLAINED.format("6.0")),
+        (4.4, {"particles": 100}, UNEXPLAINED.format("6.0")),
+        (5.5, {"particles": 100}, ERRS_MORE),
+        (5.5, {}, UNEXPLAINED.format("5.0")),  # none is chosen for its large cost
+        (5.39, {}, CHOSE),
+    ],
+)
+def test_the_cause_of_a_wrong_belief_is_the_filter_where_draws_do_not_explain_it(
+    believed: float, own: dict[str, object], cause: str
+) -> None:
+    result = {
+        "search_cost": believed,
+        "search_standard_error": 0.06,
+        "expected_mse": 5.0,
+        "standard_error": 0.08,  # of the difference: 0.1
+    }
+    assert cause_of_excess(result, own, "results/x", 1000) == cause
+
+
+def test_the_smallest_of_many_evaluations_lies_below_the_limit_as_rarely_as_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("pfdist.results.belief.CLEAR_ERRORS", 2.0)  # 2.3 %: often enough to count
+    rare, count, trials = 0.02275, 50, 4000
+    largest = np.random.default_rng(1).normal(size=(trials, count)).max(axis=1)
+    share = np.mean(largest > largest_of(count))
+    assert abs(share - rare) < 4 * math.sqrt(rare / trials)
+    assert largest_of(1) == pytest.approx(2.0)

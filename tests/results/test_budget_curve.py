@@ -1,0 +1,178 @@
+"""Which number of measurements reaches a target, which cannot, and which is worse, by hand."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from pfdist.common.estimate import CONFIDENCE, Estimate
+from pfdist.results import ComparisonStatistics, reaching
+from pfdist.results.budget_curve import BOUND_DEGREES, budget_table, with_bounds
+from pfdist.runner.block_sums import GROUPS
+from pfdist.search.proof import Gap, GapParts, Proof, gap_of
+
+NOISE = np.tile([-1.0, 1.0], 200)  # of the draws, common to all sets; the mean's error is 0.05
+COSTS = {
+    "regular_2": 9.0,
+    "regular_3": 7.0,
+    "regular_4": 7.15,  # worse by 0.15, of which the draws that both share are sure
+    "regular_5": 5.0,
+    "relaxation_2": 7.02,
+    "relaxation_3": 6.0,
+    "relaxation_4": 5.0,
+    "relaxation_5": 4.0,
+}
+
+
+def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
+    comparison = pd.DataFrame({f"mse_{name}": column for name, column in mse.items()})
+    references = {name: name for name in mse if not name.startswith("regular")}
+    statistics = ComparisonStatistics(list(mse), references=references)
+    statistics.add(comparison.to_numpy())
+    compared = pd.DataFrame(
+        [
+            {
+                "name": name,
+                "measurement_times": np.arange(int(name.rpartition("_")[2])),
+                "search_cost": math.nan if name.startswith("regular") else 1.0,
+                "search_standard_error": 0.1,
+            }
+            for name in mse
+        ]
+    )
+    return budget_table(compared, statistics, [comparison[:130], comparison[130:]], "regular")
+
+
+@pytest.fixture
+def table() -> pd.DataFrame:
+    return with_bounds(_table({name: cost + NOISE for name, cost in COSTS.items()}), {})
+
+
+def test_a_row_a_set_with_its_interval(table: pd.DataFrame) -> None:
+    assert table["kind"].tolist() == ["regular"] * 4 + ["found"] * 4
+    assert table["measurements"].tolist() == [2, 3, 4, 5] * 2
+    assert table["expected_mse"].tolist() == pytest.approx(list(COSTS.values()))
+    half = (table["high"] - table["low"]) / 2
+    assert half.tolist() == pytest.approx([0.05 * 1.97] * 8, rel=0.01)
+
+
+def test_that_more_are_worse_is_said_where_common_draws_are_sure(table: pd.DataFrame) -> None:
+    worse = table.set_index("name")["worse_than"].dropna()
+    assert worse.to_dict() == {"regular_4": 3}
+
+
+@pytest.mark.slow
+def test_sets_that_are_all_alike_are_seldom_said_to_be_worse() -> None:
+    # With 95 % for all differences together, in 5 of 100 tables at most, or by chance a few more.
+    rng, tables = np.random.default_rng(1), 100
+    said = 0
+    for _ in range(tables):
+        common = 3 * rng.normal(size=200)
+        mse = {f"regular_{n}": common + rng.normal(size=200) for n in range(2, 12)}
+        said += bool(_table(mse)["worse_than"].notna().any())
+    assert said <= 0.05 * tables + 3 * np.sqrt(0.05 * 0.95 * tables)
+
+
+def test_the_least_number_that_reaches_a_target(table: pd.DataFrame) -> None:
+    found = reaching(table, 7.0)
+    assert found["regular"] == {
+        "measurements": 3,
+        "interval": [3, 5],  # 7.0 may be 7.1
+        "measurement_times": [0, 1, 2],
+        "larger_that_do_not": [4],  # 7.15 is not 7.0
+    }
+    assert found["found"]["measurements"] == 3
+    assert found["found"]["interval"] == [2, 3]  # 7.02 may be 7.0
+    assert found["found"]["larger_that_do_not"] == []
+    assert reaching(table, 7.1)["regular"]["larger_that_do_not"] == []  # 7.15 may be 7.1
+    none = reaching(table, 3.0)["found"]
+    assert (none["measurements"], none["interval"]) == (None, [None, None])
+    assert none["larger_that_do_not"] == []
+    assert none["impossible"] is None  # nothing is proved
+
+
+def _proof(bound: float, cost: float, errors: tuple[float, float, float]) -> Gap:
+    """The gap of a set, with the errors of its parts."""
+    relaxation, estimate, wrong = (Estimate((cost - bound) / 3, error) for error in errors)
+    both = Estimate(2 * (cost - bound) / 3, math.hypot(errors[1], errors[2]))
+    alone = GapParts(Estimate(cost, 0.05), estimate, wrong, both)
+    proof = Proof([Estimate(bound, 0.04)], [(0,)], [0], [relaxation])
+    return gap_of("relaxation_2", (0,), alone, proof, 0, CONFIDENCE)
+
+
+def _columns(gap: Gap) -> dict[str, Any]:
+    return gap.columns() | {"particles": 100, "confidence": CONFIDENCE}
+
+
+@pytest.mark.parametrize("wrong_model", [0.0, 0.02])  # changes nothing in the limit
+def test_the_limit_of_a_bound_holds_for_all_numbers(
+    table: pd.DataFrame, wrong_model: float
+) -> None:
+    proofs = {"relaxation_2": _columns(_proof(6.9, 7.02, (0.03, 0.02, wrong_model)))}
+    rows = with_bounds(table, proofs).set_index("name")
+    quantile = stats.t.isf(0.05 / 4, 19)  # 4 numbers of measurements, 20 groups of draws
+    assert BOUND_DEGREES == GROUPS - 1 == 19
+    row = rows.loc["relaxation_2"]
+    assert (row["bound"], row["bound_error"]) == (6.9, 0.04)
+    expected = 6.9 - quantile * 0.04
+    assert row["bound_low"] == pytest.approx(expected, abs=1e-12)
+    others = rows.drop("relaxation_2")
+    assert others[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize(("sets", "numbers"), [(3, 1), (4, 4)])
+def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> None:
+    """A plan's sets, the reference among them, share one bound; a budget curve has one a number.
+
+    The errors of a bound are those of 20 groups of draws, here of normal values.
+    """
+    names = ["regular_2", "relaxation_2", "exchange_2"]
+    names = names if numbers == 1 else [f"relaxation_{number}" for number in range(2, 6)]
+    table = _table(dict.fromkeys(names, 7.0 + NOISE))
+    groups = np.random.default_rng(1).normal(5.0, 1.0, (4000, numbers, GROUPS))
+    errors = groups.std(axis=2, ddof=1) / math.sqrt(GROUPS)
+    covered = 0
+    for bounds in np.stack([groups.mean(axis=2), errors], axis=2):
+        proofs = {
+            name: _columns(_proof(6.0, 7.0, (0.1, 0.1, 0.1)))
+            | {"bound": bound, "bound_error": error, "budget": 2 + number}
+            for number, (bound, error) in enumerate(bounds)
+            for name in (names if numbers == 1 else names[number : number + 1])
+        }
+        covered += bool((with_bounds(table, proofs)["bound_low"] < 5.0).all())
+    assert abs(covered / 4000 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 4000)
+
+
+def test_an_exact_bound_is_a_limit_and_a_withdrawn_bound_is_none(table: pd.DataFrame) -> None:
+    exact = {"bound": 5.9, "bound_error": 0.0, "particles": 0, "reason": "", "budget": 3}
+    withdrawn = exact | {"reason": "the set costs less than the bound"}
+    rows = with_bounds(table, {"relaxation_3": exact, "relaxation_4": withdrawn}).set_index("name")
+    assert rows.loc["relaxation_3", ["bound", "bound_error", "bound_low"]].tolist() == [5.9, 0, 5.9]
+    assert np.isnan(rows.loc["relaxation_4", "bound_low"])
+
+
+@pytest.mark.parametrize(
+    ("target", "least", "impossible"),
+    [
+        (7.0, 3, None),
+        (6.1, 3, 2),
+        (5.95, 4, 2),  # nobody knows whether other 3 times can
+        (5.01, 5, 4),  # 4 times seem to reach it, but the proof says that they do not
+        (0.5, None, 5),
+    ],
+)
+def test_the_largest_number_that_cannot_reach_a_target_is_proved(
+    table: pd.DataFrame, target: float, least: int | None, impossible: int | None
+) -> None:
+    bounds = {"relaxation_2": 6.9, "relaxation_3": 5.9, "relaxation_4": 5.02, "relaxation_5": 3.9}
+    proofs = {
+        name: {"bound": bound, "bound_error": 0.0, "particles": 0, "reason": "", "budget": 2}
+        for name, bound in bounds.items()
+    }
+    reached = reaching(with_bounds(table, proofs), target)
+    assert "impossible" not in reached["regular"]
+    assert reached["found"]["measurements"] == least
+    assert reached["found"]["impossible"] == impossible

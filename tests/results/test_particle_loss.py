@@ -1,0 +1,157 @@
+"""The loss by a finite number of particles, against the Kalman filter and in a collapse."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.systems import scalar
+from pfdist.common.estimate import Estimate
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.kalman import expected_mse
+from pfdist.filters.work import Estimation, Work, with_truth
+from pfdist.models import StateSpaceModel
+from pfdist.results import Moments
+from pfdist.results.particle_loss import ParticleLoss, hardly_measured, less, particle_loss
+from pfdist.results.stored_run import particle_losses_of
+
+HORIZON, TIMES = 12, (2, 5, 6, 10)
+
+
+def measured(model: StateSpaceModel, particles: int, draws: int) -> tuple[ParticleLoss, Moments]:
+    """The loss of a set, and the moments of its squared error."""
+    evaluator = Evaluator(model, HORIZON)
+    squared, distance, variance = (
+        evaluator.filtered(Work((TIMES,), (HORIZON,), (7,), 3, (0, draws), estimation)).mse[:, 0]
+        for estimation in (
+            Estimation(particles),
+            Estimation(particles, estimator="filter_noise"),
+            with_truth(particles),
+        )
+    )
+    whole = Moments()
+    whole.add(squared)
+    return particle_loss(particles, whole, squared, distance, variance), whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sd", "particles"), [(1.0, 50), (1.0, 200), (0.1, 200)])
+def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles: int) -> None:
+    """Right to order 1/P: the tolerance has the square of the loss beside 4 standard errors."""
+    model = scalar("scalar", 0.95, 0.5, sd)
+    loss, whole = measured(model, particles, 20_000)
+    exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
+    error = math.hypot(loss.by_two_filters.standard_error, whole.standard_error / whole.mean)
+    assert loss.by_two_filters.value == pytest.approx(exact, abs=4 * error + exact**2)
+    assert loss.at_most.value > exact - 4 * error
+    assert loss.at_most.value < 4 * exact + 4 * error
+    assert not loss.is_large
+    assert loss.warning == ""
+
+
+@pytest.mark.slow
+def test_in_a_collapse_the_upper_figure_alone_shows_the_loss() -> None:
+    """A sensor of a ten-thousandth of the prior's deviation: 20 particles never meet it."""
+    model = scalar("scalar", 0.95, 0.5, 0.0002)
+    loss, whole = measured(model, 20, 4000)
+    exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
+    assert loss.at_most.value > exact - 4 * whole.standard_error / whole.mean
+    assert loss.is_large
+    assert "20 particles may be too few: they lose" in loss.warning
+
+
+def test_a_mean_less_that_of_the_first_draws_has_the_error_of_both() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(400):
+        every = rng.normal(3.0, 2.0, 500)
+        other = 0.5 * every[:100] + rng.normal(0.0, 0.5, 100)
+        whole = Moments()
+        whole.add(every)
+        found.append(less(whole, every[:100], other))
+    values = np.array([each.value for each in found])
+    assert values.mean() == pytest.approx(1.5, abs=4 * values.std() / 20)
+    assert np.mean([each.standard_error for each in found]) == pytest.approx(values.std(), rel=0.15)
+    assert math.isnan(less(whole, every[:1], every[:1]).value)
+
+
+def loss(particles: int, by_two_filters: float, at_most: float, error: float = 0.0) -> ParticleLoss:
+    return ParticleLoss(particles, Estimate(by_two_filters, error), Estimate(at_most, error))
+
+
+@pytest.mark.parametrize(
+    ("by_two_filters", "at_most", "error", "small", "open_"),
+    [
+        (0.01, 0.049, 0.0, True, True),
+        (0.011, 0.02, 0.0, False, False),
+        (0.01, 0.05, 0.0, False, False),
+        (0.005, 0.04, 0.01, False, True),  # more draws may show it
+        (0.005, 0.08, 0.01, False, False),
+        (math.nan, math.nan, 0.0, False, False),  # all draws are infinite
+    ],
+)
+def test_a_loss_is_small_if_both_figures_are_and_more_draws_are_taken_where_it_is_open(
+    by_two_filters: float, at_most: float, error: float, small: bool, open_: bool
+) -> None:
+    found = loss(100, by_two_filters, at_most, error)
+    assert (found.is_small, found.may_be_small) == (small, open_)
+    assert not replace(found, top_share=0.26).is_small
+    assert not replace(found, top_share=0.25).rare
+
+
+def test_the_limit_is_at_most_100_percent() -> None:
+    assert loss(100, 0.5, 0.9, 0.2).limit == 1.0
+
+
+@pytest.mark.parametrize(
+    ("catastrophes", "size", "is_rare"), [(0, 0.0, False), (10, 5.0, False), (10, 50.0, True)]
+)
+def test_a_few_draws_that_carry_the_excess_are_said(
+    catastrophes: int, size: float, is_rare: bool
+) -> None:
+    """Exponential errors of mean 1; ten of 4,000 draws add 0.0125 or 0.125 to it."""
+    rng = np.random.default_rng(3)
+    variance, noise = rng.uniform(0.5, 1.5, 4000), rng.exponential(1.0, 4000)
+    squared = variance * noise
+    squared[:catastrophes] += size
+    whole = Moments()
+    whole.add(squared)
+    found = particle_loss(500, whole, squared, np.zeros(4000), variance)
+    assert bool(found.rare) == is_rare
+    assert found.rare in found.warning
+
+
+def test_a_large_loss_must_be_clear() -> None:
+    assert loss(100, 0.06, 0.1).is_large
+    assert loss(100, 0.01, 0.21).is_large
+    assert not loss(100, 0.06, 0.21, 0.01).is_large
+    assert not loss(100, 0.05, 0.2).is_large
+
+
+def test_times_that_hardly_beat_no_measurement_are_named() -> None:
+    assert hardly_measured(0.96, 1.0).startswith("These times hardly beat no measurement at all")
+    assert hardly_measured(0.94, 1.0) == ""
+
+
+def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[..., Path]) -> None:
+    changes = ["model.name=random_walk", "filter.particles=5", "comparison.draws=1500"]
+    run = pfdist.open_run(finished(*changes))
+    assert len(run.table("filter_distance")) == len(run.table("filter_variance")) == 1000
+    nothing = expected_mse(pfdist.load_model("random_walk"), 12, [()])[0]
+    column = run.table("filter_variance")["unmeasured"]
+    tolerance = 4 * column.std() / math.sqrt(1000)
+    assert column.mean() == pytest.approx(nothing * 4 / 5, abs=tolerance)  # (P - 1) / P of it
+    for name in run.names:
+        result = run.summary().results[name]
+        assert 0.05 < result.particle_loss < result.particle_loss_at_most
+        assert "5 particles may be too few" in result.warnings[0]
+
+
+def test_exact_engines_lose_nothing_and_say_nothing(finished: Callable[..., Path]) -> None:
+    run = pfdist.open_run(finished("model.name=random_walk", "filter.engine=kalman"))
+    assert particle_losses_of(run) == {}
+    assert not any(result.particle_loss for result in run.summary().results.values())

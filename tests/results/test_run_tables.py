@@ -1,0 +1,105 @@
+"""The public names of a run, its tables by one door, and the run as a tree of labelled arrays."""
+
+import builtins
+import inspect
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pfdist import Run, open_run
+from pfdist.errors import ArgumentError, PfdistError, StoreError
+from pfdist.results.stored_run import COMPUTED, TABLES
+from pfdist.store.schema import KEYS
+
+EXAMPLE = Path(__file__).parents[2] / "results" / "example"
+MOST_NAMES = 12
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return open_run(EXAMPLE)
+
+
+def test_a_run_has_a_dozen_public_names(run: Run) -> None:
+    names = [name for name in dir(run) if not name.startswith("_")]
+    assert len(names) <= MOST_NAMES
+    for name in set(names) - {"job", "path"}:  # described by the class
+        assert inspect.getdoc(inspect.getattr_static(Run, name))
+
+
+def test_every_table_that_a_run_has_is_read_by_its_name_and_no_other(run: Run) -> None:
+    assert set(run.tables) <= set(TABLES)
+    for name in TABLES:
+        if name in run.tables:
+            assert len(run.table(name)) > 0
+        else:
+            with pytest.raises(StoreError, match=f"no table '{name}'; it has: evaluations, draws"):
+                run.table(name)
+
+
+def test_computed_tables_follow_from_the_stored(run: Run) -> None:
+    comparison, gains = run.table("comparison"), run.table("gains")
+    expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
+    np.testing.assert_allclose(gains["gain_genetic"], expected)
+    costs = run.table("budget").set_index("name")["expected_mse"]
+    for name in run.sets:
+        assert costs[name] == pytest.approx(comparison[f"mse_{name}"].mean())
+    assert not set(COMPUTED) & set(KEYS)
+
+
+@pytest.mark.parametrize("name", ["comparison", "gains", "trajectories"])
+def test_the_first_draws_of_a_table_are_the_first_rows_of_all_draws(run: Run, name: str) -> None:
+    first, every = run.table(name, 7), run.table(name)
+    assert first.equals(every[every["draw"] < 7])
+    assert first["draw"].nunique() == 7
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("bonds",), "must be one of evaluations, .* got 'bonds'; did you mean 'bound'"),
+        ((3,), "must be one of .* got 3$"),
+        (("budget", 5), "the table budget has no rows of draws"),
+        (("comparison", 0), "draws must be at least 1, got 0"),
+        (("comparison", 2.5), "draws must be an integer, got 2.5"),
+    ],
+)
+def test_a_wrong_table_is_refused_in_a_line(run: Run, arguments: Any, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says) as refused:
+        run.table(*arguments)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_line_says_that_xarray_is_missing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    load = builtins.__import__
+
+    def without(name: str, *others: Any) -> Any:
+        if name == "xarray":
+            raise ModuleNotFoundError(name)
+        return load(name, *others)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(PfdistError, match=r"^to_datatree needs xarray, .* 'pfdist\[notebook\]'$"):
+        run.to_datatree()
+
+
+@pytest.mark.notebook
+def test_a_tree_has_the_numbers_of_the_tables(run: Run) -> None:
+    tree = run.to_datatree()
+    assert set(tree.children) == {"comparison", "trajectories", "evaluations"}
+    comparison, rows = tree["comparison"], run.table("comparison").set_index("draw")
+    assert dict(comparison.sizes) == {"draw": len(rows), "set": len(run.sets)}
+    for name in run.sets:
+        np.testing.assert_array_equal(comparison["mse"].sel(set=name), rows[f"mse_{name}"])
+    gain = comparison["gain"].mean("draw")
+    assert float(gain.sel(set="genetic")) == run.table("gains")["gain_genetic"].mean()
+    assert np.isnan(gain.sel(set="regular"))
+    trajectories, z = tree["trajectories"], run.table("trajectories").set_index(["draw", "t"])
+    for draw, time in ((0, 0), (3, 41), (99, 60)):
+        at = {"draw": draw, "time": time, "component": "0"}
+        estimate = trajectories["estimate"].sel(set="genetic", **at)
+        assert float(estimate) == z.loc[(draw, time), "estimate_genetic_0"]
+        assert float(trajectories["z"].sel(**at)) == z.loc[(draw, time), "z_0"]
+    assert tree["evaluations"].sizes["row"] == len(run.table("evaluations"))
