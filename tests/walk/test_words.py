@@ -20,7 +20,13 @@ JOB_KEY = re.compile(
     r"|(?<![\w-])--[a-z]"
 )
 BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! default))\s[^.]*")
-LOW_ROOMS = ("pfdist/problem/", "pfdist/models/", "pfdist/search/")
+SETS_OF_TIMES = (
+    "affordable completions constraints contradictions feasible moves rest spacing written"
+)
+LOW_ROOMS = (
+    *("pfdist/common/", "pfdist/models/", "pfdist/search/"),
+    *(f"pfdist/problem/{module}.py" for module in SETS_OF_TIMES.split()),
+)
 
 
 def vague_names(source: str) -> Iterator[str]:
