@@ -1,5 +1,6 @@
 """The search methods that a job file can name. Each is declared where it is defined."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import reduce
@@ -116,8 +117,11 @@ def method(
             f"{optimiser.__name__}Section",
             __base__=SearchSection,
             __doc__=optimiser.__doc__,
+            __module__=optimiser.__module__,
             **definitions,
         )
+        # Workers get the sections of online draws pickled, so their module must have the class.
+        setattr(sys.modules[optimiser.__module__], section.__name__, section)
         METHODS.declare(name, Method(name, optimiser, section, curve, online, additive))
         return optimiser
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import pickle
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -208,6 +209,14 @@ def test_it_asks_as_often_and_for_as_many_as_it_says(method: str) -> None:
     optimiser, (asked, _) = _optimiser(method, NOISY), _searched(method, NOISY)
     assert len(asked) == optimiser.generations
     assert sum(map(len, asked)) == optimiser.evaluations
+
+
+@every
+def test_its_settings_travel_to_a_worker(method: str) -> None:
+    section = METHODS[method].section(method=method)
+    travelled = pickle.loads(pickle.dumps(section))
+    assert type(travelled) is type(section)
+    assert travelled == section
 
 
 @every
