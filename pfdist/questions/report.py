@@ -73,6 +73,7 @@ def write_report(run: Run, seconds: int = 0, target: float | None = None) -> Pat
     """
     from pfdist.questions.pictures import with_pictures  # noqa: PLC0415  Matplotlib loads if a page is made
 
+    record_pages(run.path, without=REPORT)
     file = _write(lambda: with_pictures(page_of(run, seconds, target), run), run.path)
     record_pages(run.path)
     return file

@@ -88,15 +88,17 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
     files.write_file(folder / FILES, lambda file: file.write_text(text, encoding="utf-8"))
 
 
-def record_pages(folder: Path, *, locked: bool = False) -> None:
+def record_pages(folder: Path, *, locked: bool = False, without: str = "") -> None:
     """List the figures and the report of a run, unless another command may write to the run.
 
     `locked` is whether the caller holds the run's lock. A driver lists the pages at its end. A page
-    that cannot be listed is no error: a command makes it again.
+    that cannot be listed is no error: a command makes it again. A page that will be replaced is not
+    listed `without` its new hash: so a kill between the page and the list leaves no wrong hash.
     """
     lock = nullcontext(True) if locked else held(folder, patience=0.0)
     with contextlib.suppress(StoreError, OSError), lock as is_locked:
-        pages = {str(page.relative_to(folder)): files.digest(page) for page in pages_in(folder)}
+        names = {str(page.relative_to(folder)): page for page in pages_in(folder)}
+        pages = {name: files.digest(page) for name, page in names.items() if name != without}
         listing = read_listing(folder)
         if is_locked and listing is not None and listing.pages != pages:
             change_listing(folder, pages=pages)
