@@ -11,9 +11,22 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from conftest import SMALL_JOB
+from psutil import Process
 
 import pfdist
-from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, marked, running, until
+from crash.runs import (
+    GONE_SECONDS,
+    PATIENCE_SECONDS,
+    WORKER,
+    all_gone,
+    command_of,
+    end,
+    finish,
+    marked,
+    running,
+    until,
+)
 from oracles.bytes_of import hashes
 from pfdist import Job
 
@@ -26,6 +39,17 @@ Record = Callable[[str, object], None]
 STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now"
 STOPPED = "pfdist: Stopped."
 SAVED = f"{STOPPED} Finished work is saved; run the same command to resume."
+WORKERS = ("default_worker.py", "ray::IDLE", WORKER)  # in the commands of Ray's workers
+
+
+@pytest.fixture(scope="module")
+def long_job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A job of some seconds with its run on threads beside it, in ``whole``."""
+    job = tmp_path_factory.mktemp("long") / "job.toml"
+    job.write_text(SMALL_JOB.replace("draws = 250", "draws = 500_000"))
+    finish(job, job.with_name("whole"), "--pool", "threads")
+    return job
+
 
 # As a terminal or a batch script starts it: SIGINT is not ignored, and there is one thread.
 BEGINS = """
@@ -255,23 +279,33 @@ def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
 @pytest.mark.usefixtures("hangup_ends_children")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 @pytest.mark.parametrize("after", [1.0, 3.0, 5.0, "search", "comparison"])
-def test_nothing_outlives_a_run_on_ray_that_is_killed(
+def test_workers_end_with_a_run_on_ray_that_is_killed_and_it_resumes(
     number: signal.Signals,
     after: float | str,
-    small_job: Job,
+    long_job: Path,
     tmp_path: Path,
     record_property: Record,
 ) -> None:
-    """Whenever it is: while Ray starts, and in each phase."""
-    job, run, mark = small_job.path, tmp_path / "run", secrets.token_hex(8)
-    job.write_text(job.read_text().replace("draws = 250", "draws = 1_000_000"))
-    with running(job, run, "--pool", "ray", "--workers", "2", PFDIST_TEST=mark) as driver:
-        if isinstance(after, str):
-            driver.wait_for(lambda: driver.parts({"search": "draws"}.get(after, after)))
-        else:
-            driver.wait_for((run / "run.json").exists)
-            time.sleep(after)
-        driver.process.send_signal(number)
-        assert driver.wait() == -number
-        until(lambda: not marked("PFDIST_TEST", mark), GONE_SECONDS)
+    """Whenever it is: while Ray starts, and in each phase. Ray's own agents are left to Ray."""
+    run, mark = tmp_path / "run", secrets.token_hex(8)
+
+    def workers() -> list[Process]:
+        found = marked("PFDIST_TEST", mark)
+        return [each for each in found if any(word in command_of(each) for word in WORKERS)]
+
+    options = ("--pool", "ray", "--workers", "2")
+    try:
+        with running(long_job, run, *options, PFDIST_TEST=mark) as driver:
+            if isinstance(after, str):
+                driver.wait_for(lambda: driver.parts({"search": "draws"}.get(after, after)))
+            else:
+                driver.wait_for((run / "run.json").exists)
+                time.sleep(after)
+            driver.process.send_signal(number)
+            assert driver.wait() == -number
+            until(lambda: not workers(), GONE_SECONDS)
+    finally:
+        end(marked("PFDIST_TEST", mark))
+    assert finish(long_job, run, "--pool", "threads") == hashes(long_job.with_name("whole"))
     record_property("faults", "nothing hangs: 1")
+    record_property("faults", "a run killed at any instant: 1")

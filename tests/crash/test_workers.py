@@ -47,6 +47,7 @@ draws = {draws}
 """
 TWO = ("--pool", "ray", "--workers", "2")
 RAY_SECONDS = 200.0  # in which a run whose Ray does not answer has ended
+LOST = "pfdist: (no answer from (the Ray cluster|any worker) for|the Ray)"
 
 RAYLET, GCS = "raylet/raylet", "gcs_server"
 
@@ -143,9 +144,7 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
             assert code == 75
         if code:
             said = "\n".join(driver.said)
-            assert re.search(
-                "pfdist: (no answer from (the Ray cluster|any worker) for|the Ray)", said
-            )
+            assert re.search(LOST, said)
         until(lambda: all_gone(everything), GONE_SECONDS)
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
     record_property("faults", f"{HANGS}: {len(stopped)}")
@@ -174,6 +173,44 @@ def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
         cluster.add()  # the cluster is not the run's, and goes on
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{DIES}: 2")
+    record_property("faults", f"{HANGS}: 1")
+
+
+@pytest.mark.crash
+def test_two_runs_share_a_cluster_and_end_with_the_same_bytes(
+    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+) -> None:
+    job = make_job(100_000)
+    with nodes(tmp_path, 3) as cluster:
+        options = ("--address", cluster.address, "--wait-for-cores", "3")
+        with (
+            running(job, tmp_path / "first", *options, **cluster.environment) as first,
+            running(job, tmp_path / "second", *options, **cluster.environment) as second,
+        ):
+            first.wait_for(lambda: first.parts("comparison") and second.parts("comparison"))
+            kill(cluster.all[1])
+            assert [first.wait(), second.wait()] == [0, 0], (first.said[-3:], second.said[-3:])
+    for run in ("first", "second"):
+        assert hashes(tmp_path / run) == _whole(job)
+    record_property("faults", f"{DIES}: 1")
+
+
+@pytest.mark.crash
+def test_a_run_whose_head_is_killed_says_so_keeps_what_is_committed_and_resumes(
+    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+) -> None:
+    job = make_job(100_000)
+    with nodes(tmp_path, 3) as cluster:
+        options = ("--address", cluster.address, "--wait-for-cores", "3")
+        with running(job, tmp_path / "run", *options, **cluster.environment) as driver:
+            driver.wait_for(lambda: driver.parts("comparison"))
+            commits, start = driver.parts("comparison"), time.monotonic()
+            kill(cluster.all[0])
+            assert driver.wait() == 75
+            assert time.monotonic() - start < RAY_SECONDS
+            assert re.search(LOST, driver.said[-1])
+            assert driver.parts("comparison") >= commits
+    assert finish(job, tmp_path / "run", "--pool", "threads") == _whole(job)
     record_property("faults", f"{HANGS}: 1")
 
 
