@@ -24,7 +24,7 @@ from pfdist import Job, load_job
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
+from pfdist.pages.style import COLUMN_INCHES, GREEN, GREY, RED
 from pfdist.problem.search_section import CommonNoiseSettings
 from pfdist.problem.sections import Execution
 from pfdist.runner.build import build, make_pool
@@ -69,11 +69,7 @@ SEARCHES: dict[str, list[dict[str, Any]]] = {
         {"method": "survivors", "survivors": 3, "by_previous": True},
         {"method": "survivors", "survivors": 2, "evaluation": {"draws": 1200}},
     ],
-    "greedy forward": _common("greedy_forward", 100, 600),
-    "greedy backward": _common("greedy_backward", 100, 600),
     "exchange": _common("exchange", 100, 600),
-    "annealing": [{"method": "annealing", "steps": steps} for steps in (125, 500)],
-    "cross-entropy": [{"method": "cross_entropy", "population": sets} for sets in (40, 100)],
     "random trials": [
         *_common("random", 300, evaluations=300),
         *_common("random", 300, evaluations=1250),
@@ -85,17 +81,13 @@ SEARCHES: dict[str, list[dict[str, Any]]] = {
 """For each search, settings with different amounts of work, so that searches can be compared at
 equal work."""
 OF_TEN_SEEDS = ("relaxation", "survivors")
-BY_CHANCE = ("annealing", "cross-entropy", "random trials", "genetic, as in the paper")
+BY_CHANCE = ("random trials", "genetic, as in the paper")
 """Searches that depend on the seed even if costs are exact."""
 
 LOOKS = {
     "relaxation": ("black", "o"),
     "survivors": (RED, "o"),
-    "greedy forward": (BLUE, "^"),
-    "greedy backward": (BLUE, "v"),
     "exchange": (GREEN, "s"),
-    "annealing": (ORANGE, "D"),
-    "cross-entropy": (ORANGE, "P"),
     "random trials": (GREY, "X"),
     "genetic, common noise": (GREY, "*"),
     "genetic, as in the paper": ("black", "*"),

@@ -61,7 +61,7 @@ COMMANDS = {
             "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/auto": (
                 "Find first how many particles are enough"
             ),
-            "pfdist plan jobs/plan.toml --search greedy_forward --results results/greedy": (
+            "pfdist plan jobs/plan.toml --search exchange --results results/exchange": (
                 "Search by another method"
             ),
         },

@@ -17,7 +17,7 @@ def nearest_name(word: object, names: Iterable[str]) -> str:
 
     Only a string can be a misspelt name.
 
-    >>> nearest_name("suvivors", ["annealing", "survivors"])
+    >>> nearest_name("suvivors", ["random", "survivors"])
     'survivors'
     >>> nearest_name("Genetic", ["genetic"]), nearest_name("x", ["genetic"]), nearest_name(3, ["3"])
     ('genetic', '', '')
@@ -32,7 +32,7 @@ def nearest_name(word: object, names: Iterable[str]) -> str:
 def did_you_mean(word: object, names: Iterable[str]) -> str:
     """The end of an error about a name that is not allowed; empty if no allowed name is similar.
 
-    >>> "got 'suvivors'" + did_you_mean("suvivors", ["annealing", "survivors"])
+    >>> "got 'suvivors'" + did_you_mean("suvivors", ["random", "survivors"])
     "got 'suvivors'; did you mean 'survivors'?"
     """
     name = nearest_name(word, names)

@@ -203,7 +203,9 @@ def errors_by_variance(
     second filter's particles point in one direction, R: then the identity at the head of this
     module holds for angles, too.
     """
-    errors: Array = weights.variance * np.sum(variances, axis=(0, 3))
+    errors: Array = np.zeros(variances.shape[1:3])
+    if weights.variance:  # else an infinite variance would make a NaN
+        errors += weights.variance * np.sum(variances, axis=(0, 3))
     if weights.distance:
         first, second = estimates
         angular = (1.0 - variances[1]) * angular_error(first, second)
@@ -218,18 +220,19 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
     estimates, variances = (
         np.array([getattr(each, name) for each in filters]) for name in ("estimate", "variance")
     )
-    if not estimator.for_any_filter:
-        errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
-        return weighed(errors, draws.instant_weights)
-    (estimate,), error = estimates, twin_of(model, draws.instants).error
-    of_instants = [
-        error(tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
-        for k, t in enumerate(draws.instants)
-    ]
-    shape = len(draws.index), 1
-    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in of_instants]
-    weights = estimator.weights.squared_error * draws.instant_weights
-    return weighed(np.concatenate(columns, axis=1), weights)
+    errors = errors_by_variance(estimates, variances, estimator.weights, model.is_angle)
+    if estimator.weights.squared_error:
+        error, shape = twin_of(model, draws.instants).error, (len(draws.index), 1)
+        for estimate in estimates:
+            columns = [
+                np.reshape(error(tuple(z.T), tuple(each.T), t, model.p), (-1, 1))
+                for z, each, t in zip(
+                    draws.z.swapaxes(0, 1), estimate.swapaxes(0, 1), draws.instants, strict=True
+                )
+            ]
+            squared = np.concatenate([np.broadcast_to(each, shape) for each in columns], axis=1)
+            errors = errors + estimator.weights.squared_error * squared
+    return weighed(errors, draws.instant_weights)
 
 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:

@@ -1,6 +1,11 @@
 """Parts of a page, what shows them (a terminal, an HTML page), and the figures of a run."""
 
-import lazy_loader
+from importlib import import_module
+from types import ModuleType
 
-# `pfdist.plots` is the module `plots`, which loads Matplotlib when it is used.
-__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submodules=["plots"])
+
+def __getattr__(name: str) -> ModuleType:
+    """`pfdist.plots`, which loads Matplotlib when it is used."""
+    if name != "plots":
+        raise AttributeError(name)
+    return import_module("pfdist.pages.plots")

@@ -62,11 +62,6 @@ def _one_by_one(rows: pd.DataFrame) -> pd.DataFrame:
     return curve.set_index(rows["copies"].cumsum())
 
 
-def _best_of_each_step(rows: pd.DataFrame) -> pd.DataFrame:
-    """Least cost of each generation, for sets that grow or shrink by one time a generation."""
-    return _by_generation(rows)[["minimum"]].rename(columns={"minimum": "best of a step"})
-
-
 def _best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
     """Least cost of all complete sets so far that were evaluated on all draws.
 
@@ -83,7 +78,6 @@ _CURVES: dict[str, Curve] = {
     "generations": _by_generation,
     "trials": _one_by_one,
     "best so far": _best_so_far,
-    "best of a step": _best_of_each_step,
 }
 
 

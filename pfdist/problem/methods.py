@@ -22,7 +22,7 @@ from pfdist.problem.search_section import (
 
 DEFAULT_METHOD: Final = "relaxation"
 C = TypeVar("C", bound=type[Any])
-Curve = Literal["generations", "trials", "best so far", "best of a step"]
+Curve = Literal["generations", "trials", "best so far"]
 
 
 @dataclass(frozen=True)

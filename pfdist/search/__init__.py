@@ -4,14 +4,13 @@ An optimiser evaluates nothing itself and owns no random generator. The caller k
 hands it a generator. This room imports NumPy, but neither Numba nor Ray.
 """
 
-from pfdist.search.annealing import Annealing
+from pfdist.problem.methods import method
+from pfdist.problem.search_section import Count
 from pfdist.search.base import Candidate, Optimiser
 from pfdist.search.corridor import Corridor
-from pfdist.search.cross_entropy import CrossEntropy
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
-from pfdist.search.greedy import GreedyBackward, GreedyForward
 from pfdist.search.probe import Probe
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials

@@ -88,7 +88,7 @@ LINES = {
     "check-model m": {"mine.py"},
     "plan jobs/": {"jobs/plan.toml"},
     "filter a.toml p": {"patient.csv"},
-    "plan a.toml --search gr": {"greedy_backward", "greedy_forward"},
+    "plan a.toml --search ex": {"exchange", "exhaustive"},
     "run a.toml --pool s": {"serial"},
     "run a.toml --results n": {"notes"},
     "budget a.toml --me": {"--measurements"},
@@ -117,7 +117,7 @@ def test_other_shells_get_a_script_that_knows_commands_options_and_values(
     shell: str, call: Callable[..., Any]
 ) -> None:
     text = call(f"completion {shell}").out
-    assert all(word in text for word in ("check-model", "measurements", "greedy_backward"))
+    assert all(word in text for word in ("check-model", "measurements", "exhaustive"))
 
 
 def _names(words: Iterable[str]) -> set[str]:

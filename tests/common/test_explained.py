@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
 from pfdist.common.section import explained
 
-METHODS = ["annealing", "corridor", "relaxation", "survivors"]
+METHODS = ["corridor", "random", "relaxation", "survivors"]
 
 
 class Inner(BaseModel):

@@ -45,7 +45,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory, finished: Callable[..., Path]
 
 @every
 def test_a_chapter_of_the_answers_shows_it(name: str) -> None:
-    chapters = (ROOT.parent / "pfdist" / "answers").glob("*.py")
+    chapters = (ROOT.parent / "pfdist" / "questions").glob("*.py")
     assert any(f'"{name}"' in chapter.read_text() for chapter in chapters)
 
 

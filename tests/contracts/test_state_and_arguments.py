@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "pfdist"
-ROOMS = ("kernels", "filters", "store", "pools", "checks", "common", "models")
+ROOMS = ("kernels", "filters", "store", "pools", "common", "models")
 MOST_ARGUMENTS = 9  # the public `filter_draws`, and the rounds of a cipher
 
 pytestmark = pytest.mark.quick

@@ -142,9 +142,6 @@ def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> No
     axes = cost(rows, {"mine": "survivors"}, ax=_axes())
     numbers, above = _lines(axes)["mine, best so far"]
     assert (numbers, np.round(above, 9).tolist()) == ([3, 4, 5], [20.0, 0.0, 0.0])
-    axes = cost(rows, {"mine": "greedy_forward"}, ax=_axes())
-    numbers, above = _lines(axes)["mine, best of a step"]
-    assert (numbers, np.round(above, 9).tolist()) == ([2, 4, 5], [0.0, 2400.0, 2700.0])
 
 
 def _trajectory(components: int) -> pd.DataFrame:

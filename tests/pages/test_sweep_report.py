@@ -278,7 +278,7 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     job = folder / "small.toml"
     job.write_text((Path(__file__).parents[1] / "small.toml").read_text())
     over = {"model.parameters.process_sd": [0.5, 5.0]}
-    changes = ["search=[{method='greedy_forward'}]"]
+    changes = ["search=[{method='exchange'}]"]
     return pfdist.sweep(job, over, results=folder / "mine", changes=changes, judge=True).path
 
 

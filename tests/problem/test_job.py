@@ -209,7 +209,7 @@ def test_a_file_that_is_not_there_is_an_error(tmp_path):
         load_job(tmp_path / "none.toml")
 
 
-@pytest.mark.parametrize("method", ["annealing", "exchange", "relaxation", "survivors"])
+@pytest.mark.parametrize("method", ["exchange", "relaxation", "survivors"])
 def test_what_a_search_is_given_of_its_evaluation_leaves_its_other_defaults(write, method):
     job = load_job(write(), [f"search=[{{method='{method}', evaluation={{draws=50}}}}]"])
     (search,) = job.search

@@ -18,16 +18,14 @@ def test_every_search_finds_the_best_time_of_all(
     small_job: Job, tmp_path: Path, method: str
 ) -> None:
     """Brute force: the exact expected MSE of each of the 13 times. Random trials meet them all."""
-    search = {"method": method} | ({"steps": 40} if method == "annealing" else {})
-    sections = {"model": {"name": "random_walk"}, "search": [search]}
+    sections = {"model": {"name": "random_walk"}, "search": [{"method": method}]}
     job = small_job.with_changes([*ONE, "filter.engine=kalman"], sections=sections)
     run = pfdist.run(job, tmp_path / "run", figures=False)
     evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
     exact = evaluator.expected_mse([(t,) for t in range(13)])
     assert run.sets["regular"] == (6,)
     (found,) = run.sets[method]
-    # Removing the worst measurement, one after another, need not lead to the best.
-    assert exact[found] <= exact.min() * (1.05 if method == "greedy_backward" else 1.0)
+    assert exact[found] <= exact.min()
     assert exact[found] < exact[6]
 
 

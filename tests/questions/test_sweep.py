@@ -41,7 +41,7 @@ ALIKE = {"comparison.draws": [60, 100, 80]}  # points with the same searches
 SEEDS = {"seed": [1, 2]}
 EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=30"]
 EXHAUSTIVE = [*EXACT, 'search=[{method="exhaustive"}]']
-FORWARD = 'search=[{method="greedy_forward"}]'
+FORWARD = 'search=[{method="exchange"}]'
 
 Sweeping = Callable[..., pfdist.Sweep]
 Finished = Callable[..., Path]
@@ -124,7 +124,7 @@ def test_every_point_has_the_bytes_of_its_own_run(
         pytest.param(["search.genetic.share_copies=true"], marks=pytest.mark.slow),
         pytest.param(['search=[{method="relaxation"}]'], marks=pytest.mark.slow),
         pytest.param(
-            ['search=[{method="greedy_forward"}, {method="relaxation", name="again"}]'],
+            ['search=[{method="exchange"}, {method="relaxation", name="again"}]'],
             marks=pytest.mark.slow,
         ),
     ],
@@ -433,7 +433,7 @@ def test_times_found_at_each_point_are_judged_at_every_point(
     assert len(judged) == 16
     assert set(judged["found_at"]) == set(sweep.runs)
     assert judged["run"].nunique() == 4
-    assert set(judged["set"]) == {"greedy_forward"}
+    assert set(judged["set"]) == {"exchange"}
     point = "process_sd=2.0_seed=1"
     sets = judged_sets(times_by_search(sweep.runs))
     compared = pfdist.compare(
@@ -444,9 +444,9 @@ def test_times_found_at_each_point_are_judged_at_every_point(
         figures=False,
     )
     expected = {sets[name]: compared.table("comparison")[f"mse_{name}"].mean() for name in sets}
-    own = expected[sweep.runs[point].sets["greedy_forward"]]
+    own = expected[sweep.runs[point].sets["exchange"]]
     for row in judged[judged["run"] == point].itertuples():
-        assert row.measurement_times == sweep.runs[row.found_at].sets["greedy_forward"]
+        assert row.measurement_times == sweep.runs[row.found_at].sets["exchange"]
         mse = expected[row.measurement_times]
         assert row.expected_mse == pytest.approx(mse, rel=1e-12)
         assert row.loss == pytest.approx(mse / own - 1, rel=1e-9, abs=1e-12)
@@ -487,7 +487,7 @@ def test_losses_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
 
 def test_times_of_other_methods_have_losses_too(swept: Sweeping) -> None:
     """The best times that any search has found at a point are those that count there."""
-    over = {"search.exhaustive.method": ["exhaustive", "greedy_forward"]}
+    over = {"search.exhaustive.method": ["exhaustive", "exchange"]}
     sweep = swept(over, changes=EXHAUSTIVE, judge=True)
     losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
     best, other = sweep.runs

@@ -27,14 +27,10 @@ engine = "kalman"
 draws = 2
 """
 METHODS = {
-    "annealing": "steps = 30",
     "corridor": "",
-    "cross_entropy": "",
     "exchange": "",
     "exhaustive": "",
     "genetic": "",
-    "greedy_backward": "",
-    "greedy_forward": "",
     "random": "evaluations = 20",
     "relaxation": "",
     "survivors": "",

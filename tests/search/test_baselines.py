@@ -1,6 +1,5 @@
 """Random trials, exhaustive and greedy searches, where the cost is a function of the times."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from pfdist.errors import JobError
 from pfdist.filters.estimate import Evaluation
 from pfdist.problem.feasible import Feasible
 from pfdist.runner.build import build
-from pfdist.search import Exhaustive, GreedyBackward, GreedyForward, RandomTrials
+from pfdist.search import Exhaustive, RandomTrials
 from pfdist.search.base import FINALISTS
 
 FEASIBLE = Feasible(horizon=11, measurement_budget=4)
@@ -52,38 +51,3 @@ def test_too_many_sets_are_refused(tmp_path: Path) -> None:
     words = r"search.mine: .* limit = 100,000 sets .*, got 12,176,31.* \(.*job.toml\)"
     with pytest.raises(JobError, match=words):
         build(load_job(tmp_path / "job.toml"))
-
-
-@pytest.mark.parametrize("search", [GreedyForward(FEASIBLE), GreedyBackward(FEASIBLE)])
-def test_of_times_that_each_have_their_own_share_greedy_searches_find_the_largest(
-    search: GreedyForward | GreedyBackward,
-) -> None:
-    shares = np.random.default_rng(1).random(12)
-    state = last(search, lambda times: float(shares.sum() - shares[list(times)].sum()))
-    assert state.chosen == tuple(np.sort(np.argsort(shares)[-4:]))
-    assert search.finalists(state)[0].measurement_times == state.chosen
-    assert search.finalists(search.init()) == ()  # before the last step none may be chosen
-
-
-def test_forward_saves_1_minus_1_over_e_of_what_can_be_saved_where_savings_overlap() -> None:
-    """Nemhauser, Wolsey, Fisher 1978, for savings that are sizes of unions."""
-    shares = []
-    for seed in range(20):
-        covers = np.random.default_rng(seed).random((12, 60)) < 0.15
-
-        def saved(times: Times, covers: np.ndarray = covers) -> float:
-            return float(covers[list(times)].any(axis=0).sum())
-
-        state = last(GreedyForward(FEASIBLE), lambda times, saved=saved: -saved(times))
-        shares.append(saved(state.chosen) / max(map(saved, FEASIBLE.every())))
-    assert min(shares) >= 1 - 1 / math.e
-    assert min(shares) < 1  # it is not always the best
-
-
-def test_each_step_adds_or_leaves_out_one_time() -> None:
-    forward, backward = (
-        [each.measurement_times for each in search.ask(search.init(), np.random.default_rng(1))]
-        for search in (GreedyForward(FEASIBLE), GreedyBackward(FEASIBLE))
-    )
-    assert forward == [(time,) for time in range(12)]
-    assert {len(times) for times in backward} == {11}

@@ -44,7 +44,7 @@ method = "genetic"
 [[search]]
 method = "exchange"
 [[search]]
-method = "annealing"
+method = "survivors"
 [comparison]
 draws = 20
 [execution]

@@ -18,46 +18,9 @@ import pandas as pd
 import pytest
 
 ROOT = Path(__file__).parents[2]
+GREEDY = re.search(r"# greedy\.py\n(.*?)```", (ROOT / "docs/searches.md").read_text(), re.DOTALL)
 WORKING = {
-    "searches": """
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-from pfdist.search import Candidate
-from pfdist.problem.methods import method
-from pfdist.problem.search_section import Count
-
-
-@method("shifted")
-@dataclass(frozen=True)
-class Shifted:
-    '''Regular times and sets shifted by one instant.'''
-
-    feasible: object
-    shifts: Count = 3
-    generations = 1
-
-    @property
-    def evaluations(self):
-        return self.shifts
-
-    def init(self):
-        return ()
-
-    def ask(self, state, rng):
-        regular = self.feasible.regular()
-        shifted = [tuple(t + k for t in regular[:-1]) + regular[-1:] for k in range(self.shifts)]
-        return [Candidate(times) for times in shifted]
-
-    def tell(self, state, evaluations):
-        return tuple(evaluations)
-
-    def done(self, state):
-        return bool(state)
-
-    def finalists(self, state):
-        return sorted(state, key=lambda evaluation: evaluation.cost)[:1]
-""",
+    "searches": GREEDY[1] if GREEDY else "",  # the example of the manual
     "models": """
 from pfdist import StateSpaceModel
 
@@ -78,9 +41,9 @@ model = StateSpaceModel(
 # Each is appended to a file, declares an addition, and breaks the contract of additions in one way.
 BROKEN = {
     "search/broken.py": WORKING["searches"]
-    .replace("shifted", "broken")
-    .replace("Candidate(times)", "Candidate(times[::-1])"),
-    "plots/broken.py": """
+    .replace("greedy", "broken")
+    .replace("Candidate(larger)", "Candidate(larger[::-1])"),
+    "pages/broken.py": """
 from pfdist.pages.figure import Plot, figure
 
 
@@ -147,7 +110,7 @@ for engine in ("compiled", "numpy"):
     found = {
         name: ENGINES[engine].filters.filter_checked_sets(
             model, draws, [(0, 3)], [6], 2, Estimation(20, estimator=name)
-        )
+        )[0]
         for name in ("half_of_each", "squared_error", "filter_variance")
     }
     both = (found["squared_error"] + found["filter_variance"]) / 2
@@ -219,13 +182,14 @@ def _using(copy: Path) -> Environment:
 def test_a_model_and_a_search_of_an_installed_package_are_run(tmp_path: Path) -> None:
     installed = _install(WORKING, tmp_path / "site")
     (tmp_path / "job.toml").write_text(JOB)
-    search = "search=[{method='shifted', shifts=2, evaluation={draws=20}}]"
+    search = "search=[{method='greedy', kept=2, evaluation={draws=20}}]"
     changes = ("model.name=added_walk", "filter.engine=kalman", search)
     command = ("run", tmp_path / "job.toml", "--json", "--results", tmp_path / "run")
     done = _python(installed, "-m", "pfdist", *command, "--set", *changes)
     assert done.returncode == 0, done.stderr
     results = json.loads(done.stdout)["results"]
-    assert results["shifted"]["measurement_times"][1:3] in ([4, 8], [5, 9])
+    greedy, regular = results["greedy"], results["regular"]
+    assert greedy["expected_mse"] < regular["expected_mse"]
 
 
 @pytest.mark.slow
