@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import CycloptsError
 
 from pfdist.cli.commands import COMMANDS
-from pfdist.cli.program import described, line_of, welcome
+from pfdist.cli.program import complaint, line_of, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stream_for_json
 from pfdist.common import stopping
 from pfdist.errors import (
@@ -58,9 +58,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
     encode_all_text()
     words = sys.argv[1:] if arguments is None else list(arguments)
-    if not words:
-        print(welcome())
-        return _DONE
     if arguments is None:
         stopping.listen()
     try:
@@ -69,10 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from pfdist.kernels import check_settings  # noqa: PLC0415
 
         check_settings()
-        line = line_of(words)
+        line = line_of(words) if words else print(welcome())
+        flush_output()
     except CycloptsError as error:
-        print(described(error), file=sys.stderr)
+        print(complaint(error), file=sys.stderr)
         return _WRONG_WORDS
+    except BrokenPipeError:
+        return _unread()
     except Exception as error:
         return _error(error, debug="--debug" in words)
     return _DONE if line is None else _run(line, ends=arguments is None)
@@ -96,9 +96,8 @@ def _run(line: "Line", *, ends: bool) -> int:
         resumes = COMMANDS[line.name].goes_on and not line.options.get("dry_run")
         print(f"pfdist: Stopped.{_SAVED if resumes else ''}", file=sys.stderr)
         return stopping.exit_code() or _INTERRUPTED
-    except BrokenPipeError:  # the reader of the output has ended, as `head` does
-        sys.stderr.close()
-        return stopping.exit_code() or _ERROR
+    except BrokenPipeError:
+        return _unread()
     except Exception as error:
         return _error(error, debug=line.debug)
     return _DONE
@@ -126,6 +125,13 @@ def _answer(line: "Line") -> Any:
         return line.function(*line.arguments, **line.options, **heard)
 
 
+def _unread() -> int:
+    """End quietly, because the reader of the output has ended, as ``head`` does."""
+    _output_error()
+    sys.stderr.close()
+    return stopping.exit_code() or _ERROR
+
+
 def _error(error: Exception, *, debug: bool) -> int:
     """Print an error as one line, after its traceback if that is wanted; return the exit code."""
     reason, hint = str(error), ""
@@ -134,7 +140,7 @@ def _error(error: Exception, *, debug: bool) -> int:
     elif isinstance(error, MemoryError):
         reason = "not enough memory; fewer draws or particles need less"
     elif isinstance(error, OSError | ImportError):
-        reason = str(_output_error() or error)
+        reason = str(_output_error() or error.__cause__ or error)
     elif isinstance(error, TaskError) or not isinstance(error, PfdistError):
         hint = " (--debug shows the traceback)"
     if not isinstance(error, PfdistError | MemoryError | OSError | ImportError):

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Token
 from cyclopts.argument import Argument
 from cyclopts.exceptions import (
     CoercionError,
@@ -33,8 +33,7 @@ _EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
     "75 ended by SIGTERM or SIGUSR1, which batch systems send, or because no worker answers."
 )
-_GOES_ON = "If this command is interrupted, the same command goes on where it stopped. "
-_OPTIONS = ("--help", "--version")  # of no command
+_GOES_ON = "If it is interrupted, the same command resumes where it stopped. "
 _WIDTH = 80
 _MARGIN = 24  # columns before the meaning of an argument
 
@@ -66,7 +65,7 @@ def line_of(words: Sequence[str]) -> "Line | None":
     Raises
     ------
     CycloptsError
-        The words are wrong; `described` says so in a line.
+        The words are wrong; `complaint` says so in a line.
     """
     read, given, _ = program().parse_args(words, exit_on_error=False, print_error=False)
     line: Line | None = read(*given.args, **given.kwargs)
@@ -112,9 +111,9 @@ def help_of(app: App, name: str) -> str:
     """The help of a command: what its docstring says, its arguments, and examples."""
     command = COMMANDS[name]
     docstring = inspect.getdoc(app[name].default_command) or ""
-    described = docstring.partition("\nParameters\n---")[0].replace("``", "`").strip()
-    text = "\n\n".join(fill(" ".join(each.split()), _WIDTH) for each in described.split("\n\n"))
-    rows = _rows(arguments_of(app, name))
+    about = docstring.partition("\nParameters\n---")[0].replace("``", "`").strip()
+    text = "\n\n".join(fill(" ".join(each.split()), _WIDTH) for each in about.split("\n\n"))
+    rows = _rows([*arguments_of(app, name), ("--help, -h", "Show this help.")])
     notes = fill((_GOES_ON if command.goes_on else "") + _EXIT_CODES, _WIDTH)
     parts = [
         text,
@@ -130,9 +129,16 @@ def help_of_all(app: App) -> str:
     """The help of the program: its commands, and the first to try."""
     rows = _rows((name, command.sentence) for name, command in COMMANDS.items())
     notes = fill(f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}", _WIDTH)
-    usage = "usage: pfdist COMMAND ..."
     commands = f"commands:\n{rows}"
-    return "\n\n".join([fill(PROGRAM, _WIDTH), usage, commands, notes, examples_text(_way_in())])
+    return "\n\n".join(
+        [
+            fill(PROGRAM, _WIDTH),
+            "usage: pfdist COMMAND ...",
+            commands,
+            notes,
+            examples_text(_way_in()),
+        ]
+    )
 
 
 def _rows(rows: Iterable[tuple[str, str]]) -> str:
@@ -170,46 +176,63 @@ def welcome() -> str:
 # --- wrong words ----------------------------------------------------------------------------------
 
 
-def described(error: CycloptsError) -> str:
+def complaint(error: CycloptsError) -> str:
     """The mistake in a command line, and the word that was perhaps meant, in a line."""
     name = " ".join(["pfdist", *(error.command_chain or ())])
     return f"{name}: error: {shown_text(one_line(_reason(error)))} (see `{name} --help`)"
 
 
 def _reason(error: CycloptsError) -> str:
-    argument, text = error.argument, str(error)
     match error:
-        case UnknownCommandError(unused_tokens=[word, *_]) if word.startswith("-"):
-            text = _unknown_option(word, _OPTIONS)
-        case UnknownCommandError(unused_tokens=[word, *_]):
-            text = _not_one_of("COMMAND", COMMANDS, word)
-        case UnknownOptionError(token=token, argument_collection=arguments):
-            names = [name for each in arguments for name in each.names if name.startswith("-")]
-            text = _unknown_option(token.keyword or token.value, names)
-        case MissingArgumentError(unused_tokens=words, app=App() as app) if options := [
-            word for word in words or () if word.startswith("-")
-        ]:  # a misspelt option that is required is not called missing
-            names = [name for each in app.assemble_argument_collection() for name in each.names]
-            text = _unknown_option(options[0], names)
-        case MissingArgumentError(keyword=keyword) if argument is not None:
-            is_named = keyword or argument.tokens
-            text = (
-                f"{keyword or argument.name} needs a value"
-                if is_named
-                else f"required: {_spelling(argument)[0]}"
-            )
-        case CoercionError() if argument is not None:
-            choices, got = argument.get_choices(force=True), error.token
-            text = (
-                _not_one_of(argument.name, choices, got.value)
-                if choices and got
-                else f"{argument.name}: {error.msg}"
-            )
-        case RepeatArgumentError(token=repeated):
-            text = f"{repeated.keyword} is given more than once"
+        case UnknownCommandError() | UnknownOptionError():
+            return _unknown(error)
+        case MissingArgumentError() if error.argument is not None:
+            return _missing(error, error.argument)
+        case CoercionError(token=Token() as token) if error.argument is not None:
+            return _refused(token, error.argument, str(error.msg or ""))
+        case RepeatArgumentError(token=token):
+            return f"{token.keyword} is given more than once"
         case UnusedCliTokensError(unused_tokens=[word, *_]):
-            text = f"unexpected word {shown(word)}"
-    return text
+            is_number = word.replace(",", "").replace(":", "").isdigit()
+            hint = " (a list is one word, as 0,6,12)" if is_number else ""
+            return f"unexpected word {shown(word)}{hint}"
+    return str(error)
+
+
+def _unknown(error: UnknownCommandError | UnknownOptionError) -> str:
+    if isinstance(error, UnknownOptionError):
+        word = error.token.keyword or error.token.value
+        return _unknown_option(word, _options(error.argument_collection))
+    word = (error.unused_tokens or [""])[0]
+    is_option = word.startswith("-")
+    return (
+        _unknown_option(word, _options([])) if is_option else _not_one_of("COMMAND", COMMANDS, word)
+    )
+
+
+def _missing(error: MissingArgumentError, argument: Argument) -> str:
+    if error.keyword:
+        name = error.keyword
+        return f"{name} needs a value; one that begins with '-' is written {name}=VALUE"
+    if error.app is not None:  # a misspelt option that is required is not called missing
+        options = _options(error.app.assemble_argument_collection())
+        words = [word.partition("=")[0] for word in error.unused_tokens or ()]
+        for word in words:
+            if word.startswith("--") and word not in options:
+                return _unknown_option(word, options)
+    return f"required: {_spelling(argument)[0]}"
+
+
+def _refused(token: Token, argument: Argument, reason: str) -> str:
+    if choices := argument.get_choices(force=True):
+        return _not_one_of(argument.name, choices, token.value)
+    name = token.keyword or argument.name
+    return f"{name}: {reason}" if reason else f"{name} takes no value, got {shown(token.value)}"
+
+
+def _options(arguments: Iterable[Argument]) -> list[str]:
+    names = [name for each in arguments for name in each.names if name.startswith("-")]
+    return [*names, "--help", "--version"]
 
 
 def _not_one_of(name: str, choices: Collection[str], got: str) -> str:
@@ -219,5 +242,7 @@ def _not_one_of(name: str, choices: Collection[str], got: str) -> str:
 
 def _unknown_option(word: str, options: Collection[str]) -> str:
     option = word.partition("=")[0]
+    if option in options:  # after "--", or with a value
+        return f"unexpected word {shown(word)}"
     keys = " (--set KEY=VALUE changes a key of the job)" if "--set" in options else ""
     return f"unknown option {shown_text(option)}{keys}{did_you_mean(option, options)}"

@@ -23,7 +23,7 @@ from pfdist.problem.points import values_by_key
 T = TypeVar("T")
 _SENSOR = re.compile(r"(?<=[0-9]) +[A-Za-z][\w-]*(,|$| )")  # after times: "12 x-ray"
 _PLAIN = Parameter(negative=(), json_list=False, json_dict=False)  # words are no JSON
-_GIVEN_BY_THE_PROGRAM = {"say", "progress", "figures", "parallel", "points"}
+_PYTHON_ALONE = {"say", "progress", "figures", "parallel", "points"}
 
 
 class Word(NamedTuple):
@@ -35,13 +35,13 @@ class Word(NamedTuple):
         The type of the parameter for cyclopts; shells complete files for `Path`.
     settings : Parameter
         How cyclopts reads it.
-    is_file : bool
+    stands_alone : bool
         Whether the word stands alone, without the name of an option.
     """
 
     kind: Any
     settings: Parameter
-    is_file: bool = False
+    stands_alone: bool = False
 
 
 def _each(read: Callable[[str], T]) -> Callable[[Any, Sequence[Token]], T]:
@@ -55,11 +55,11 @@ def _all(read: Callable[[list[str]], T]) -> Callable[[Any, Sequence[Token]], T]:
 
 
 def _file(metavar: str) -> Word:
-    return Word(Path, Parameter(metavar=metavar, converter=_each(str)), is_file=True)
+    return Word(Path, Parameter(metavar=metavar, converter=_each(_path)), stands_alone=True)
 
 
 def _folder(metavar: str) -> Word:
-    return Word(Path | None, Parameter(metavar=metavar, converter=_each(str)))
+    return Word(Path | None, Parameter(metavar=metavar, converter=_each(_path)))
 
 
 def _text(metavar: str) -> Word:
@@ -73,6 +73,17 @@ def _number(metavar: str, read: Callable[[str], float] = whole_number) -> Word:
 def _texts(metavar: str, read: Callable[[list[str]], Any] = list, **settings: Any) -> Word:
     settings = {"n_tokens": -1, **settings}
     return Word(Any, Parameter(metavar=metavar, converter=_all(read), **settings))
+
+
+def _path(text: str) -> str:
+    """A path; no word stands for the current folder but ``.``."""
+    if not text.strip():
+        raise ValueError(f"must be a path, got {shown(text)}")
+    return text
+
+
+def _paths(texts: list[str]) -> list[str]:
+    return [_path(text) for text in texts]
 
 
 def _count(text: str) -> int:
@@ -90,10 +101,11 @@ def _decimal(text: str) -> int | float:
 
 def _part(text: str) -> tuple[int, int]:
     """The numbers of ``3/200``; `SweepJob.part` knows which are allowed."""
-    number, slash, parts = text.partition("/")
-    if not slash:
-        raise ValueError(f"must be K/N, as 3/200, got {shown(text)}")
-    return whole_number(number), whole_number(parts)
+    number, _, parts = text.partition("/")
+    try:
+        return whole_number(number), whole_number(parts)
+    except ValueError as error:
+        raise ValueError(f"must be K/N, as 3/200, got {shown(text)}") from error
 
 
 def _clock(text: str) -> str:
@@ -147,7 +159,7 @@ _SWITCH = Word(bool, Parameter())
 WORDS: dict[str, Word | Callable[[], Word]] = {
     "address": _text("HOST:PORT"),
     "bound_draws": _number("K"),
-    "changes": _texts("KEY=VALUE", name="--set", consume_multiple=True),
+    "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
     "draws": _number("K"),
     "dry_run": _SWITCH,
     "folder": _file("DIR"),
@@ -167,12 +179,14 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "prior": _folder("FILE"),
     "report": Word(bool | None, Parameter(negative="--no-report")),
     "results": _folder("DIR"),
-    "reuse": _texts("RUN"),
+    "reuse": Word(list[Path], Parameter(metavar="RUN", converter=_all(_paths))),
     "run": _file("RUN"),
     "runs": _file("RUN"),
     "search": _search,
     "seed": _number("S"),
-    "shell": Word(str, Parameter(metavar="SHELL", choices=("bash", "zsh", "fish")), is_file=True),
+    "shell": Word(
+        str, Parameter(metavar="SHELL", choices=("bash", "zsh", "fish")), stands_alone=True
+    ),
     "target": _number("MSE", finite_number),
     "times": _texts("TIMES", _sets),
     "wait_for_cores": _number("N"),
@@ -183,6 +197,9 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "workers": _number("N"),
     "budget.measurements": Word(
         Any, Parameter(metavar="NUMBERS", converter=_each(lambda text: set(whole_numbers(text))))
+    ),
+    "table.runs": Word(
+        Path, Parameter(metavar="RUN", converter=_each(_path), required=True), stands_alone=True
     ),
     "evaluate.times": _texts("TIMES", _sets_or_one),
     "check-model.times": Word(str | None, Parameter(metavar="TIMES", converter=_each(_clock))),
@@ -205,7 +222,7 @@ class Line(NamedTuple):
 
 FLAGS = {
     "json": "Print one JSON object and no text.",
-    "verbose": "Also print the details: all sets of times, what each search believed, quartiles.",
+    "verbose": "Also print details: all sets of times, what each search estimated, quartiles.",
     "debug": "Show the traceback of an error.",
 }
 """Options of every command."""
@@ -222,7 +239,7 @@ def __getattr__(name: str) -> Callable[..., Line]:
     parameters = [
         _as_word(name, each)
         for each in inspect.signature(function).parameters.values()
-        if each.name not in _GIVEN_BY_THE_PROGRAM
+        if each.name not in _PYTHON_ALONE
     ]
     signature = inspect.Signature(sorted(parameters, key=lambda each: each.kind))
     flags = [
@@ -244,9 +261,9 @@ def __getattr__(name: str) -> Callable[..., Line]:
         given.apply_defaults()
         return Line(name, function, given.args, given.kwargs, json, verbose, debug)
 
-    shown = signature.replace(parameters=[*signature.parameters.values(), *flags])
-    read.__doc__, read.__signature__ = function.__doc__, shown  # type: ignore[attr-defined]
-    read.__annotations__ = {each.name: each.annotation for each in shown.parameters.values()}
+    whole = signature.replace(parameters=[*signature.parameters.values(), *flags])
+    read.__doc__, read.__signature__ = function.__doc__, whole  # type: ignore[attr-defined]
+    read.__annotations__ = {each.name: each.annotation for each in whole.parameters.values()}
     return read
 
 
@@ -254,7 +271,7 @@ def _as_word(command: str, parameter: inspect.Parameter) -> inspect.Parameter:
     found = WORDS.get(f"{command}.{parameter.name}") or WORDS[parameter.name]
     word = found if isinstance(found, Word) else found()
     if parameter.kind is not parameter.VAR_POSITIONAL:
-        kind = parameter.POSITIONAL_ONLY if word.is_file else parameter.KEYWORD_ONLY
+        kind = parameter.POSITIONAL_ONLY if word.stands_alone else parameter.KEYWORD_ONLY
         parameter = parameter.replace(kind=kind)
     settings = Parameter.combine(_PLAIN, word.settings)
     return parameter.replace(annotation=Annotated[word.kind, settings])

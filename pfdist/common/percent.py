@@ -84,7 +84,7 @@ def gap_sentence(
 ) -> str:
     r"""The sentence about how much lower the error of other times can be, if there is a bound.
 
-    `gap` has the fields of `pfdist.search.proof.Gap` as JSON, and ``confidence``. `measurements` is
+    `gap` has the fields of `pfdist.runner.proof.Gap` as JSON, and ``confidence``. `measurements` is
     the number of measurements of the set, and `is_constrained` says whether other constraints
     exclude some times. Numbers have no-break spaces.
 

@@ -19,8 +19,8 @@ from pfdist.results.stored_run import particle_losses_of
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import Session, complete
+from pfdist.runner.proof import Gap
 from pfdist.runner.prover import Look, Prover
-from pfdist.search.proof import Gap
 from pfdist.search.relaxation import WINDOW
 
 
@@ -118,8 +118,8 @@ def bound(
         low. Exact engines ignore it.
     within : float, optional
         Double the number of draws until the upper limits of the gaps are at most this fraction, or
-        until there are `draws` draws, by default 30,720. The gaps of the references do not count,
-        and with searches the gaps of all sets that the job gives do not count.
+        until there are as many as `draws` says, by default 30,720. The gaps of the references do
+        not count, and with searches the gaps of all sets that the job gives do not count.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter.
     window : int
@@ -132,9 +132,10 @@ def bound(
     memory : int
         Memory that the relaxation may take, in MiB. Windows stop growing before they need more.
     results : str or Path, optional
-        Folder of the run; by default that in which run and plan put it.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     options
         See `Options`.
 

@@ -42,22 +42,22 @@ def budget(
         A job file, as ``jobs/plan.toml``, or the folder of a run. The job's searches, its
         measurement budget, its number of compared draws and its section [online] are ignored.
     measurements : (int, int), range or set of int
-        Numbers of measurements, as ``5:41``, ``5:41:4`` or ``10,20,30``; in Python a pair of the
-        least and the largest, a range, or a set.
+        Numbers of measurements, as ``5:41``, ``5:41:4`` or ``10,20,30``; a pair in Python is the
+        least and the largest.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME-budget`` of a job ``NAME.toml``.
     draws : int
         Draws of the comparison. A larger number resumes a run with more draws.
     target : float, optional
-        An expected MSE. The answer, the report and a figure ``budget-target-MSE`` also show the
-        least number of measurements that reaches it, and the largest number that is proved not to
-        reach it.
+        An expected MSE. The answer, the report and a figure also show the least number of
+        measurements that reaches it, and the largest number that is proved not to reach it.
     bound_draws : int
         Number of draws of the lower bound for each number of measurements; 0 for no bound.
     changes : sequence of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs. Every evaluation that one of them has is taken from there.
+        Folders of other runs, one each time. Every evaluation that one of them has is taken from
+        there.
     options
         See `Options`.
 

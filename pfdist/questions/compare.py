@@ -240,18 +240,18 @@ def compare(
         Sets that the job gives are compared, too: a list of times as comparison.reference, and
         [comparison.sets].
     runs : Run, str or Path
-        Finished runs, or their folders, whose sets are compared, too: the found sets, and the
+        Folders of finished runs, whose sets are compared, too: the found sets, and the
         references if they differ. The runs are only read. A name that is already in use gets the
         name of the run's folder before it.
     times : mapping of str to iterable or str, optional
-        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``: times on the clock
-        of the problem, or its regular times. They may break constraints.
+        Named sets, one each time, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``:
+        times on the clock of the problem, or its regular times. They may break constraints.
     results : str or Path, optional
         Folder of the comparison; by default ``results/NAME-compare`` of a job ``NAME.toml``.
     draws : int, optional
         Replaces comparison.draws. A larger number resumes the comparison with more draws.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     options
         See `Options`.
 

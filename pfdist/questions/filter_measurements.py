@@ -145,8 +145,8 @@ def filter_measurements(
 ) -> FilteredMeasurements:
     """Filter real measurements of one system, with the filter of a job.
 
-    A table, ``<stem>.filtered.csv`` or ``.parquet`` as the measurements are, a figure,
-    ``<stem>.filtered.png``, and a report, ``<stem>.filtered.html``, are written. They replace those
+    A table, ``NAME.filtered.csv`` or ``.parquet`` as the measurements are, a figure,
+    ``NAME.filtered.png``, and a report, ``NAME.filtered.html``, are written. They replace those
     of an earlier call, and no other file.
 
     Parameters
@@ -164,14 +164,15 @@ def filter_measurements(
         Table of particles from which the filter starts: columns x0, x1, ... (or x_ and a name), if
         wanted weight, and t, their time (by default the first).
     out : str or Path, optional
-        Folder of the table and the figure; by default the folder of the measurements. For a
-        DataFrame nothing is written by default.
+        Folder of the table, the figure and the report; by default that of the measurements, and
+        none for a DataFrame.
     results : str or Path, optional
-        Folder of the run; by default that in which run and plan put it.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     report : bool
-        Whether to write the report.
+        Whether to write the report, an HTML file that can be sent to anybody.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
         measurement is a `pfdist.errors.PfdistWarning`, too.

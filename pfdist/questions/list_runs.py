@@ -25,7 +25,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     Parameters
     ----------
     folder : str or Path
-        If it is the folder of a run, the table has this run alone.
+        Folder in which runs are listed, three levels deep; the folder of a run is listed alone.
 
     Returns
     -------

@@ -130,7 +130,8 @@ def next_time(
         DataFrame. It may have no rows. An empty cell is a missing component, a row without any
         value a missed time. If the model has sensors, the column sensor names that of a row.
     now : int or float, optional
-        The last time that has passed, if nothing was measured at the end.
+        The last time that has passed, if nothing was measured at the end. Times planned up to it
+        are planned again for later.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
@@ -138,9 +139,10 @@ def next_time(
         Table of particles from which the filter starts: columns x0, x1, ... (or x_ and a name), if
         wanted weight, and t, their time (by default the first).
     results : str or Path, optional
-        Folder of the run; by default that in which run and plan put it.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
         measurement is a `pfdist.errors.PfdistWarning`, too.

@@ -22,9 +22,9 @@ def online(
 ) -> Run:
     """Choose times one after another, and compare them with times found in advance.
 
-    After each measurement, the measurements that are left are planned anew from the particles of
+    After each measurement, the measurements that are left are planned again from the particles of
     the filter. The times chosen in this way, the times that the job's searches found in advance and
-    the regular times all filter the same fresh draws. See the page ``docs/online.md``.
+    the regular times all filter the same fresh draws. See ``docs/online.md``.
 
     Parameters
     ----------
@@ -37,9 +37,10 @@ def online(
     draws : int, optional
         Replaces the job's online.draws. A larger number resumes a run with more draws.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs. Every evaluation that one of them has is taken from there.
+        Folders of other runs, one each time. Every evaluation that one of them has is taken from
+        there.
     options
         See `Options`.
 

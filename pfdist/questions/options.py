@@ -55,21 +55,24 @@ class Options(TypedDict, total=False):
     """Options of every function that computes a run; editors complete them.
 
     pool : str, optional
-        Replaces execution.pool of the job: what computes the tasks. On ``auto`` these are the
-        workers of a Ray cluster that is given, processes if formulas run in NumPy, else threads.
+        Where tasks are computed: by workers of a Ray cluster (``ray``), in ``processes`` of this
+        machine, on ``threads`` of this process, or one after another (``serial``). On ``auto``, by
+        Ray if a cluster is given, in processes if formulas run in NumPy, else on threads. By
+        default execution.pool of the job.
     workers : int, optional
-        Replaces execution.workers of the job: their number, at most 1,000 on one machine; 0 is one
-        for each core.
+        Number of workers, at most 1,000 on one machine; 0 is one for each core. By default
+        execution.workers of the job.
     address : str, optional
-        Replaces execution.address of the job: the Ray cluster to join, as HOST:PORT; ``auto`` finds
-        one, and ``local`` starts one on this machine.
+        The Ray cluster to join, as HOST:PORT; ``auto`` finds one, and ``local`` starts one on this
+        machine. By default execution.address of the job.
     wait_for_cores : int, optional
-        Replaces execution.wait_for_cores of the job: how many cores the cluster must have, within 5
-        minutes, before the run begins.
+        Begin when the cluster has so many cores, within 5 minutes. By default
+        execution.wait_for_cores of the job.
     figures : bool
         Whether to draw the figures that the folder lacks.
     report : bool, optional
-        Whether to write the file ``report.html``; by default if figures are drawn.
+        Whether to write ``report.html``, an HTML file that can be sent to anybody; by default if
+        figures are drawn, as they are by commands.
     progress : callable or bool, optional
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`. By default a terminal and a notebook show the progress

@@ -32,7 +32,7 @@ def plan(
     ----------
     job : Problem, Job, str or Path
         A job file, as ``jobs/plan.toml``, or the folder of a run.
-        Searches that the job names are left aside.
+        Searches that the job names are ignored.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if the job lists searches: the other folder belongs to their run.
@@ -43,9 +43,11 @@ def plan(
         ``search.relaxation.paths=16``.
     bound_draws : int
         Number of draws of the lower bound that is proved for the found times, by default 480; 0
-        for no bound. A range of measurement budgets gets a bound only if a number is given.
+        for no bound. For several numbers of measurements, a bound is proved only if this number is
+        given.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs. Every evaluation that one of them has is taken from there.
+        Folders of other runs, one each time. Every evaluation that one of them has is taken from
+        there.
     options
         See `Options`.
 

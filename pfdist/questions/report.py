@@ -25,11 +25,11 @@ def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> 
     Parameters
     ----------
     run : Run, str or Path
-        A run or its folder; it need not be finished. A folder that is no run but has runs in it is
-        a sweep, whose report has all these runs and links to their reports.
+        Folder of a run or of a sweep; it need not be finished. The report of a sweep has all its
+        runs, and links to their reports.
     watch : bool
-        Whether to write the report again every few seconds while the run goes on. The page then
-        reloads itself, too. This is for runs alone.
+        Write the report of a run again every few seconds while the run goes on; the page reloads
+        itself.
     say : callable, optional
         Receives a line if the report is to be written again.
 

@@ -53,9 +53,10 @@ def run(
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs. Every evaluation that one of them has is taken from there.
+        Folders of other runs, one each time. Every evaluation that one of them has is taken from
+        there.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     bound_draws : int
         Number of draws of a lower bound of the expected MSE of all feasible times, which is proved
         after the comparison unless the run has one; 0 for no bound.

@@ -67,9 +67,9 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     Parameters
     ----------
     runs : Run, str, Path, or list of these
-        Runs or their folders, finished or not. A folder that is no run but has runs or sweeps in
+        Folders of runs, finished or not. A folder that is no run but has runs or sweeps in
         it stands for all these runs, in the order of their names; numbers in names are ordered as
-        numbers. Those of them that cannot be read are left out, with a warning. A run that is given
+        numbers. Runs that cannot be read are left out, with a warning. A run that is given
         twice counts once.
     out : str or Path, optional
         Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.

@@ -123,7 +123,7 @@ def why(
     """Show what each measurement of a run is worth, and how exactly it must be kept.
 
     The model is run. The tables ``profile``, ``worth``, ``sampling_windows`` and ``jitter`` and the
-    figures ``why-<set>``, ``sampling_windows-<set>`` and ``filters`` are written into the folder of
+    figures ``why-SET``, ``sampling_windows-SET`` and ``filters`` are written into the folder of
     the run.
 
     Parameters
@@ -134,9 +134,10 @@ def why(
         Number of draws, at least 2. They are computed in this process, and memory does not grow
         with their number. An exact engine uses it only for ``jitter``.
     results : str or Path, optional
-        Folder of the run; by default that in which run and plan put it.
+        Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
+        ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
-        Other values of keys of the job, as ``seed=3`` or ``search.genetic.generations=5``.
+        Other values of keys of the job, as ``seed=3 filter.particles=200``.
     figures : bool
         Whether to draw the figures.
     progress : callable or bool, optional

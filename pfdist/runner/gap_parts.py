@@ -20,8 +20,8 @@ from pfdist.results.particle_loss import less
 from pfdist.results.stored_run import statistics_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
+from pfdist.runner.proof import UNKNOWN, ZERO, GapParts
 from pfdist.runner.row_formats import PER_DRAW
-from pfdist.search.proof import UNKNOWN, ZERO, GapParts
 from pfdist.store import BOUND_PHASE
 
 SET_DRAWS = 20_000

@@ -33,8 +33,8 @@ from pfdist.runner.contract import looked
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.gap_parts import gap_parts, steps_of_sets
 from pfdist.runner.likelihood import likelihood
-from pfdist.search.likelihood import RankWork, wrong_likelihood
-from pfdist.search.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
+from pfdist.runner.proof import Gap, GapParts, Sums, best_shares, consistent, gap_of, prove
+from pfdist.runner.ranks import RankWork, wrong_likelihood
 from pfdist.search.relaxation import Relaxation, relaxation_for
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema

@@ -31,8 +31,8 @@ from pfdist.questions.robust import worst_effect
 from pfdist.results.summary import Summary
 from pfdist.runner import search_phase
 from pfdist.runner.build import build
+from pfdist.runner.proof import best_shares
 from pfdist.search.programme import Programme
-from pfdist.search.proof import best_shares
 from pfdist.search.relaxation import relaxation_with
 
 SETS = list(combinations(range(HORIZON + 1), 4))

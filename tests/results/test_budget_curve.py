@@ -12,7 +12,7 @@ from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.results import ComparisonStatistics, reaching
 from pfdist.results.budget_curve import BOUND_DEGREES, budget_table, with_bounds
 from pfdist.runner.block_sums import GROUPS
-from pfdist.search.proof import Gap, GapParts, Proof, gap_of
+from pfdist.runner.proof import Gap, GapParts, Proof, gap_of
 
 NOISE = np.tile([-1.0, 1.0], 200)  # of the draws, common to all sets; the mean's error is 0.05
 COSTS = {

@@ -32,7 +32,7 @@ def _small_blocks(
     finished: Callable[..., Path], all_draws: pfdist.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     finished()  # runs that are shared are computed by the program as it is
-    for module in ("analysis.stored_run", "runner.comparison_phase"):
+    for module in ("results.stored_run", "runner.comparison_phase"):
         monkeypatch.setattr(f"pfdist.{module}.BLOCK", BLOCK)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
 

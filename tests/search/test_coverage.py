@@ -26,8 +26,8 @@ from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.gap_parts import parts_of
+from pfdist.runner.proof import Sums, consistent, gap_of, prove
 from pfdist.search.programme import Programme
-from pfdist.search.proof import Sums, consistent, gap_of, prove
 from pfdist.search.relaxation import NOTHING, Relaxation, Window, relaxation_with
 
 REPETITIONS = 1000

@@ -26,8 +26,8 @@ from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.problem.constraints import Constraints
+from pfdist.runner.proof import Sums, prove
 from pfdist.search.programme import Programme
-from pfdist.search.proof import Sums, prove
 from pfdist.search.relaxation import NOTHING, START, Relaxation, Window, relaxation_with
 
 ROUNDING = 1e-12

@@ -18,7 +18,7 @@ from pfdist.filters import particle_filter, plain
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import with_truth
-from pfdist.search.likelihood import RankWork, wrong_likelihood
+from pfdist.runner.ranks import RankWork, wrong_likelihood
 
 HORIZON, TIMES, DRAWS = 12, (2, 5, 6, 10), 480
 RIGHT = replace(scalar("sensor", 0.95, 0.5, 0.5), linear_gaussian=False)

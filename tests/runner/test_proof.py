@@ -9,7 +9,7 @@ from scipy import stats
 from oracles.windows import counted, relaxed_errors
 from pfdist.common.estimate import Estimate
 from pfdist.problem.constraints import Constraints
-from pfdist.search.proof import Gap, GapParts, Proof, Sums, consistent, gap_of, prove
+from pfdist.runner.proof import Gap, GapParts, Proof, Sums, consistent, gap_of, prove
 from pfdist.search.relaxation import START, relaxation_with
 
 # One measurement in 0..2, window 2: nothing is added to it, so each window is a set.

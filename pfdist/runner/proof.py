@@ -188,7 +188,7 @@ def gap_of(
 def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
     """The gaps of all known sets, without those that are contradicted: sets that cost less.
 
-    `pfdist.search.likelihood` tests the likelihood.
+    `pfdist.runner.ranks` tests the likelihood.
     """
     return {name: gap.refused(_contradicted(gap, gaps)) for name, gap in gaps.items()}
 
