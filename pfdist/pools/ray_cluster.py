@@ -4,6 +4,7 @@ A cluster of our own obeys only those who have its token, which is in the enviro
 command. It ends with this command.
 """
 
+import atexit
 import contextlib
 import importlib
 import logging
@@ -87,8 +88,7 @@ def connected(address: str, cores: int = 0) -> Iterator[bool]:
     with contextlib.ExitStack() as stack:
         # Without a working directory, workers would look for modules in that of this process.
         empty = stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-"))
-        stack.callback(left.set)
-        stack.callback(_leave, ray)
+        stack.callback(_leave, ray, left)
         try:
             _start(
                 lambda: ray.init(
@@ -139,12 +139,20 @@ def _start(start: Callable[[], Any], left: threading.Event, most: float) -> None
     started.result()
 
 
-def _leave(ray: Any) -> None:
-    """Leave a cluster, which may never answer."""
+def _leave(ray: Any, left: threading.Event) -> None:
+    """Leave a cluster, which may never answer.
+
+    If it does not, its servers end with this process. If they ended before, Ray would end this
+    process at once, with an exit code of its own; and at its end, Ray would ask them once more.
+    """
     if not sys.is_finalizing():  # else no thread can start any more
         thread = threading.Thread(target=ray.shutdown, daemon=True)
         thread.start()
         thread.join(_STOP_SECONDS)
+        if thread.is_alive():
+            atexit.unregister(ray.shutdown)
+            return
+    left.set()
 
 
 def reach(address: str) -> None:

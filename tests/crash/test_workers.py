@@ -140,12 +140,11 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
                 os.kill(process.pid, signal.SIGSTOP)
         code = driver.wait()
         assert time.monotonic() - start < RAY_SECONDS
-        if GCS in stopped and WORKER in stopped:
-            assert code == 75
+        assert code == 75 if GCS in stopped and WORKER in stopped else code in {0, 75}
         if code:
             said = "\n".join(driver.said)
             assert re.search(LOST, said)
-        until(lambda: all_gone(everything), GONE_SECONDS)
+        until(lambda: all_gone(everything), 2 * GONE_SECONDS)  # Ray's agents wait for a minute
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
     record_property("faults", f"{HANGS}: {len(stopped)}")
 
