@@ -302,8 +302,7 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
         list(pool.run(_tasks_in(tmp_path, 20, stop_all)))
     stopped = [int(file.name) for file in tmp_path.iterdir()]
     for worker in stopped:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(worker, signal.SIGCONT)
+        _wake(worker)
     record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
@@ -312,7 +311,10 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
 def test_workers_that_stood_still_with_everything_else_are_waited_for(
     make_isolated: Make, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    """A batch system suspends a job: all its processes, for a while."""
+    """A batch system suspends a job: all its processes, for a while.
+
+    A worker that held a task may end itself when it wakes up; then its task is done again.
+    """
     from pfdist.pools import ray_pool
     from pfdist.pools import workers as of_processes
 
@@ -327,10 +329,15 @@ def test_workers_that_stood_still_with_everything_else_are_waited_for(
             os.kill(worker, signal.SIGSTOP)
         time.sleep(35.0)
         for worker in workers:  # they wake up a moment after this process
-            threading.Timer(0.3, os.kill, [worker, signal.SIGCONT]).start()
+            threading.Timer(0.3, _wake, [worker]).start()
         rest = [outcome.value for outcome in run]
     assert len(rest) == 50
     record_property("faults", f"{HANGS}: {len(workers)}")
+
+
+def _wake(process: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process, signal.SIGCONT)
 
 
 def _until(reached: Callable[[], bool], seconds: float = 120.0) -> None:
