@@ -18,7 +18,7 @@ from pfdist.filters.work import Work
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
 LEAST_SHARED_SECONDS = 0.05  # for several runs: workers seldom wait for the last tasks of one
-SERVING_SECONDS = 0.0003  # what the driver takes to hand out a task and to take its outcome
+SERVING_SECONDS = 0.001  # the share of the driver and of Ray in its process, for each task
 LONGEST_SECONDS = 2.0  # however many workers there are
 MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
 _SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
