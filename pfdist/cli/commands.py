@@ -252,7 +252,7 @@ COMMANDS = {
             "pfdist completion bash > ~/.pfdist.bash": (
                 "Keep the script, for the line `. ~/.pfdist.bash` in ~/.bashrc"
             ),
-            "pfdist completion zsh > ~/.zfunc/_pfdist": (
+            "pfdist completion zsh > ~/.zfunc/_cyclopts_pfdist": (
                 "Keep it for zsh, with `fpath+=~/.zfunc` before compinit in ~/.zshrc"
             ),
             "pfdist completion fish > ~/.config/fish/completions/pfdist.fish": (

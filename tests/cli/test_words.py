@@ -129,16 +129,16 @@ def _names(words: Iterable[str]) -> set[str]:
 @pytest.mark.parametrize("line", LINES)
 def test_zsh_completes(line: str, folder: Path) -> None:
     (folder / "functions").mkdir(exist_ok=True)
-    (folder / "functions" / "_pfdist").write_text(completion("zsh"))
+    (folder / "functions" / "_cyclopts_pfdist").write_text(completion("zsh"))
     assert completed_by_zsh(f"pfdist {line}", folder) == _names(LINES[line])
 
 
 @pytest.mark.shells
 @pytest.mark.parametrize("line", LINES)
 def test_fish_completes(line: str, folder: Path) -> None:
-    (folder / "pfdist.fish").write_text(completion("fish"))
+    (folder / "script.fish").write_text(completion("fish"))
     done = subprocess.run(
-        ["fish", "-c", "source pfdist.fish; complete -C $argv[1]", f"pfdist {line}"],
+        ["fish", "-c", "source script.fish; complete -C $argv[1]", f"pfdist {line}"],
         cwd=folder, capture_output=True, text=True, check=True, timeout=60,
     )  # fmt: skip
     assert _names(row.partition("\t")[0] for row in done.stdout.splitlines()) == _names(LINES[line])

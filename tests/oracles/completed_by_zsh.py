@@ -36,7 +36,7 @@ def completed_by_zsh(line: str, folder: Path) -> set[str]:
     ----------
     line : str
     folder : Path
-        Where zsh runs. It holds the completion script as ``functions/_pfdist``.
+        Where zsh runs. It holds the completion script as ``functions/_cyclopts_pfdist``.
     """
     answer = folder / "answer"
     answer.write_text("")
