@@ -23,7 +23,6 @@ from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import Estimate
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.models.base import within_half_turn
-from pfdist.pages.plots import check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.problem.source import JobSource
 from pfdist.questions.filtered import filtered_answer, filtered_page
 from pfdist.questions.planned_run import (
@@ -193,6 +192,9 @@ def filter_measurements(
     ModelError
         The model cannot be loaded, or a formula failed.
     """
+    # Not above: the help of the command waits for no Matplotlib.
+    from pfdist.pages import filtered  # noqa: PLC0415
+
     table = table_argument("measurements", measurements)
     files, prior = _files(table, out)[: 3 if report else 2], prior_argument(prior)
     plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
@@ -201,7 +203,7 @@ def filter_measurements(
     schema = filtered_schema(quantities)
     check_table = partial(check_table_replaceable, schema=schema)
     checks: Sequence[Callable[[Path], None]]
-    checks = check_table, check_figure_replaceable, check_page_replaceable
+    checks = check_table, filtered.check_figure_replaceable, check_page_replaceable
     for file, check in zip(files, checks, strict=False):
         check(file)
     filtering = filter_of(plan.built, plan.prior)
@@ -231,7 +233,7 @@ def filter_measurements(
     if files:
         write_user_table(files[0], estimates)
         marked = result.measured, result.missing, result.extra, result.to_come
-        draw_filtered(files[1], filtered_plot(result.table, marked))
+        filtered.draw_filtered(files[1], filtered.filtered_plot(result.table, marked))
     for file in files[2:]:
         write_page(filtered_page(result.as_json(), result.table), file)
     for line in result._page().warnings if say is silent else ():

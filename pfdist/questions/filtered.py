@@ -20,10 +20,6 @@ from pfdist.common.parts import (
 )
 from pfdist.common.percent import cost
 from pfdist.common.rounding import rounded, with_error
-from pfdist.pages.figure import Plot
-from pfdist.pages.filtered import filtered_plot
-from pfdist.pages.why import effective_sample_size
-from pfdist.questions.pictures import picture
 from pfdist.questions.subject import number_of
 from pfdist.store.schema import components_in
 
@@ -99,6 +95,10 @@ def _time(answer: Mapping[str, Any], t: float) -> str:
 
 
 def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
+    # Not above: the answers without pictures, and the help, wait for no Matplotlib.
+    from pfdist.pages.filtered import filtered_plot  # noqa: PLC0415
+    from pfdist.questions.pictures import picture  # noqa: PLC0415
+
     times = tuple(answer[key] for key in ("measured", "missing", "extra", "to_come"))
     plot = filtered_plot(table, times)
     return Section(
@@ -108,6 +108,10 @@ def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
 
 def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
     """Say how well the measurements fit the model, and how many particles count."""
+    from pfdist.pages.figure import Plot  # noqa: PLC0415  as in _belief
+    from pfdist.pages.why import effective_sample_size  # noqa: PLC0415
+    from pfdist.questions.pictures import picture  # noqa: PLC0415
+
     blocks: list[Block] = []
     if surprise := _surprise(answer):
         at, p, among = surprise
