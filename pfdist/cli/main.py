@@ -98,6 +98,13 @@ def _run(line: "Line", *, ends: bool) -> int:
         return stopping.exit_code() or _INTERRUPTED
     except BrokenPipeError:
         return _unread()
+    except SilenceError as error:
+        code = _error(error, debug=line.debug)
+        if ends:  # threads of a lost cluster could end the process with a code of their own
+            with contextlib.suppress(OSError):
+                flush_output()
+            os._exit(code)
+        return code
     except Exception as error:
         return _error(error, debug=line.debug)
     return _DONE

@@ -18,11 +18,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
 from pfdist.common.stopping import check, exit_code
-from pfdist.errors import PoolError
+from pfdist.errors import PoolError, SilenceError
 from pfdist.pools.cores import usable_cores
 
 START_SECONDS = 120.0
@@ -34,6 +35,7 @@ _LOOK_SECONDS = 0.1  # between two looks whether a signal was received
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _SHOWN = 300  # characters of what Ray says
 _SHOWN_ADDRESS = 80
+_LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 _ADDRESS = "RAY_ADDRESS"
 _SETTINGS = {
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # no warning
@@ -55,6 +57,8 @@ def load_ray(*, own: bool = False) -> Any:
             os.environ.setdefault(name, value)
         if own:
             os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+            if len(tempfile.gettempdir()) > _LONGEST_FOLDER:
+                os.environ.setdefault("RAY_TMPDIR", "/tmp")  # noqa: S108  Ray's own default
     return importlib.import_module("ray")
 
 
@@ -88,7 +92,7 @@ def connected(address: str, cores: int = 0) -> Iterator[bool]:
     with contextlib.ExitStack() as stack:
         # Without a working directory, workers would look for modules in that of this process.
         empty = stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-"))
-        stack.callback(_leave, ray, left)
+        stack.push(partial(_leave, ray, left))
         try:
             _start(
                 lambda: ray.init(
@@ -139,19 +143,19 @@ def _start(start: Callable[[], Any], left: threading.Event, most: float) -> None
     started.result()
 
 
-def _leave(ray: Any, left: threading.Event) -> None:
-    """Leave a cluster, which may never answer.
+def _leave(ray: Any, left: threading.Event, kind: object, *_: object) -> None:
+    """Leave a cluster, which may never answer; `kind` is that of the error that ends the stay.
 
-    If it does not, its servers end with this process. If they ended before, Ray would end this
-    process at once, with an exit code of its own; and at its end, Ray would ask them once more.
+    A lost cluster is not asked any more, also not by Ray when the process ends: Ray would end this
+    process at once, with an exit code of its own. Servers of our own then end with the process.
     """
+    if kind is SilenceError:
+        atexit.unregister(ray.shutdown)
+        return
     if not sys.is_finalizing():  # else no thread can start any more
         thread = threading.Thread(target=ray.shutdown, daemon=True)
         thread.start()
         thread.join(_STOP_SECONDS)
-        if thread.is_alive():
-            atexit.unregister(ray.shutdown)
-            return
     left.set()
 
 

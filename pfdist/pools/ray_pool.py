@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
 from importlib import metadata
 from queue import Empty, SimpleQueue
+from types import TracebackType
 from typing import Any, Self
 
 from pfdist.common.stopping import check, sleep
@@ -50,8 +51,13 @@ class RayPool:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, traceback)
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Yield the outcomes in any order, with a bounded number in flight.
