@@ -122,7 +122,7 @@ class StoredRun:
     @property
     def draws_compared(self) -> int:
         """Number of draws that every set has filtered."""
-        return self._store.numbers("comparison", "draw").size
+        return sum(map(len, self._store.numbers("comparison", "draw")))
 
     @property
     def state(self) -> str:
@@ -135,7 +135,7 @@ class StoredRun:
         enough = self.draws_compared == self.job["comparison"]["draws"] or (
             half_width > 0 and statistics_of(self).half_width() <= half_width
         )
-        online = self._store.numbers("online", "draw").size
+        online = sum(map(len, self._store.numbers("online", "draw")))
         wanted = self.job.get("online", {}).get("draws", 0)
         return "finished" if enough and online >= wanted else "comparing"
 

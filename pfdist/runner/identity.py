@@ -108,7 +108,7 @@ def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
 
 
 def _committed(store: Store) -> int:
-    return 1 + int(store.numbers("comparison", "draw").max(initial=-1))
+    return max((each.stop for each in store.numbers("comparison", "draw")), default=0)
 
 
 def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -> None:

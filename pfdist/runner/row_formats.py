@@ -124,8 +124,9 @@ class RowsByDraw:
         on where it ended.
         """
         most = max((work.draws[1] for work in works), default=0)
-        present, committed = np.zeros(most, np.bool_), store.numbers(self.table, "draw")
-        present[committed[committed < most]] = True
+        present = np.zeros(most, np.bool_)
+        for committed in store.numbers(self.table, "draw"):
+            present[committed.start : committed.stop] = True
         lacking = list[Work]()
         for work in works:
             first, last = work.draws

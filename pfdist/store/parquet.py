@@ -272,12 +272,15 @@ class Store:
         for path in self._files(table):
             yield from self._read(path, columns)
 
-    def numbers(self, table: str, column: str) -> NDArray[np.int64]:
-        """The different values of a column of whole numbers, sorted."""
+    def numbers(self, table: str, column: str) -> list[range]:
+        """The different values of a column of whole numbers, as ascending ranges with gaps between.
 
-        def look() -> NDArray[np.int64]:
-            pieces = [piece[column].to_numpy() for piece in self.pieces(table, [column])]
-            return np.unique(np.concatenate([np.empty(0, np.int64), *pieces]))
+        Draws are mostly one range, so memory does not grow with their number.
+        """
+
+        def look() -> list[range]:
+            pieces = (piece[column].to_numpy() for piece in self.pieces(table, [column]))
+            return _merged(each for piece in pieces for each in _ranges(piece))
 
         return self._again(look)
 
@@ -423,3 +426,23 @@ class Store:
 def _is_own(path: Path) -> bool:
     """Whether a file has the name of a file of a table; other files belong to the user."""
     return path.parent.name in TABLES and NAME.fullmatch(path.name) is not None
+
+
+def _ranges(values: NDArray[np.int64]) -> Iterator[range]:
+    """The values of an array as ranges."""
+    values = np.sort(values)
+    ends = np.flatnonzero(np.diff(values) > 1)
+    if values.size:
+        firsts, lasts = values[[0, *(ends + 1)]], values[[*ends, -1]]
+        yield from map(range, firsts.tolist(), (lasts + 1).tolist())
+
+
+def _merged(ranges: Iterable[range]) -> list[range]:
+    """Ranges in ascending order; those that touch or overlap are one."""
+    merged = list[range]()
+    for each in sorted(ranges, key=lambda each: each.start):
+        if merged and each.start <= merged[-1].stop:
+            merged[-1] = range(merged[-1].start, max(merged[-1].stop, each.stop))
+        else:
+            merged.append(each)
+    return merged

@@ -33,9 +33,9 @@ def committed_draws(run: Path) -> int:
     store = Store(run)
     searched = len(store.read("draws")) if store.has("draws") else 0
     compared = sum(
-        store.numbers(table, "draw").size
+        sum(map(len, store.numbers(table, "draw")))
         for table in ("comparison", "trajectories", "filter_distance", "filter_variance")
     )
     alone = ("repeated", "filter_variance")  # the reference again, and no measurement at all
-    once_more = sum(store.numbers(table, "draw").size for table in alone)
+    once_more = sum(len(each) for table in alone for each in store.numbers(table, "draw"))
     return searched + SETS * compared + once_more

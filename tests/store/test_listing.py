@@ -230,7 +230,8 @@ def test_a_file_of_another_table_or_run_is_named(store: Store, tmp_path: Path) -
 def test_a_draw_of_any_number_costs_neither_time_nor_memory(store: Store) -> None:
     rows = compared_rows(0, 3).set_column(0, "draw", pa.array([0, 1, 3_000_000_000_000]))
     store.commit("comparison", "comparison", rows.cast(comparison_schema(["a"])))
-    assert store.numbers("comparison", "draw").tolist() == [0, 1, 3_000_000_000_000]
+    last = 3_000_000_000_000
+    assert store.numbers("comparison", "draw") == [range(2), range(last, last + 1)]
     blocks = [block["draw"].to_pylist() for block in store.blocks("comparison", "draw", 10)]
     assert blocks == [[0, 1], [3_000_000_000_000]]
 
