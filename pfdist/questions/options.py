@@ -57,16 +57,16 @@ class Options(TypedDict, total=False):
     pool : str, optional
         Where tasks are computed: by workers of a Ray cluster (``ray``), in ``processes`` of this
         machine, on ``threads`` of this process, or one after another (``serial``). On ``auto``, by
-        Ray if a cluster is given, in processes if formulas run in NumPy, else on threads. By
-        default execution.pool of the job.
+        Ray if a cluster is given, in processes if formulas run in NumPy, else on threads. The
+        default is execution.pool of the job.
     workers : int, optional
-        Number of workers, at most 1,000 on one machine; 0 is one for each core. By default
+        Number of workers, at most 1,000 on one machine; 0 is one for each core. The default is
         execution.workers of the job.
     address : str, optional
         The Ray cluster to join, as HOST:PORT; ``auto`` finds one, and ``local`` starts one on this
-        machine. By default execution.address of the job.
+        machine. The default is execution.address of the job.
     wait_for_cores : int, optional
-        Begin when the cluster has so many cores, within 5 minutes. By default
+        Begin when the cluster has so many cores, within 5 minutes. The default is
         execution.wait_for_cores of the job.
     figures : bool
         Whether to draw the figures that the folder lacks.
