@@ -126,7 +126,7 @@ def next_time(
     job : Problem, Job, str, Path or Run
         A job file, whose run is meant, or the folder of a run.
     measurements : str, Path or DataFrame
-        Table with the columns t, y0, y1, ... (or y_ and a name): a file in CSV or Parquet, or a
+        Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame. It may have no rows. An empty cell is a missing component, a row without any
         value a missed time. If the model has sensors, the column sensor names that of a row.
     now : int or float, optional
@@ -136,7 +136,7 @@ def next_time(
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
-        Table of particles from which the filter starts: columns x0, x1, ... (or x_ and a name), if
+        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), if
         wanted weight, and t, their time (by default the first).
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
