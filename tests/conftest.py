@@ -38,7 +38,7 @@ PROMISES = (
     "old results stay readable",
     "a report that fails spoils neither the run nor the earlier report",
 )
-QUICK = ("common", "problem", "results", "search")  # folders of tests
+QUICK = ("common", "problem", "results")  # folders of tests
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
