@@ -16,7 +16,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
 from pfdist.runner import comparison_phase, door, gap_parts
-from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
+from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.pace import Pace
 from pfdist.store import parquet
 from pfdist.store.verify import verify_run
@@ -175,7 +175,7 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "error_sums", 8)
     job = small_job.with_changes([*CHANGES, "model.name=random_walk", "problem.horizon=6"])
     begun = pfdist.run(job, tmp_path / "begun", figures=False).path
-    few, many = (BoundSettings(draws) for draws in (LEAST_DRAWS, 2 * LEAST_DRAWS))
+    few, many = LEAST_DRAWS, 2 * LEAST_DRAWS
     pfdist.bound(job, few, results=begun, figures=False)
 
     def prove(path: Path) -> None:
