@@ -38,7 +38,7 @@ def show(answer: Any, line: Line, json_stream: TextIO) -> None:
 
 
 def _show_each(answers: Iterator[Any], line: Line, stream: TextIO) -> None:
-    made = []
+    made, is_whole = [], False
     try:
         for each in answers:
             made.append(each)
@@ -48,11 +48,11 @@ def _show_each(answers: Iterator[Any], line: Line, stream: TextIO) -> None:
                     f"{each.name}: {each.text}", f"{each.state:5} "
                 )  # fmt: skip
                 print("\n".join(lines), flush=True)
+        is_whole = True
     finally:
-        if line.json and made:
-            are_texts = isinstance(made[0], str)
-            each = made if are_texts else [dataclasses.asdict(check) for check in made]
-            _print_json({"lines" if are_texts else "checks": each}, stream)
+        if line.json and (made or is_whole):
+            checks = [dataclasses.asdict(each) for each in made if not isinstance(each, str)]
+            _print_json({"checks": checks} if checks else {"lines": made}, stream)
 
 
 def _as_json(answer: Any, line: Line) -> dict[str, Any]:

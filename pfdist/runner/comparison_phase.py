@@ -109,8 +109,8 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
 def _publish(store: Store, draws: int) -> None:
     """Publish the table of the comparison from its parts, a file's rows at a time."""
     if store.has_parts("comparison", COMPARISON):
-        committed, *_ = store.numbers("comparison", "draw")
-        if committed.start > 0 or len(committed) < draws:
+        committed = store.numbers("comparison", "draw")
+        if not committed or committed[0].start > 0 or committed[0].stop < draws:
             raise StoreError(
                 f"{store.path} lacks draws that were committed: is another driver at work there? "
                 "Run the same command again"

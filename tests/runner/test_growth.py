@@ -4,6 +4,7 @@ import random
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner import comparison_phase
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 
@@ -236,3 +238,13 @@ def test_the_command_line_reuses_runs(
     rows = pfdist.open_run(new).table("evaluations").query("phase == 'genetic'")
     assert rows["generation"].nunique() == 5
     assert main([*command, str(tmp_path / "b"), "--reuse", str(tmp_path / "no")]) == 1
+
+
+@pytest.mark.parametrize("committed", [[], [range(1, 9)], [range(3), range(4, 9)]])
+def test_a_table_that_lacks_committed_draws_is_not_published(committed: list[range]) -> None:
+    """As where another driver has taken the parts away."""
+    store: Any = SimpleNamespace(
+        path="run", has_parts=lambda *_: True, numbers=lambda *_: committed
+    )
+    with pytest.raises(StoreError, match="lacks draws that were committed"):
+        comparison_phase._publish(store, 8)
