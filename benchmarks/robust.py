@@ -88,9 +88,8 @@ def _compared(name: str, quick: bool, say: Say) -> pd.DataFrame:
         sets["loss"] = planned("loss", section | scales)
         run = planned.compare(sets, section, 240 if quick else DRAWS, seed=1)
         mse, errors = (table[[*sets]] for table in _of_scenarios(run))
-        results = run.summary().results
-    means = pd.Series({each: results[each].expected_mse for each in sets})
-    rows = []
+        results = run.table("sets").set_index("name")
+    means, rows = results["expected_mse"][[*sets]], []
     for each, planned_for in _PLANS.items():
         worst = int(mse[each].argmax())
         times = ", ".join(map(str, sets[each]))
@@ -101,11 +100,11 @@ def _compared(name: str, quick: bool, say: Say) -> pd.DataFrame:
                 "planned_for": planned_for,
                 "times": times,
                 "mean_mse": means[each],
-                "mean_error": results[each].standard_error,
+                "mean_error": results["standard_error"][each],
                 "worst_mse": mse[each].iloc[worst],
                 "worst_error": errors[each].iloc[worst],
                 "worst_loss": (mse[each] / mse.min(axis=1)).max() - 1,
-                "mean_loss": means[each] / means.min() - 1,
+                "mean_loss": means[each] / results["expected_mse"][[*sets]].min() - 1,
             }
         )
     return pd.DataFrame(rows)

@@ -94,7 +94,7 @@ def measure(quick: bool, say: Say) -> Tables:
                 changes=("comparison.draws=10",),
             )  # fmt: skip
             (name,), sets = found_sets(run), run.sets
-            bound = (run.summary().results[name].lower_bound or {})["bound"]
+            bound = run.table("sets").set_index("name")["bound"][name]
         written = {each: [*map(str, times)] for each, times in sets.items()}
         chosen = {OURS: written.pop(name)} | written
         chosen |= _chosen_by_the_manager(written["regular"], say)

@@ -46,7 +46,8 @@ from pfdist.problem.sections import (
     Until,
 )
 from pfdist.problem.sweep import SweepFile
-from pfdist.results.stored_run import COMPUTED
+from pfdist.results.columns import COLUMNS as SET_COLUMNS
+from pfdist.results.run import COMPUTED
 from pfdist.store.schema import (
     KEYS,
     comparison_schema,
@@ -168,9 +169,14 @@ def columns() -> str:
 
 def computed_tables() -> str:
     """Give a section for each table of a run that follows from others."""
-    return "\n\n".join(
-        f"## `{name}`\n\n{inspect.getdoc(function)}" for name, function in COMPUTED.items()
-    ).replace("``", "`")
+    sections = [f"## `{name}`\n\n{inspect.getdoc(function)}" for name, function in COMPUTED.items()]
+    rows = [
+        [f"`{name}`" + (", `_low`, `_high`" if column.has_interval else ""), column.meaning]
+        for name, column in SET_COLUMNS.items()
+        if not name.endswith(("_low", "_high")) or name == "bound_low"
+    ]
+    sections[0] += "\n\n" + _table(["column", "meaning"], rows)
+    return "\n\n".join(sections).replace("``", "`")
 
 
 def filtered_columns() -> str:

@@ -61,10 +61,10 @@ def _as_json(answer: Any, line: Line) -> dict[str, Any]:
         case str() | Path():
             return {"answer": str(answer)}
         case Run() if target is not None:
-            asked = {"target": target, "reached": reaching(answer.table("budget"), target)}
-            return answer.summary().as_json() | asked
+            asked = {"target": target, "reached": reaching(answer.table("sets"), target)}
+            return answer.as_json() | asked
         case Run():
-            return answer.summary().as_json()
+            return answer.as_json()
         case pd.DataFrame():
             # Not above: it imports the compiler, and to show a run takes none.
             from pfdist.questions.runs import records  # noqa: PLC0415

@@ -53,7 +53,7 @@ def draw_target(run: Run, target: float) -> list[Path]:
 
 
 def _plot(run: Run, target: float | None = None) -> Plot:
-    table = run.table("budget")
+    table = run.table("sets")
     return Plot(
         2.5, lambda panels: budget(table, target=target, ax=panels[0]), title=_title(table, target)
     )
@@ -89,7 +89,7 @@ def budget(
     Parameters
     ----------
     table : Run or DataFrame
-        A run for several numbers of measurements, or its table ``budget``.
+        A run for several numbers of measurements, or its table ``sets``.
     target : float, optional
         An expected MSE, drawn as a line; the least N that reaches it is marked, and the largest N
         that is proved not to reach it.
@@ -100,11 +100,11 @@ def budget(
     -------
     matplotlib Axes
     """
-    table, ax, curves = table_of(table, "table", "budget"), axes_for(ax), []
+    table, ax, curves = table_of(table, "table", "sets"), axes_for(ax), []
     for kind, style in _STYLES.items():
         rows = table[table["kind"] == kind]
         mean = rows["expected_mse"].to_numpy()
-        errors = np.array([mean - rows["low"], rows["high"] - mean])
+        errors = np.array([mean - rows["expected_mse_low"], rows["expected_mse_high"] - mean])
         ax.errorbar(
             rows["measurements"], mean, errors, lw=thin(0.8), ms=marker(0.8), elinewidth=thin(0.6),
             label=f"{kind} times", **style,

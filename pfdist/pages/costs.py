@@ -28,9 +28,9 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import GREY
 from pfdist.problem.methods import METHODS
+from pfdist.problem.set_key import label_of
 from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.pairs import formatted_ranks
-from pfdist.results.reference import label
 from pfdist.results.stored_run import distrust_of, named_sets, own_estimation, statistics_of
 
 _PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
@@ -130,7 +130,10 @@ def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tup
     """The reference and the best set, each with its expected MSE, as `cost` takes them."""
     mse = {name: float(np.nan_to_num(statistics.mse[name].mean, nan=np.inf)) for name in run.names}
     reference, best = run.names[0], min(mse, key=lambda name: mse[name])
-    return {"reference": (label(reference), mse[reference]), "best": (label(best), mse[best])}
+    return {
+        "reference": (label_of(reference), mse[reference]),
+        "best": (label_of(best), mse[best]),
+    }
 
 
 def _way(difference: str) -> str:
@@ -241,7 +244,7 @@ def cost(
                 label=f"{verbatim(name)}, {kind}", marker=_MARKERS[position % len(_MARKERS)],
                 markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), mew=0,
             )  # fmt: skip
-    by_label = {label(name): style["color"] for name, style in styles.items()}
+    by_label = {label_of(name): style["color"] for name, style in styles.items()}
     for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
         if line is not None and math.isfinite(line[1]):
             text = verbatim(f"{line[0]}: {line[1]:.4g}")

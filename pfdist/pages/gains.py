@@ -28,8 +28,8 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY
+from pfdist.problem.set_key import label_of
 from pfdist.results import BIN, EDGES, Gain, GainSummary, Run
-from pfdist.results.reference import label
 from pfdist.results.stored_run import statistics_of
 from pfdist.store.schema import components_in
 
@@ -46,7 +46,7 @@ _SHAPES = ("+", "*")  # of the reference's times and of the other set's
 def gain_figure(tables: Tables, name: str) -> Plot:
     """Histogram of the relative gain over all draws (the paper's figure 4)."""
     relative, names = tables.statistics.gains[name], tables.run.names
-    reference = label(names[0])
+    reference = label_of(names[0])
     return Plot(
         2.4,
         lambda panels: gain(relative, name, reference=reference, sets=names, ax=panels[0]),
@@ -110,7 +110,11 @@ def gain(
     if isinstance(source, Gain):
         gains = {name: source}
     elif isinstance(source, Run):
-        gains, reference, sets = statistics_of(source).gains, label(source.names[0]), source.names
+        gains, reference, sets = (
+            statistics_of(source).gains,
+            label_of(source.names[0]),
+            source.names,
+        )
     else:
         gains, reference = _gains_of_table(source, reference)
     name = chosen(name or next(iter(gains)), gains, "name")
@@ -134,7 +138,7 @@ def _gains_of_table(table: pd.DataFrame, reference: str) -> tuple[dict[str, Gain
     gains = {name: Gain() for name in names if name != reference}
     for name, relative in gains.items():
         relative.add(table[f"mse_{name}"].to_numpy(), table[f"mse_{reference}"].to_numpy())
-    return gains, label(reference)
+    return gains, label_of(reference)
 
 
 def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str, colours: Sequence[str]) -> None:
@@ -211,7 +215,7 @@ def draw_figure(tables: Tables, name: str) -> Plot:
     trajectories, sets, draw, gain = _of_run(tables, name)
     if np.isnan(gain):
         return no_draw()
-    reference = label(tables.run.names[0])
+    reference = label_of(tables.run.names[0])
     return plot_of_draw(
         trajectories[trajectories["draw"] == draw], sets, f"{_legend(draw, gain)}, a typical one",
         title_of_draw(gain, f"the times of {name}", reference),

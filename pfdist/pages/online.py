@@ -33,9 +33,9 @@ from pfdist.pages.panel import (
     styles_of,
     verbatim,
 )
+from pfdist.problem.set_key import label_of
 from pfdist.results import Run, relative_gain
 from pfdist.results.online import OnlineDraws, online_draws
-from pfdist.results.reference import label
 from pfdist.store.schema import components_in
 
 MOST_ROWS = 200  # draws in the raster: more could not be told apart
@@ -186,7 +186,7 @@ def online_gain_figure(tables: Tables) -> Plot:
     """Histogram of the relative gain of online times; the plan's gain on the same draws."""
     draws = tables.online
     over_reference = draws.gain("online", draws.reference)
-    title = title_of_gain(over_reference, "online times", label(draws.reference))
+    title = title_of_gain(over_reference, "online times", label_of(draws.reference))
     return Plot(2.9, lambda panels: online_gain(draws, ax=panels[0]), title=title)
 
 
@@ -212,7 +212,7 @@ def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     draws = _draws_of(source)
     online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
     return gain(
-        online, "online", reference=label(draws.reference), beside=(draws.plan, plan),
+        online, "online", reference=label_of(draws.reference), beside=(draws.plan, plan),
         sets=[*_styles(draws)], ax=ax,
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from pfdist.common.component_names import Component
 from pfdist.errors import JobError, shown
 from pfdist.pages.style import GREY, set_style
 from pfdist.results import Run
-from pfdist.results.stored_run import TABLES
+from pfdist.results.run import TABLES
 
 T = TypeVar("T")
 Array = NDArray[np.float64]

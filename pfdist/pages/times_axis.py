@@ -32,8 +32,8 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, set_style
+from pfdist.problem.set_key import label_of
 from pfdist.results import Run
-from pfdist.results.reference import label
 from pfdist.results.stored_run import problem_of
 from pfdist.store.schema import components_in
 
@@ -89,7 +89,7 @@ def _title(trajectories: pd.DataFrame, best: str, reference: str) -> str:
     lower = int((means["best"] < means["reference"]).sum())
     return (
         f"The root mean square error with the times of {best} is lower than with "
-        f"{label(reference)} at {lower} of {len(means)} instants, over "
+        f"{label_of(reference)} at {lower} of {len(means)} instants, over "
         f"{trajectories['draw'].nunique()} fresh draws."
     )
 

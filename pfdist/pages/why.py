@@ -26,9 +26,9 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import set_style
+from pfdist.problem.set_key import label_of
 from pfdist.results import Run
 from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
-from pfdist.results.reference import label
 
 _MOST_SETS = 5  # in the figure of the filters
 _LINEAR = 20  # largest ratio of two effective sample sizes on a linear axis
@@ -74,7 +74,7 @@ def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
         return title
     most = rows.loc[reference].to_dict()
     rise = f"at most {most['removed']:.3g}, without t = {formatted_time(measurement_of(most))}"
-    return f"{title[:-1]}; that of {label(reference)} rises by {rise}."
+    return f"{title[:-1]}; that of {label_of(reference)} rises by {rise}."
 
 
 @figure("filters", applies=_has_particles)

@@ -9,6 +9,7 @@ import tomli_w
 
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Code, Facts, Section, Text
+from pfdist.filters.engines import is_exact
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
 from pfdist.results import read_recorded
@@ -27,7 +28,7 @@ _LOAD = """\
 import pfdist
 
 run = pfdist.open_run({name})  # the folder of the run
-run.summary()
+run.table("sets")  # a row for each set of times
 run.table("gains").describe()  # a row for each draw
 
 # The tables are plain Parquet, so pandas alone reads them, too:
@@ -72,7 +73,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         yield f"sensor {name}", text or "no price"
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
-    yield "filter", "Kalman filter (exact)" if subject.summary.is_exact else particles
+    yield "filter", "Kalman filter (exact)" if is_exact(filtering["engine"]) else particles
 
 
 def _model(section: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ from pfdist.common.parts import Block, Cell, Facts, Figures, Page, Section, Tabl
 from pfdist.common.percent import NO_LIMITS, gap_sentence, particle_loss_text, percent, rounded_up
 from pfdist.common.rounding import rounded, with_error
 from pfdist.questions.subject import ERROR_HEAD, Subject
+from pfdist.results.stored_run import last_bounds
 
 _MEANING = (
     "No allowed times of the same number, or of the same cost, have a lower expected error than "
@@ -41,11 +42,12 @@ _HEAD = (
 
 def proof(subject: Subject) -> Section | None:
     """The lower bound of each set but the reference, or why there is none."""
-    proofs = {name: each.lower_bound for name, each in subject.others.items() if each.lower_bound}
+    last = last_bounds(subject.run)
+    proofs = {name: last[name] for name in subject.others if name in last}
     if not proofs:
         return None
     shares = next(iter(proofs.values())).get("shares") or ()
-    texts = _scenarios(shares) if subject.summary.scenarios else []
+    texts = _scenarios(shares) if subject.scenarios else []
     blocks = [*_meaning(proofs), *_table(proofs), *texts]
     title = "How much better can other times be?"
     return Section(title, [*blocks, Figures(["bound"])])

@@ -1,17 +1,20 @@
 """How many measurements are enough: the expected error of each number, and its lower bound."""
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
+from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
-from pfdist.common.percent import cost, percent
-from pfdist.common.rounding import rounded, with_interval
-from pfdist.questions.subject import Subject, number_of, sets_table
-from pfdist.results.summary import SetResult
+from pfdist.common.percent import percent
+from pfdist.common.rounding import with_interval
+from pfdist.questions.subject import Subject, all_sets, number_of
+from pfdist.results.budget_curve import FOUND
+from pfdist.results.columns import COLUMNS, Row, interval_cell
 
-_KINDS = ("regular", "found")
+_KINDS = (REGULAR, FOUND)
 _HEAD = ("N", "regular times", "found times", "lower bound")
 _BOUND = (
     "No times of the same number have a lower expected error than the lower bound, with any filter "
@@ -24,26 +27,25 @@ def budget(subject: Subject) -> Section | None:
     """The budget curve of a run for several numbers of measurements."""
     if not subject.is_compared:
         return None
-    results = list(subject.results.values())
-    found_results = [result for result in results if result.kind == "found"]
+    rows = [*subject.rows.values()]
     blocks: list[Block] = [
         *_answer(subject),
         *_target(subject),
         Figures(["budget"]),
-        Table("Expected error with its 95 % interval", _HEAD, _rows(results), optional=_HEAD[3:]),
+        Table("Expected error with its 95 % interval", _HEAD, _cells(rows), optional=_HEAD[3:]),
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
-        *_worse(results),
-        *_believed(found_results),
-        sets_table(subject),
+        *_worse(rows),
+        *_estimated([row for row in rows if row.kind == FOUND]),
+        all_sets(subject),
     ]
     return Section("How many measurements are enough?", blocks)
 
 
 def _answer(subject: Subject) -> list[Text]:
     """How many found times do what the largest number of regular times does."""
-    regular = [each for each in subject.results.values() if each.kind == "regular"]
-    most = max(regular, key=lambda each: each.measurements)
-    if most.expected_mse is None:
+    regular = [row for row in subject.rows.values() if row.kind == REGULAR]
+    most = max(regular, key=lambda row: int(row.measurements))
+    if most.expected_mse is None or math.isinf(most.expected_mse):
         return []
     reached = subject.reaching(most.expected_mse)["found"]
     if reached["measurements"] is None:
@@ -94,7 +96,7 @@ def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:
 
 def _untried(subject: Subject, number: int) -> str:
     """Say which numbers below this one were left out, down to the next that was tried."""
-    tried = {each.measurements for each in subject.results.values()}
+    tried = {row.measurements for row in subject.rows.values()}
     below = max((each for each in tried if each < number), default=number - 1)
     if below == number - 1:
         return ""
@@ -102,42 +104,41 @@ def _untried(subject: Subject, number: int) -> str:
     return f"{first} was not tried" if first == last else f"{first} to {last} were not tried"
 
 
-def _rows(results: Sequence[SetResult]) -> list[list[Cell]]:
-    rows = defaultdict[int, dict[str, SetResult]](dict)
-    for result in results:
-        rows[result.measurements][result.kind] = result
+def _cells(rows: Sequence[Row]) -> list[list[Cell]]:
+    numbers = defaultdict[int, dict[str, Any]](dict)
+    for row in rows:
+        numbers[row.measurements][row.kind] = row
     return [
         [
             Cell(str(number), number),
-            *(_cost(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS),
-            _bound(kinds["found"]) if "found" in kinds else Cell(""),
+            *(_error(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS),
+            _bound(kinds[FOUND]) if FOUND in kinds else Cell(""),
         ]
-        for number, kinds in sorted(rows.items())
+        for number, kinds in sorted(numbers.items())
     ]
 
 
-def _cost(result: SetResult) -> Cell:
-    mse, low, high = with_interval(cost(result.expected_mse), result.low, result.high)
-    return Cell(f"{mse} ({low} to {high})", cost(result.expected_mse))
+def _error(row: Row) -> Cell:
+    return interval_cell(row.expected_mse, row.expected_mse_low, row.expected_mse_high)
 
 
-def _bound(result: SetResult) -> Cell:
+def _bound(row: Row) -> Cell:
     """The bound and its lower limit, which is rounded down: it must hold as it is printed."""
-    bound, limit = result.bound, result.bound_low
-    if bound is None or limit is None or not result.bound_error:  # unknown or exact
-        return Cell("" if bound is None else rounded(bound), bound)
+    bound, limit = row.bound, row.bound_low
+    if bound is None or limit is None or not row.bound_error:  # unknown or exact
+        return COLUMNS["bound"].cell(row)
     text, low, _ = with_interval(bound, limit, 2 * bound - limit)
     floor = Decimal(limit).quantize(Decimal(low), ROUND_FLOOR)
     return Cell(f"{text} (from {floor})".lower(), bound)  # Decimal writes E for e
 
 
-def _worse(results: Sequence[SetResult]) -> Iterator[Text]:
+def _worse(rows: Sequence[Row]) -> Iterator[Text]:
     """Name the numbers of measurements that are worse than a smaller number."""
     for kind in _KINDS:
         worse = [
-            f"{result.measurements} than {result.worse_than}"
-            for result in results
-            if result.kind == kind and result.worse_than is not None
+            f"{row.measurements} than {row.worse_than}"
+            for row in rows
+            if row.kind == kind and row.worse_than is not None
         ]
         if worse:
             yield Text(
@@ -146,19 +147,18 @@ def _worse(results: Sequence[SetResult]) -> Iterator[Text]:
             )
 
 
-def _believed(results: Sequence[SetResult]) -> Iterator[Text]:
-    """The mean distance of what the search believed from the fresh costs (winner's curse)."""
-    excesses = [result.search_excess for result in results if result.search_excess is not None]
-    if not excesses or results[0].search_standard_error == 0.0:  # the search knew exact costs
+def _estimated(rows: Sequence[Row]) -> Iterator[Text]:
+    """The mean distance of the search's estimates from the fresh errors (winner's curse)."""
+    excesses = [row.search_excess for row in rows if row.search_excess is not None]
+    if not excesses or rows[0].search_standard_error == 0.0:  # the search knew exact errors
         return
-    mean, causes = sum(excesses) / len(excesses), [result.search_cause for result in results]
-    settings = [f"{key} = {value}" for key, value in results[0].search_estimation.items()]
-    reasons = "; ".join(filter(None, [max(causes, key=causes.count), ", ".join(settings)]))
+    mean, causes = sum(excesses) / len(excesses), [row.search_cause for row in rows]
+    reasons = "; ".join(filter(None, [max(causes, key=causes.count), rows[0].search_settings]))
     side = "below" if mean < 0 else "above"
     yield Text(
-        f"found times: the search believed on average {percent(abs(mean))} {side} the fresh cost "
-        f"({reasons})",
+        f"found times: the search's estimates lie on average {percent(abs(mean))} {side} the fresh "
+        f"errors ({reasons})",
         detail=True,
     )
-    if distrust := results[0].search_distrust:
+    if distrust := rows[0].search_distrust:
         yield Text(f"searched again: {distrust}", detail=True)

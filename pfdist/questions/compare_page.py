@@ -1,21 +1,12 @@
 """How named sets of times compare: their ranks, and all pairs on the same draws."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text, without_empty_columns
-from pfdist.common.percent import range_of
-from pfdist.common.rounding import with_interval
-from pfdist.questions.subject import (
-    ERROR_HEAD,
-    Subject,
-    cost_cell,
-    mse_cell,
-    number_of,
-    percent_cell,
-)
+from pfdist.questions.subject import Subject, number_of
+from pfdist.results.columns import COLUMNS, Row, interval_cell, rows_of
 from pfdist.results.pairs import formatted_ranks
+from pfdist.results.stored_run import named_sets
 
+_OF_A_SET = ("name", "measurements", "price", "expected_mse")
 _PAIRS_HEAD = (
     "first", "second", "first less second", "clear", "in % of second",
     "draws where first is lower, %",
@@ -25,11 +16,7 @@ _MEANING = (
     "difference says that the first set of a pair has the lower error. Intervals in brackets hold "
     "with 95 % for one pair alone. A difference is clear if its sign holds with 95 % for all pairs "
     "together. The best rank of a set counts the sets that are clearly better, the worst rank all "
-    "that are not clearly worse."
-)
-_EXACT = (
-    "The filter is exact, so the expected errors, their differences and the ranks are exact. Only "
-    "the shares of draws are estimated."
+    "that are not clearly worse. A number without an interval is exact."
 )
 _MOST_OPEN = 28
 """Pairs of 8 sets; a table of more pairs is folded away."""
@@ -37,17 +24,18 @@ _MOST_OPEN = 28
 
 def compared(subject: Subject) -> Section | None:
     """The ranks and the pairs of a run whose job names sets."""
-    ranks, pairs = subject.summary.ranks, subject.summary.pairs
-    if not ranks:
+    run = subject.run
+    if not (subject.is_compared and named_sets(run)):
         return None
-    draws = number_of(subject.summary.draws_compared, "draw")
-    head = ("rank", "times", "number", subject.cost_head, ERROR_HEAD, "above the best by")
+    ranks, pairs = (rows_of(run.table(name)) for name in ("ranks", "pairs"))
+    draws = number_of(run.draws_compared, "draw")
+    head = ("rank", *(COLUMNS[name].head for name in _OF_A_SET), "above the best by")
     sets = Table(f"Ranks on {draws}", head, [_set_row(subject, row) for row in ranks])
-    rows = [_pair_row(pair) for pair in pairs or ()]
+    rows = [_pair_row(pair) for pair in pairs]
     blocks: list[Block] = [
         without_empty_columns(sets),
-        Text(_EXACT if subject.summary.is_exact else _MEANING, detail=True),
-        Figures(["compared"] if subject.found_results else ["times", "compared"]),
+        Text(_MEANING, detail=True),
+        Figures(["compared"] if subject.found_rows else ["times", "compared"]),
         Table(
             "Pairs of sets", _PAIRS_HEAD, rows, len(rows) > _MOST_OPEN, optional=_PAIRS_HEAD[:-4:-1]
         ),
@@ -55,34 +43,27 @@ def compared(subject: Subject) -> Section | None:
     return Section("How the sets compare", blocks)
 
 
-def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
-    result = subject.results[row["name"]]
-    number = result.measurements
+def _set_row(subject: Subject, row: Row) -> list[Cell]:
     return [
-        Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
-        Cell(row["name"]),
-        Cell(str(number), number),
-        cost_cell(result),
-        mse_cell(row["expected_mse"], row["standard_error"]),
-        _difference(row) if row["difference"] else Cell(""),
+        Cell(formatted_ranks(row.best_rank, row.worst_rank), row.best_rank),
+        *(COLUMNS[name].cell(subject.rows[row.name]) for name in _OF_A_SET),
+        _difference(row) if row.difference else Cell(""),
     ]
 
 
-def _pair_row(pair: Mapping[str, Any]) -> list[Cell]:
-    keys = ("gain_of_means", "gain_of_means_high", "gain_of_means_low")
-    relative, low, high = (None if pair[key] is None else -pair[key] for key in keys)
-    wins = (pair["first_wins"], [pair["first_wins_low"], pair["first_wins_high"]])
+def _pair_row(pair: Row) -> list[Cell]:
+    gains = (pair.gain_of_means, pair.gain_of_means_high, pair.gain_of_means_low)
+    relative = (None if gain is None else -gain for gain in gains)
+    wins = (pair.first_wins, pair.first_wins_low, pair.first_wins_high)
     return [
-        Cell(pair["first"]),
-        Cell(pair["second"]),
+        Cell(pair.first),
+        Cell(pair.second),
         _difference(pair),
-        Cell("yes" if pair["clear"] else "no"),
-        percent_cell(relative, [low, high]),
-        percent_cell(*wins),
+        Cell("yes" if pair.clear else "no"),
+        interval_cell(*relative, is_percent=True),
+        interval_cell(*wins, is_percent=True),
     ]
 
 
-def _difference(row: Mapping[str, Any]) -> Cell:
-    value, low, high = with_interval(row["difference"], row["low"], row["high"])
-    exact = row["low"] == row["high"] and row["low"] is not None
-    return Cell(value if exact else f"{value} ({range_of(low, high)})", row["difference"])
+def _difference(row: Row) -> Cell:
+    return interval_cell(row.difference, row.low, row.high)

@@ -13,6 +13,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior, read_prior
 from pfdist.results import Run
+from pfdist.results.sets import best_first
 from pfdist.runner.build import Built
 
 Table = str | Path | pd.DataFrame
@@ -112,7 +113,7 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
             f"for instance {list(sets)[-1]}",
             argument="planned",
         )
-    best = run.summary().by_error[0]
+    best = best_first(run, run.table("sets"))[0]
     return best, sets[best]
 
 

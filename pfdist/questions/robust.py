@@ -1,6 +1,7 @@
 """How the times do in each scenario: a table, and the worst scenario in a sentence."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -8,10 +9,10 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.parts import Cell, Section, Table, Text
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
-from pfdist.questions.subject import Subject, effect, mse_cell, percent_cell
+from pfdist.questions.subject import Subject, effect
+from pfdist.results.columns import COLUMNS, Row
 
-Row = Mapping[str, Any]
-THE_WORST = "the expected error of the worst scenario"
+_THE_WORST = "the expected error of the worst scenario"
 
 _MEANING = (
     "The true model of each draw has the parameters of one scenario, with the probability of its "
@@ -23,15 +24,14 @@ _MEANING = (
 
 def scenarios(subject: Subject) -> Section | None:
     """The expected error of the best sets and of the reference in each scenario."""
-    rows = subject.summary.scenarios
-    if not rows:
+    if not subject.scenarios:
         return None
-    shown = [next(iter(subject.results)), *reversed(subject.shown)]
-    head = ("scenario", "share, %", *shown, "lower by, %")
-    numbers = sorted({row["scenario"] for row in rows})
-    cells = [
-        _cells([row for row in rows if row["scenario"] == number], shown) for number in numbers
-    ]
+    shown = [subject.reference_row.name, *reversed(subject.shown)]
+    head = ("scenario", "share, %", *shown, COLUMNS["gain_of_means"].head)
+    rows = defaultdict[int, dict[str, Any]](dict)
+    for row in subject.scenarios:
+        rows[row.scenario][row.name] = row
+    cells = [_cells(of_set, shown) for _, of_set in sorted(rows.items())]
     texts = [Text(sentence, prominent=True) for sentence in _sentences(subject, shown[-1])]
     table = Table(
         "Expected error ± standard error in each scenario", head, cells, optional=shown[1:-1]
@@ -39,33 +39,36 @@ def scenarios(subject: Subject) -> Section | None:
     return Section("In each scenario", [*texts, table, Text(_MEANING, detail=True)])
 
 
-def _cells(rows: Sequence[Row], shown: Sequence[str]) -> list[Cell]:
-    of_set = {row["name"]: row for row in rows}
-    best = of_set[shown[-1]]
-    text = parameters_text(best["parameters"])
-    cells = [Cell(text, best["scenario"]), Cell(percent(best["share"], 1), best["share"])]
-    errors = ((of_set[name]["expected_mse"], of_set[name]["standard_error"]) for name in shown)
-    cells += [mse_cell(*each) for each in errors]
-    interval = [best["gain_of_means_low"], best["gain_of_means_high"]]
-    is_known = best["gain_of_means"] is not None
-    cells.append(percent_cell(best["gain_of_means"], interval) if is_known else Cell(""))
-    return cells
+def _cells(of_set: Mapping[str, Row], shown: Sequence[str]) -> list[Cell]:
+    best, error = of_set[shown[-1]], COLUMNS["expected_mse"]
+    return [
+        Cell(parameters_text(best.parameters), best.scenario),
+        Cell(percent(best.share, 1), best.share),
+        *(error.cell(of_set[name]) for name in shown),
+        COLUMNS["gain_of_means"].cell(best),
+    ]
+
+
+def _worst_scenario(subject: Subject, name: str) -> Row | None:
+    """The scenario with the largest expected MSE of a set; None if one is unknown or infinite."""
+    rows = [row for row in subject.scenarios if row.name == name]
+    if not all(row.expected_mse is not None and math.isfinite(row.expected_mse) for row in rows):
+        return None
+    return max(rows, key=lambda row: float(row.expected_mse))
 
 
 def _sentences(subject: Subject, best: str) -> Iterator[str]:
     """Compare the worst scenario of the best set with that of the reference."""
-    names = best, next(iter(subject.results))
-    worst, reference = (subject.summary.worst_scenario(name) for name in names)
-    if worst is None or reference is None or best == reference["name"]:
+    names = best, subject.reference_row.name
+    worst, reference = (_worst_scenario(subject, name) for name in names)
+    if worst is None or reference is None or best == reference.name:
         return
-    errors = [
-        with_error(each["expected_mse"], each["standard_error"]) for each in (worst, reference)
-    ]
-    first, second = (parameters_text(each["parameters"]) for each in (worst, reference))
+    errors = [with_error(each.expected_mse, each.standard_error) for each in (worst, reference)]
+    first, second = (parameters_text(each.parameters) for each in (worst, reference))
     where = "there, too" if first == second else f"in its worst scenario, {second}"
     yield (
         f"The worst scenario of {best} is {first}, with an expected error of {errors[0]}; "
-        f"{reference['name']} has {errors[1]} {where}."
+        f"{reference.name} has {errors[1]} {where}."
     )
 
 
@@ -75,21 +78,21 @@ def worst_effect(subject: Subject, name: str) -> str | None:
     The worst scenarios of two sets may differ. Then their draws do, too, so the logarithms of the
     two errors are independent.
     """
-    if not (subject.summary.scenarios and subject.summary.is_worst):
+    if not (subject.scenarios and subject.worst_decides):
         return None
-    names = name, next(iter(subject.results))
-    worst, reference = (subject.summary.worst_scenario(each) for each in names)
-    if worst is None or reference is None or not worst["expected_mse"] * reference["expected_mse"]:
+    names = name, subject.reference_row.name
+    worst, reference = (_worst_scenario(subject, each) for each in names)
+    if worst is None or reference is None or not worst.expected_mse * reference.expected_mse:
         return None
-    ends = [worst["gain_of_means_low"], worst["gain_of_means_high"]]
+    ends = [worst.gain_of_means_low, worst.gain_of_means_high]
     mse, of_reference = (
-        Estimate(each["expected_mse"], each["standard_error"]) for each in (worst, reference)
+        Estimate(each.expected_mse, each.standard_error) for each in (worst, reference)
     )
-    if worst["scenario"] != reference["scenario"]:
+    if worst.scenario != reference.scenario:
         errors = (each.standard_error / each.value for each in (mse, of_reference))
         apart = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
         ends = [1 - math.exp(end) for end in reversed(apart.interval())]
-    phrase, left_open = effect(1 - mse.value / of_reference.value, ends, THE_WORST)
+    phrase, left_open = effect(1 - mse.value / of_reference.value, ends, _THE_WORST)
     return f"{phrase}, from {of_reference.text} to {mse.text}. {left_open}".rstrip()
 
 

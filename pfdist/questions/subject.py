@@ -1,30 +1,36 @@
 """The run that a report is about, and phrases that several sections use."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
-from pfdist.common.parts import Cell, Table, Text, without_empty_columns
-from pfdist.common.percent import cost, percent, range_of, times_100
+from pfdist.common.parts import Cell, Table, Text
+from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.errors import one_line
+from pfdist.problem.set_key import label_of
 from pfdist.results import Run, reaching, read_recorded
-from pfdist.results.reference import label
+from pfdist.results.budget_curve import FOUND
+from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
+from pfdist.results.sets import best_first
 from pfdist.results.stored_run import problem_of
-from pfdist.results.summary import SetResult, Summary
 
-ERROR_HEAD = "expected error ± standard error"
+if TYPE_CHECKING:
+    import pandas as pd
+
+ERROR_HEAD = COLUMNS["expected_mse"].head
 MOST_SETS = 4
 """Sets that have figures in a report; each has about 60 kB of them."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A run, its summary and its tables.
+    """A run, and its table of sets.
 
     Parameters
     ----------
@@ -37,14 +43,15 @@ class Subject:
     target: float | None = None
 
     @cached_property
-    def summary(self) -> Summary:
-        """As of `pfdist.results.Run.summary`."""
-        return self.run.summary()
+    def sets(self) -> "pd.DataFrame":
+        """The table ``sets`` of the run, once the searches have ended."""
+        return self.run.table("sets")
 
-    @property
-    def results(self) -> dict[str, SetResult]:
-        """Results of each set by name, the reference first."""
-        return self.summary.results
+    @cached_property
+    def rows(self) -> dict[str, Row]:
+        """The rows of the table of sets by name, the reference first."""
+        is_known = "sets" in self.run.tables
+        return {row.name: row for row in rows_of(self.sets)} if is_known else {}
 
     @property
     def model_name(self) -> str:
@@ -53,30 +60,51 @@ class Subject:
         return one_line(own_name or without_folder(self.run.job["model"]["name"]))
 
     @property
+    def reference_row(self) -> Row:
+        """The row of the reference."""
+        return next(iter(self.rows.values()))
+
+    @cached_property
     def is_compared(self) -> bool:
         """Whether the comparison has begun."""
-        return any(result.is_compared for result in self.results.values())
+        return "comparison" in self.run.tables
 
     @property
-    def found_results(self) -> dict[str, SetResult]:
-        """Results of the sets that the searches have found."""
-        return {name: result for name, result in self.results.items() if result.is_found}
+    def found_rows(self) -> dict[str, Row]:
+        """The rows of the sets that the searches have found."""
+        return {name: row for name, row in self.rows.items() if row.kind == FOUND}
 
     @property
-    def others(self) -> dict[str, SetResult]:
-        """Results of all sets but the reference."""
-        return dict([*self.results.items()][1:])
+    def others(self) -> dict[str, Row]:
+        """The rows of all sets but the first reference."""
+        return dict([*self.rows.items()][1:])
+
+    @cached_property
+    def by_error(self) -> list[str]:
+        """Names of the found sets, or of all sets of a run without a search, the best first."""
+        return best_first(self.run, self.sets) if self.rows else []
 
     @property
     def shown(self) -> list[str]:
         """Names of the sets that have figures in a report: some of the best."""
-        return [name for name in self.summary.by_error if name in self.others][:MOST_SETS]
+        return [name for name in self.by_error if name in self.others][:MOST_SETS]
+
+    @cached_property
+    def scenarios(self) -> list[Row]:
+        """The rows of the table ``scenarios``, if the job has scenarios."""
+        is_known = "scenarios" in self.run.tables
+        return rows_of(self.run.table("scenarios")) if is_known else []
+
+    @property
+    def worst_decides(self) -> bool:
+        """Whether the job asks for the least expected MSE in the worst scenario."""
+        return bool(self.run.job.get("scenarios", {}).get("criterion") == "worst")
 
     @property
     def about_others(self) -> list[Text]:
         """Say where the figures of the other sets are."""
         others = len(self.others) - len(self.shown)
-        shown = number_of(len(self.shown), "found set" if self.found_results else "set")
+        shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
         text = (
             f"Figures are shown of {shown} with the least expected error. Those of the other "
             f"{number_of(others, 'set')} are in the folder figures of the run."
@@ -85,22 +113,23 @@ class Subject:
 
     def reaching(self, target: float) -> dict[str, dict[str, Any]]:
         """How many measurements reach an expected MSE; see `pfdist.results.reaching`."""
-        return reaching(self.run.table("budget"), target)
+        return reaching(self.sets, target)
 
     @property
     def reference_times(self) -> Sequence[float | str]:
         """Measurement times of the reference."""
-        return next(iter(self.results.values())).measurement_times
+        times: Sequence[float | str] = self.reference_row.measurement_times
+        return times
 
     @property
     def reference(self) -> str:
         """The reference as sentences call it: ``every 3 instants``, or its name."""
-        name, times = next(iter(self.results)), self.reference_times
+        name, times = self.reference_row.name, self.reference_times
         sensors = {time_and_sensor(time)[1] for time in times}
         instants = (time_and_sensor(time)[0] for time in times)
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
-            return label(name)
+            return label_of(name)
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if problem_of(self.run).has_clock:
             return f"every {step} {self.unit}".rstrip() + sensor
@@ -110,11 +139,6 @@ class Subject:
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
         return problem_of(self.run).clock.unit
-
-    @property
-    def cost_head(self) -> str:
-        """Head of the column of costs; the column is empty if the job has no total cost."""
-        return f"cost, of {problem_of(self.run).total_cost}"
 
     def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""
@@ -131,7 +155,7 @@ def effect(
     gain : float
         Relative; negative if the error rises.
     interval : list of float or None
-        Lower and upper end, 95 %; None is unknown.
+        Lower and upper end, 95 %; None and infinite ends are unknown.
     what : str
 
     Returns
@@ -148,7 +172,7 @@ def effect(
     """
     low, high = interval
     changes = "lowers" if gain >= 0 else "raises"
-    if low is None or high is None:
+    if low is None or high is None or math.isinf(high - low):
         value, *_ = with_interval(100 * abs(gain), None, None)
         phrase = f"{changes} {what} by {value} %"
         return phrase, "There are too few draws to say how exact this figure is."
@@ -180,22 +204,8 @@ def exact_effect(mse: float, reference: float, what: str = "the expected error")
 
 
 def mse_cell(expected_mse: float | None, error: float | None) -> Cell:
-    """A cell with an expected MSE and its standard error; None stands for an infinite value."""
-    mse = cost(expected_mse)
-    return Cell(with_error(mse, error), mse)
-
-
-def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:
-    """A cell with a fraction in per cent and its interval.
-
-    Parameters
-    ----------
-    fraction : float or None
-    interval : list of float or None
-        Lower and upper end.
-    """
-    value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
-    return Cell(f"{value} ({range_of(low, high)})", fraction)
+    """A cell with an expected MSE and its standard error."""
+    return Cell(with_error(expected_mse, error), expected_mse)
 
 
 def without_folder(model: str) -> str:
@@ -222,22 +232,8 @@ def number_of(count: int, what: str) -> str:
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
-def cost_cell(result: SetResult) -> Cell:
-    """A cell with the cost of a set; empty if the job has no total cost."""
-    return Cell("" if result.cost is None else str(result.cost), result.cost)
-
-
-def sets_table(subject: Subject) -> Table:
+def all_sets(subject: Subject) -> Table:
     """A table of all sets of times, folded away."""
-    rows = [
-        [
-            Cell(name),
-            Cell(str(len(times)), len(times)),
-            cost_cell(result),
-            Cell(subject.listed(times)),
-        ]
-        for name, result in subject.results.items()
-        for times in (result.measurement_times,)
-    ]
-    head = ("times", "number", subject.cost_head, "t")
-    return without_empty_columns(Table("All sets of times", head, rows, detail=True))
+    columns = ("name", "measurements", "price", "measurement_times")
+    rows = subject.rows.values()
+    return sets_table("All sets of times", rows, columns, unit=subject.unit, detail=True)

@@ -4,6 +4,7 @@ Reads tables alone: no Ray, no model, no kernel.
 """
 
 from pfdist.results.budget_curve import reaching
+from pfdist.results.columns import finite
 from pfdist.results.gains import (
     BIN,
     BLOCK,
@@ -17,4 +18,3 @@ from pfdist.results.gains import (
 from pfdist.results.run import Run, open_run
 from pfdist.results.stored_run import read_recorded
 from pfdist.results.streaming_moments import Moments
-from pfdist.results.summary import finite

@@ -1,4 +1,4 @@
-"""The cost that a search believed of its set, and why the cost on fresh draws is another."""
+"""The error that a search estimated of its set, and why the error on fresh draws is another."""
 
 import math
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.results.stored_run import StoredRun, copies_of, distrust_of, own_estimation
 
 _ROUNDING = 1e-9
+_EXACT = "exact"
 _CHOSE = "its draws chose the set"
 _UNDERESTIMATES = "the search's filter underestimates its error"
 _ERRS_MORE = "the search's filter errs more than the job's own"
@@ -24,12 +25,12 @@ def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[st
     search : str
         The search that found the set.
     result : mapping
-        With search_cost, search_standard_error, expected_mse and standard_error.
+        With search_mse, search_standard_error, expected_mse and standard_error.
 
     Returns
     -------
     dict
-        The four search_ fields of `pfdist.results.Run.summary`.
+        The columns of the table of sets that begin with search_.
     """
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
@@ -37,8 +38,8 @@ def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[st
     # After a second search the race gives the cost, and it estimates as the comparison.
     own = {} if distrust else own_estimation(run, search)
     return {
-        "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
-        "search_estimation": own,
+        "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
+        "search_settings": ", ".join(f"{key} = {value}" for key, value in own.items()),
         "search_cause": cause_of_excess(result, own, str(run.path), len(copies)),
         "search_distrust": distrust,
     }
@@ -55,7 +56,7 @@ def cause_of_excess(
     Parameters
     ----------
     result : mapping
-        With search_cost, search_standard_error, expected_mse and standard_error.
+        With search_mse, search_standard_error, expected_mse and standard_error.
     own : mapping
         How the search estimates otherwise than the comparison.
     run : str
@@ -63,12 +64,12 @@ def cause_of_excess(
     evaluations : int
         Number of evaluations from which the search chose.
     """
-    apart = result["search_cost"] - result["expected_mse"]
+    apart = result["search_mse"] - result["expected_mse"]
     error = math.hypot(result["search_standard_error"], result["standard_error"])
     limit = largest_of(evaluations) if apart < 0 and not _is_biased(own) else CLEAR_ERRORS
     rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both costs are exact
     if not abs(apart) > limit * error + rounding:
-        return _CHOSE
+        return _CHOSE if error else _EXACT
     if apart > 0 and own:
         return _ERRS_MORE
     if _is_biased(own):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, student_quantile
-from pfdist.results.gains import ComparisonStatistics
 from pfdist.results.streaming_moments import Moments
 
 if TYPE_CHECKING:
@@ -22,71 +21,21 @@ BOUND_DEGREES = 19
 """Degrees of freedom of the error of a lower bound: a jackknife over 20 groups of draws."""
 
 
-def budget_table(
-    compared: pd.DataFrame, statistics: ComparisonStatistics, blocks: Iterable[Any], reference: str
-) -> pd.DataFrame:
-    """The expected MSE of each compared set, with its number of measurements.
-
-    Parameters
-    ----------
-    compared : DataFrame
-        The table ``compared``.
-    statistics : ComparisonStatistics
-        Statistics of every compared set.
-    blocks : iterable of tables
-        Per-draw MSE, block by block, in columns ``mse_<name>``.
-    reference : str
-        Kind of the sets over which others gain.
-
-    Returns
-    -------
-    DataFrame
-        See the table ``budget``.
-    """
-    rows = []
-    for entry in compared.to_dict("records"):
-        name, times = str(entry["name"]), entry["measurement_times"].tolist()
-        kind = reference if name not in statistics.references else GIVEN
-        moments, (low, high) = statistics.mse[name], statistics.mse[name].estimate.interval()
-        rows.append(
-            {
-                "kind": kind if math.isnan(entry["search_cost"]) else FOUND,
-                "measurements": len(times),
-                "name": name,
-                "measurement_times": times,
-                "expected_mse": moments.mean,
-                "standard_error": moments.standard_error,
-                "low": low,
-                "high": high,
-                "draws": moments.count,
-                "degenerate_draws": statistics.degenerate_draws[name],
-                "top_percent_share": statistics.top_percent_share(name),
-                "search_cost": float(entry["search_cost"]),
-                "search_standard_error": float(entry["search_standard_error"]),
-            }
-        )
-    import pandas as pd  # noqa: PLC0415  it loads when tables are made
-
-    table = pd.DataFrame(rows)
-    worse = _worse(table, blocks)
-    table["worse_than"] = pd.array([worse.get(name) for name in table["name"]], dtype="Int64")
-    return table
-
-
 def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Add the columns bound, bound_error and bound_low to a budget curve.
+    """Add the columns bound, bound_error and bound_low to the table of sets.
 
     Parameters
     ----------
     table : DataFrame
-        As of `budget_table`.
+        The table ``sets``, before these columns are added.
     proofs : mapping of str to mapping
         As of `pfdist.results.stored_run.last_bounds`: the lower bound of each found set, by name.
+        A proof that failed has a reason, and no bound.
 
     Returns
     -------
     DataFrame
-        See the table ``budget``. The columns are NaN for sets that have no bound.
+        The columns are NaN for sets that have no bound.
     """
     # Sets with the same sum share a bound; a bound that failed still counts as one of a curve's.
     different = {proof["budget"] for proof in proofs.values() if not proof["reason"]}
@@ -109,12 +58,20 @@ def _limit(proof: Mapping[str, Any], numbers: int) -> float:
     return float(proof["bound"] + quantile * proof["bound_error"])
 
 
-def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
+def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     """The sets that have a higher MSE than the best set with fewer measurements.
 
     Both sets are of one kind, regular or found. The result maps a set's name to the smaller number.
-    The interval of the difference on common draws must lie above 0. The best set was chosen on the
-    same draws. So each interval allows for all pairs of a kind (Bonferroni, 95 % together).
+    The interval of the difference on common draws must lie above 0; a difference of two exact
+    errors has no interval. The best set was chosen on the same draws. So each interval allows for
+    all pairs of a kind (Bonferroni, 95 % together).
+
+    Parameters
+    ----------
+    table : DataFrame
+        With name, kind, measurements, expected_mse and standard_error of each set.
+    blocks : iterable of tables
+        Per-draw MSE, block by block, in columns ``mse_<name>``.
     """
     best_of_fewer, differences = {}, defaultdict[str, Moments](Moments)
     for _, sets in table.groupby("kind"):
@@ -130,10 +87,15 @@ def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
             difference = rows[f"mse_{name}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
             differences[name].add(difference[~np.isnan(difference)])
     confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
+    exact = table[table["standard_error"] == 0.0].set_index("name")["expected_mse"]
     return {
         name: int(best["measurements"])
         for name, best in best_of_fewer.items()
-        if differences[name].estimate.interval(confidence)[0] > 0
+        if (
+            exact[name] > exact[best["name"]]
+            if {name, best["name"]} <= {*exact.index}
+            else differences[name].estimate.interval(confidence)[0] > 0
+        )
     }
 
 
@@ -143,7 +105,7 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     Parameters
     ----------
     table : DataFrame
-        The table ``budget`` of a run.
+        The table ``sets`` of a run.
     target : float
 
     Returns
@@ -169,7 +131,9 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         best = sets.sort_values("expected_mse", kind="stable").drop_duplicates("measurements")
         rows = best.set_index("measurements").sort_index()
         # The intervals of all numbers hold together (Bonferroni), and so does the least number.
-        quantile = student_quantile((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
+        quantile = student_quantile(
+            (1 - CONFIDENCE) / 2 / len(rows), rows["draws"].astype(float) - 1
+        )
         half = -quantile * rows["standard_error"]
         low, high = rows["expected_mse"] - half, rows["expected_mse"] + half
         # A proof outranks an estimate that reaches the target by chance.

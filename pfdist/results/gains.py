@@ -6,7 +6,7 @@ and a histogram with fixed bins, which gives the quantiles.
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from pfdist.common.estimate import UNKNOWN, Interval, wilson_interval
 from pfdist.filters.estimate import top_percent_share
 from pfdist.results.streaming_moments import Array, Moments, Pairs
 
+GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction", "mean_log10_ratio")
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN = 0.001
 _MUCH = 0.05  # two gains that differ by more need an explanation
@@ -68,10 +69,12 @@ class GainSummary:
     quantiles: dict[float, float]
 
     def columns(self) -> dict[str, Any]:
-        """All fields, and ``gains_disagree``, as a summary gives them."""
-        gain = asdict(self) | {"gains_disagree": self.disagree}
-        gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
-        return {"gain_draws": gain.pop("draws"), **gain}
+        """Columns of the table of sets: all figures, the ends of intervals, gains_disagree."""
+        columns: dict[str, Any] = {"gain_draws": self.draws, "gains_disagree": self.disagree}
+        for name in GAINS:
+            low, high = getattr(self, f"{name}_interval")
+            columns |= {name: getattr(self, name), f"{name}_low": low, f"{name}_high": high}
+        return columns | {quantile_name(q): value for q, value in self.quantiles.items()}
 
     @property
     def disagree(self) -> bool:
@@ -87,6 +90,15 @@ class GainSummary:
         apart = relative[1] < means[0] or means[1] < relative[0]
         different = abs(self.mean_relative_gain - self.gain_of_means) > _MUCH
         return len(signs) > 1 or (apart and different)
+
+
+def quantile_name(share: float) -> str:
+    """The column of a quantile of the relative gain.
+
+    >>> quantile_name(0.05)
+    'gain_quantile_5'
+    """
+    return f"gain_quantile_{round(100 * share)}"
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from pfdist.common.measurement_times import Times
-from pfdist.common.percent import cost
 from pfdist.results.gains import Gain, relative_gain
 from pfdist.results.run import Run
 from pfdist.results.runs_table import RESULTS, runs_table
@@ -98,19 +97,15 @@ def _losses(
     With money, `smaller` says whether sets can be compared to which a measurement can be added.
     """
     names = {times: name for name, times in judge.sets.items()}
-    results = judge.summary().results
-    exact_mse = {times: results[name].exact_mse for times, name in names.items()}
-    mse = {
-        times: cost(results[name].expected_mse if exact_mse[times] is None else exact_mse[times])
-        for times, name in names.items()
-    }
+    results = judge.table("sets").set_index("name")
+    mse = {times: results["expected_mse"][name] for times, name in names.items()}
     own = {each.times for each in found_sets if each.point == point and each.times in names}
     best = dict[Times, Times]()  # of those found at the point, for each set of times
     for times in {each.times for each in found_sets if each.times in names}:
         comparable = [each for each in own if _are_comparable(judge, times, each, smaller)]
         if comparable:
             best[times] = min(comparable, key=lambda each: (mse[each], each))
-    if None not in exact_mse.values():
+    if not results["standard_error"].any():  # all are exact
         exact = {times: np.array(mse[times]) for times in names}
         gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
         return {times: (0.0 - gain,) * 3 for times, gain in gains.items()}

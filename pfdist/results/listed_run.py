@@ -6,8 +6,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from pfdist.errors import StoreError, one_line, relative, shown_text
+from pfdist.results.columns import Row, rows_of
 from pfdist.results.run import Run, open_run
-from pfdist.results.summary import Summary
+from pfdist.results.sets import best_first
 from pfdist.store import is_held
 from pfdist.store.folder import extent
 
@@ -72,26 +73,27 @@ def listed_run(path: Path, name: str) -> ListedRun:
     changed = datetime.fromtimestamp(seconds, UTC)
     try:
         run = open_run(path)
-        state, summary = _state(run), run.summary()
-        best = _best(summary)
+        listed = ListedRun(
+            name,
+            _state(run),
+            run.draws_compared,
+            run.job["comparison"]["draws"],
+            changed,
+            size,
+            has_budget="budget" in run.job,
+        )
+        best = _best(run)
     except Exception as error:  # a list of many runs must not end because of one of them
         fault = _in_few_words(error, path)
         return ListedRun(name, DAMAGED, 0, 0, changed, size, fault=fault)
-    listed = ListedRun(
-        name,
-        state,
-        summary.draws_compared,
-        run.job["comparison"]["draws"],
-        changed,
-        size,
-        has_budget=summary.has_budget,
-    )
     if best is None:
         return listed
-    result = summary.results[best]
-    gain = result.gain_of_means if result.exact_gain is None else result.exact_gain
-    gain = math.nan if gain is None else gain
-    return replace(listed, best=best, reference=run.names[0], gain_of_means=gain)
+    return replace(
+        listed,
+        best=best.name,
+        reference=best.reference,
+        gain_of_means=math.nan if best.gain_of_means is None else best.gain_of_means,
+    )
 
 
 def _state(run: Run) -> str:
@@ -100,12 +102,13 @@ def _state(run: Run) -> str:
     return FINISHED if run.state == "finished" else UNFINISHED
 
 
-def _best(summary: Summary) -> str | None:
+def _best(run: Run) -> Row | None:
     """The best set other than the reference, once draws are compared."""
-    if summary.has_budget or not summary.draws_compared:
+    if "budget" in run.job or not run.draws_compared:
         return None
-    reference = next(iter(summary.results))
-    return next((name for name in summary.by_error if name != reference), None)
+    sets = run.table("sets")
+    rows = {row.name: row for row in rows_of(sets) if row.reference is not None}
+    return next((rows[name] for name in best_first(run, sets) if name in rows), None)
 
 
 def _in_few_words(error: Exception, path: Path) -> str:

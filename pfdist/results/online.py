@@ -62,18 +62,30 @@ class OnlineDraws:
         return np.array([tuple(chosen) != self.planned_times for chosen in times], np.bool_)
 
     def summary(self) -> dict[str, Any]:
-        """Costs, differences and gains; see `pfdist.results.Run.summary`."""
+        """Errors, differences and gains.
+
+        Returns
+        -------
+        dict
+            draws, degenerate_draws (with the online times, the plan or the reference), expected_mse
+            and standard_error of the online times, and differs_from_plan (share of draws whose
+            times are not those of the plan). The plan is the set of the first search. Under
+            ``plan`` and ``reference`` are name, expected_mse and standard_error on these draws,
+            difference (expected MSE of the online times, less that of the set) with difference_low
+            and difference_high (95 %, Student's t, of the paired differences), and the gain of the
+            online times over the set, in the columns of the table ``sets``.
+        """
         degenerate = self.rows.filter(regex="^degenerate").any(axis=1)
         return {
             "draws": len(self.rows),
             "degenerate_draws": int(degenerate.sum()),
-            **self._cost("online"),
+            **self._error("online"),
             "differs_from_plan": float(np.mean(self.differ)) if len(self.rows) else np.nan,
             "plan": self._against(self.plan),
             "reference": self._against(self.reference),
         }
 
-    def _cost(self, name: str) -> dict[str, Any]:
+    def _error(self, name: str) -> dict[str, Any]:
         mse = Moments()
         mse.add(self.mse(name))
         return {"expected_mse": mse.mean, "standard_error": mse.standard_error}
@@ -82,13 +94,20 @@ class OnlineDraws:
         difference = Moments()
         with np.errstate(invalid="ignore"):  # two infinite errors
             difference.add(self.mse("online") - self.mse(name))
+        low, high = difference.estimate.interval()
         return {
             "name": name,
-            **self._cost(name),
+            **self._error(name),
             "difference": difference.mean,
-            "difference_interval": difference.estimate.interval(),
+            "difference_low": low,
+            "difference_high": high,
             **self.gain("online", name).summary().columns(),
         }
+
+
+def is_online(run: StoredRun) -> bool:
+    """Whether a run has draws with online times that are compared."""
+    return {"comparison", "online"} <= {*run.tables}
 
 
 def online_draws(run: StoredRun) -> OnlineDraws:

@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pfdist.common.arguments import path_argument
-from pfdist.common.parts import Cell, Page, Section, Table
-from pfdist.common.percent import cost, percent_with_interval
-from pfdist.common.rounding import with_error
+from pfdist.common.arguments import path_argument, whole_argument
+from pfdist.common.nearest import did_you_mean
+from pfdist.common.parts import Page, Section
 from pfdist.common.shown import Shown
-from pfdist.errors import PfdistError, StoreError
-from pfdist.results.stored_run import StoredRun, check_one_number, gains_of, problem_of
-from pfdist.results.summary import SetResult, Summary, summary_of
-from pfdist.store.schema import components_in
+from pfdist.errors import ArgumentError, PfdistError, StoreError, shown
+from pfdist.results.columns import Row, finite, records_of, rows_of, sets_table
+from pfdist.results.online import is_online, online_draws
+from pfdist.results.sets import best_first, sets_of
+from pfdist.results.stored_run import (
+    StoredRun,
+    check_one_number,
+    evaluations_of,
+    gains_of,
+    named_sets,
+    pairs_of,
+    problem_of,
+    ranks_of,
+    scenarios_of,
+    unproved,
+)
+from pfdist.store.schema import KEYS, components_in
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray
+
+_MOST_DRAWS = 2**62  # more than any table has
 
 
 class Run(StoredRun, Shown):
@@ -33,11 +49,68 @@ class Run(StoredRun, Shown):
     """
 
     @property
-    def best(self) -> SetResult:
-        """The times to measure at, and their results: the found set of least expected MSE.
+    def tables(self) -> tuple[str, ...]:
+        """Names of the tables that the run has, those of its files first."""
+        stored = super().tables
+        needs = {"sets": "compared", "scenarios": "scenarios"}
+        computed = [
+            name
+            for name in COMPUTED
+            if needs.get(name, "comparison") in (*stored, *self.job)
+            and (name != "scenarios" or "comparison" in stored)
+        ]
+        return (*stored, *computed)
 
-        The errors are those of the comparison; of the worst scenario, if the job asks for it. If no
-        search has run, it is the best of the job's own sets.
+    def table(self, name: str, draws: int | None = None) -> pd.DataFrame:
+        """A table of the run, by its name.
+
+        The manual lists all tables and their columns under "Files and tables of a run".
+
+        Parameters
+        ----------
+        name : str
+            One of `tables`.
+        draws : int, optional
+            Read only so many first draws of a table that has a row for each draw.
+
+        Returns
+        -------
+        DataFrame
+            Its ``attrs["labels"]`` have labels of columns, and ``attrs["sets"]`` the names of the
+            compared sets, the reference first.
+
+        Raises
+        ------
+        ArgumentError
+            No table has this name, or the table has no rows of draws.
+        StoreError
+            The run has no such table yet, or a file cannot be read.
+        """
+        if name not in TABLES:
+            raise ArgumentError(
+                f"a table must be one of {', '.join(TABLES)}, got {shown(name)}"
+                f"{did_you_mean(name, TABLES)}",
+                argument="name",
+            )
+        if draws is not None:
+            draws = whole_argument("draws", draws, 1, _MOST_DRAWS)
+            if name != "gains" and "draw" not in KEYS.get(name, []):
+                raise ArgumentError(f"the table {name} has no rows of draws", argument="draws")
+        if name not in COMPUTED:
+            return super().table(name, draws)
+        if name not in self.tables:
+            has = ", ".join(self.tables) or "none yet"
+            raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
+        table = gains_of(self, draws) if name == "gains" else COMPUTED[name](self)
+        table.attrs["sets"] = self.names
+        return table
+
+    @property
+    def best(self) -> Row:
+        """The times to measure at, and their results: a row of the table ``sets``.
+
+        It is the found set of least expected MSE; of least error in the worst scenario, if the job
+        asks for it. If no search has run, it is the best of the job's own sets.
 
         Raises
         ------
@@ -45,15 +118,46 @@ class Run(StoredRun, Shown):
             The comparison has not begun, or the run has times of several numbers of measurements.
         """
         check_one_number(self)
-        summary = self.summary()
-        result = summary.results[summary.by_error[0]]
-        if not result.is_compared:
-            raise StoreError(f"{self.path} has compared no draws yet: it is {summary.state}")
-        return result
+        if not self.draws_compared:
+            raise StoreError(f"{self.path} has compared no draws yet: it is {self.state}")
+        sets = self.table("sets")
+        name = best_first(self, sets)[0]
+        return next(row for row in rows_of(sets) if row.name == name)
 
-    def summary(self) -> Summary:
-        """How far the run is, and what it has found; see `pfdist.results.summary.Summary`."""
-        return summary_of(self)
+    def as_json(self) -> dict[str, Any]:
+        """How far the run is, and what it has found, as JSON values.
+
+        Returns
+        -------
+        dict
+            - run (its folder), state and draws_compared, as the properties.
+            - evaluations: their number, copies counted.
+            - time_unit: that of the job's clock; None without a clock.
+            - instant_weights: the weight of each instant's error in the MSE, with mean 1, or None.
+            - unproved: why found sets have no lower bound, although one was asked for, and which
+              command proves one; empty if nothing is to be said.
+            - sets: the rows of the table ``sets``; empty before the searches have ended.
+            - pairs, ranks: rows of these tables, if the job names sets; else None.
+            - scenarios: rows of this table, if the job has scenarios; else None.
+            - online: results of times that were chosen one after another, or None; see
+              `pfdist.results.online.OnlineDraws.summary`.
+        """
+        problem, has = problem_of(self), self.tables
+        named = "comparison" in has and bool(named_sets(self))
+        return {
+            "run": str(self.path),
+            "state": self.state,
+            "evaluations": evaluations_of(self),
+            "draws_compared": self.draws_compared,
+            "time_unit": problem.clock.unit if problem.has_clock else None,
+            "instant_weights": [*problem.weights] if problem.weights else None,
+            "unproved": unproved(self),
+            "sets": records_of(self.table("sets")) if "sets" in has else [],
+            "pairs": records_of(self.table("pairs")) if named else None,
+            "ranks": records_of(self.table("ranks")) if named else None,
+            "scenarios": records_of(self.table("scenarios")) if "scenarios" in has else None,
+            "online": finite(online_draws(self).summary()) if is_online(self) else None,
+        }
 
     def to_datatree(self) -> xarray.DataTree:
         """The run as a tree of labelled arrays, for xarray and ArviZ.
@@ -97,13 +201,24 @@ class Run(StoredRun, Shown):
 
     def _page(self) -> Page:
         try:
-            summary = self.summary()
+            sets = rows_of(self.table("sets")) if "sets" in self.tables else []
+            warnings = list(filter(None, [unproved(self)]))
         except PfdistError:
             return Page("", _title(self), [])
-        warnings = list(filter(None, [summary.unproved]))
-        head = ("times", "measurements", "expected MSE ± standard error", "below the reference")
-        rows = [[Cell(text) for text in _row(name, each)] for name, each in summary.results.items()]
-        return Page("", _title(self), [Section("", [Table("", head, rows)])], warnings)
+        table = sets_table("", sets, ("name", "measurements", "expected_mse", "gain_of_means"))
+        return Page("", _title(self), [Section("", [table])], warnings)
+
+
+COMPUTED: dict[str, Callable[[StoredRun], pd.DataFrame]] = {
+    "sets": sets_of,
+    "gains": gains_of,
+    "pairs": pairs_of,
+    "ranks": ranks_of,
+    "scenarios": scenarios_of,
+}
+"""Tables that follow from others, by name; the docstring of each function says what they have."""
+TABLES = (*KEYS, *COMPUTED)
+"""Names of all tables that a run may have."""
 
 
 def open_run(path: str | Path) -> Run:
@@ -131,15 +246,6 @@ def _title(run: Run) -> str:
         return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
     except StoreError:
         return f"run {run.path}: cannot be read"
-
-
-def _row(name: str, result: SetResult) -> tuple[str, ...]:
-    mse = gain = ""
-    if result.is_compared:
-        mse = with_error(cost(result.expected_mse), result.standard_error)
-    if result.gain_draws is not None:
-        gain = percent_with_interval(result.gain_of_means, result.gain_of_means_interval)
-    return name, str(result.measurements), mse, gain
 
 
 def _comparison(run: StoredRun) -> xarray.Dataset:

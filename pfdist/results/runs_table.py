@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 
 from pfdist.common.dotted_keys import leaves
-from pfdist.common.percent import cost
+from pfdist.results.columns import Row, rows_of
+from pfdist.results.gains import GAINS
 from pfdist.results.run import Run
-from pfdist.results.stored_run import version_of
-from pfdist.results.summary import SetResult, Summary
+from pfdist.results.stored_run import evaluations_of, problem_of, version_of
 
 _NO_SEARCH = "search"  # the leaf of an empty list
 
@@ -55,23 +55,20 @@ def _frozen(value: Any) -> Any:
 
 # --- the table ------------------------------------------------------------------------------------
 
-_GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction")
-_PROOF = {"bound": "bound", "bound_gap": "gap", "bound_gap_at_most": "gap_at_most"}
+_OF_A_SET = (
+    "expected_mse", "standard_error", "reference",
+    *(f"{gain}{end}" for gain in GAINS[:3] for end in ("", "_low", "_high")),
+    "bound", "bound_gap", "bound_gap_at_most", "measurements", "measurement_times",
+)  # fmt: skip
 RESULTS = (
-    "set", "state", "draws",
-    "expected_mse", "standard_error",
-    "reference", "reference_mse", "reference_standard_error",
-    *(f"{gain}{end}" for gain in _GAINS for end in ("", "_low", "_high")),
-    *_PROOF,
-    "measurements", "measurement_times",
-    "evaluations", "worker_seconds", "path",
+    "set", "state", "draws", *_OF_A_SET[:3], "reference_mse", "reference_standard_error",
+    *_OF_A_SET[3:], "evaluations", "worker_seconds", "path",
 )  # fmt: skip
 """Columns of a table of runs that follow the run and the differing keys."""
-_NUMBERS = {
-    "standard_error", "worker_seconds", *(name for name in RESULTS if "mse" in name),
-    *(name for name in RESULTS if name.startswith((*_GAINS, "bound"))), "reference_standard_error",
-}  # fmt: skip
-Row = dict[str, Any]
+_NUMBERS = {name for name in RESULTS if name.startswith((*GAINS, "bound", "worker"))} | {
+    name for name in RESULTS if name.endswith(("_mse", "standard_error"))
+}
+Results = dict[str, Any]
 
 
 def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
@@ -97,12 +94,12 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     if len(set(versions)) > 1:
         keys["pfdist"] = versions
     names = _differ([run.path for run in runs])
-    rows, units = list[Row](), set[str]()
+    rows, units = list[Results](), set[str]()
     for number, run in enumerate(runs):
-        summary = run.summary()
-        units.add(summary.time_unit or "")
+        problem = problem_of(run)
+        units.add(problem.clock.unit if problem.has_clock else "")
         head = {"run": names[number], **{key: values[number] for key, values in keys.items()}}
-        rows += [head | row for row in _rows(run, summary)]
+        rows += [dict.fromkeys(RESULTS) | head | row for row in _rows(run)]
     columns = ("run", *keys, *RESULTS)
     frame = pd.DataFrame({name: _column(name, [row[name] for row in rows]) for name in columns})
     if len(units) == 1 and "" not in units:
@@ -110,66 +107,33 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     return frame
 
 
-def _rows(run: Run, summary: Summary) -> Iterator[Row]:
+def _rows(run: Run) -> Iterator[Results]:
     """Yield the rows of a run; one if nothing is known of any set but the reference."""
-    results, has_timings = summary.results, "timings" in run.tables
-    shared = dict.fromkeys(RESULTS) | {
-        "state": summary.state,
-        "draws": summary.draws_compared,
-        "evaluations": summary.evaluations,
-        "worker_seconds": run.table("timings")["seconds"].sum() if has_timings else None,
+    shared = {
+        "state": run.state,
+        "draws": run.draws_compared,
+        "evaluations": evaluations_of(run),
+        "worker_seconds": run.table("timings")["seconds"].sum()
+        if "timings" in run.tables
+        else None,
         "path": str(run.path),
     }
-    references = run.references if results else {}
-    if not references:
-        first = next(iter(results), None)
-        yield shared | ({} if first is None else _reference(first, results[first]))
-    for name, reference in references.items():
-        result = results[name]
-        yield (
-            shared | _reference(reference, results[reference]) | _set(name, result) | _gains(result)
-        )
+    sets = {row.name: row for row in rows_of(run.table("sets"))} if "sets" in run.tables else {}
+    others = [row for row in sets.values() if row.reference is not None]
+    if not others:
+        yield shared | (_reference(next(iter(sets.values()))) if sets else {})
+    for row in others:
+        own = {name: getattr(row, name) for name in _OF_A_SET}
+        own |= {"set": row.name, "measurement_times": tuple(row.measurement_times)}
+        yield shared | own | _reference(sets[row.reference])
 
 
-def _set(name: str, result: SetResult) -> Row:
-    """The values of a set alone."""
-    error, standard_error = _error(result)
-    proof = result.lower_bound or {}
+def _reference(row: Row) -> Results:
     return {
-        "set": name,
-        "expected_mse": error,
-        "standard_error": standard_error,
-        **{column: proof.get(key) for column, key in _PROOF.items()},
-        "measurements": result.measurements,
-        "measurement_times": tuple(result.measurement_times),
+        "reference": row.name,
+        "reference_mse": row.expected_mse,
+        "reference_standard_error": row.standard_error,
     }
-
-
-def _reference(name: str, result: SetResult) -> Row:
-    error, standard_error = _error(result)
-    values = {"reference_mse": error, "reference_standard_error": standard_error}
-    return {"reference": name, **values}
-
-
-def _error(result: SetResult) -> tuple[float | None, float | None]:
-    """The expected MSE and the standard error; if an engine knows it exactly, with 0."""
-    if result.exact_mse is not None:
-        return result.exact_mse, 0.0
-    if not result.is_compared:
-        return None, None
-    return cost(result.expected_mse), result.standard_error
-
-
-def _gains(result: SetResult) -> Row:
-    """The gains over the reference with the ends of their intervals."""
-    row = Row()
-    for gain in _GAINS:
-        low, high = getattr(result, f"{gain}_interval")
-        row |= {gain: getattr(result, gain), f"{gain}_low": low, f"{gain}_high": high}
-    if result.exact_gain is not None:
-        names = ("gain_of_means", "gain_of_means_low", "gain_of_means_high")
-        row |= dict.fromkeys(names, result.exact_gain)
-    return row
 
 
 def _differ(paths: Sequence[Path]) -> list[str]:

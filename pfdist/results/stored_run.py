@@ -1,9 +1,9 @@
-"""The tables of a run as DataFrames: those that files hold, and those that follow from them."""
+"""The tables in the files of a run as DataFrames, and tables that follow from them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,27 +12,22 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.common.arguments import whole_argument
 from pfdist.common.measurement_times import Times
-from pfdist.common.nearest import did_you_mean
-from pfdist.errors import ArgumentError, JobError, StoreError, shown
-from pfdist.filters.engines import is_exact
+from pfdist.errors import JobError, StoreError
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
-from pfdist.results.budget_curve import budget_table, with_bounds
+from pfdist.problem.set_key import key_of, references_of
 from pfdist.results.gains import BLOCK, ComparisonStatistics, Gain, relative_gain
 from pfdist.results.pairs import pairs_table, ranks_table
 from pfdist.results.particle_loss import ParticleLoss, particle_loss
-from pfdist.results.reference import references_of, without_number
 from pfdist.store import QUESTIONS, Store, check_entries, read_run, unreadable
 from pfdist.store.schema import KEYS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_MOST_DRAWS = 2**62  # more than any table has
 _OF_THE_SET = ["position", "name", "measurement_times"]
 
 
@@ -48,55 +43,15 @@ class StoredRun:
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """Names of the tables that the run has, those of its files first."""
-        stored = [name for name in KEYS if self._store.has(name)]
-        computed = [name for name in COMPUTED if name != "scenarios" or name in self.job]
-        return (*stored, *(computed if "comparison" in stored else []))
+        """Names of the tables that the run has in files."""
+        return tuple(name for name in KEYS if self._store.has(name))
 
     def table(self, name: str, draws: int | None = None) -> pd.DataFrame:
-        """A table of the run, by its name.
-
-        The manual lists all tables and their columns under "Files and tables of a run".
-
-        Parameters
-        ----------
-        name : str
-            One of `tables`.
-        draws : int, optional
-            Read only so many first draws of a table that has a row for each draw.
-
-        Returns
-        -------
-        DataFrame
-            Its ``attrs["labels"]`` have labels of columns, and ``attrs["sets"]`` the names of the
-            compared sets, the reference first.
-
-        Raises
-        ------
-        ArgumentError
-            No table has this name, or the table has no rows of draws.
-        StoreError
-            The run has no such table yet, or a file cannot be read.
-        """
-        if name not in TABLES:
-            raise ArgumentError(
-                f"a table must be one of {', '.join(TABLES)}, got {shown(name)}"
-                f"{did_you_mean(name, TABLES)}",
-                argument="name",
-            )
-        if draws is not None:
-            draws = whole_argument("draws", draws, 1, _MOST_DRAWS)
-            if name != "gains" and "draw" not in KEYS.get(name, []):
-                raise ArgumentError(f"the table {name} has no rows of draws", argument="draws")
-        if not (self._store.has(name) if name in KEYS else name in self.tables):
+        """A table of the run that files hold; of the first draws alone, if `draws` is given."""
+        if not self._store.has(name):
             has = ", ".join(self.tables) or "none yet"
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
-        if name == "gains":
-            table = gains_of(self, draws)
-        elif name in COMPUTED:
-            table = COMPUTED[name](self)
-        else:
-            table = self._store.compared() if name == "compared" else self._store.read(name, draws)
+        table = self._store.compared() if name == "compared" else self._store.read(name, draws)
         if self._store.has("compared"):
             table.attrs["sets"] = self.names
         return table
@@ -148,7 +103,7 @@ class StoredRun:
         """Reason for each search that was run again, by its name."""
         rows = self.table("compared")
         rows = rows[rows["distrust"].notna()]
-        names = [without_number(str(name), self.job) for name in rows["name"]]
+        names = [key_of(str(name), self.job).origin for name in rows["name"]]
         return dict(zip(names, rows["distrust"].astype(str), strict=True))
 
 
@@ -237,6 +192,29 @@ def copies_of(run: StoredRun) -> dict[str, list[int]]:
     return {str(name): copies.tolist() for name, copies in rows["copies"].groupby(names)}
 
 
+def evaluations_of(run: StoredRun) -> int:
+    """The number of evaluations of all searches, copies counted."""
+    return sum(map(sum, copies_of(run).values()))
+
+
+def unproved(run: StoredRun) -> str:
+    """Why found sets have no lower bound, although one was asked for; else empty.
+
+    It names the command that proves one.
+    """
+    proofs = last_bounds(run)
+    noted = read_recorded(run.path)[0]["provenance"].get("unproved")
+    found_names = found_sets(run) if run._store.has("compared") else []
+    if noted and not any(name in proofs for name in found_names):
+        return f"Not proved: {noted}."
+    names = defaultdict[str, list[str]](list)
+    for name in found_names:
+        names[proofs[name]["reason"] if name in proofs else ""].append(name)
+    return " ".join(
+        f"Not proved for {', '.join(each)}: {why}." for why, each in names.items() if why
+    )
+
+
 def killed_of(run: StoredRun) -> dict[str, int]:
     """How many evaluated sets of each phase degenerate draws have killed, if they killed any."""
     rows, policy = run.table("evaluations"), run.job["evaluation"]["degenerate_draws"]
@@ -282,29 +260,12 @@ def last_bounds(run: StoredRun) -> dict[str, dict[str, Any]]:
     return dict(zip(last["name"], proofs, strict=True))
 
 
-def exact_costs(run: StoredRun) -> dict[str, float]:
-    """The exact expected MSE of each compared set whose tables hold it, by name.
-
-    The searches know it of the sets that they have found. That of the reference is known once
-    ``pfdist bound`` or ``pfdist why`` has computed it. If the engine needs draws, nothing is known
-    exactly.
-    """
-    if not is_exact(run.job["filter"]["engine"]):
-        return {}
+def exact_errors(run: StoredRun) -> dict[str, float]:
+    """The expected MSE of each compared set by name, where the engine is exact; else nothing."""
     rows = run.table("compared")
-    costs = dict(zip(rows["name"], rows["search_cost"], strict=True))
-    if "exact_mse" in rows:  # a run with sets that its job names
-        given = rows[rows["exact_mse"].notna()]
-        costs |= dict(zip(given["name"], given["exact_mse"], strict=True))
-    if run._store.has("profile"):
-        profile = run.table("profile")
-        counts = profile["weight"] != 0.0  # an error that does not count may be infinite
-        profile["error"] = (profile["error"] * profile["weight"]).where(counts, 0.0)
-        costs |= profile.groupby("name")["error"].mean().to_dict()
-    if run._store.has("bound"):
-        proved = run.table("bound").drop_duplicates("name", keep="last")
-        costs |= dict(zip(proved["name"], proved["expected_mse"], strict=True))
-    return {str(name): float(cost) for name, cost in costs.items() if not math.isnan(cost)}
+    if "exact_mse" not in rows:
+        return {}
+    return dict(zip(rows["name"].astype(str), rows["exact_mse"].astype(float), strict=True))
 
 
 # --- tables that follow from others ---------------------------------------------------------------
@@ -326,30 +287,6 @@ def gains_of(run: StoredRun, draws: int | None = None) -> pd.DataFrame:
     return pd.DataFrame(gains)
 
 
-def budget_of(run: StoredRun, statistics: ComparisonStatistics | None = None) -> pd.DataFrame:
-    """A row for each compared set: a number of measurements with a kind of times.
-
-    The kinds are ``found`` (by a search), ``regular`` (or ``reference``, if the job gives its
-    times) and ``given`` (the other sets that the job names).
-
-    The columns are kind, measurements, name, measurement_times, expected_mse (on fresh draws),
-    standard_error, low and high (ends of the 95 % interval), draws, degenerate_draws,
-    top_percent_share (the share of expected_mse that 1 % of the draws carry), search_cost and
-    search_standard_error (what the search believed), and worse_than. The last is the best smaller
-    number of measurements of the same kind, if it is better on common draws. The intervals of all
-    such differences hold together with 95 %.
-
-    Three columns more say what any feasible times of this number can reach: bound (lower bound of
-    the expected MSE), bound_error (standard error), and bound_low (one-sided limit of the bound).
-    The limits of all numbers hold together with 95 %. Exact engines have no error. The three are
-    NaN where there is no bound, as for the regular times of a budget curve.
-    """
-    reference = without_number(run.names[0], run.job)
-    statistics = statistics or statistics_of(run)
-    table = budget_table(run.table("compared"), statistics, blocks_of(run), reference)
-    return with_bounds(table, last_bounds(run))
-
-
 def pairs_of(run: StoredRun) -> pd.DataFrame:
     """A row for each pair of compared sets, on the same draws.
 
@@ -363,7 +300,7 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
     first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
     without draws, difference and gain_of_means are exact, and all their limits are equal.
     """
-    return pairs_table(run.names, (block for block, *_ in _errors_of(run)), exact_costs(run))
+    return pairs_table(run.names, (block for block, *_ in _errors_of(run)), exact_errors(run))
 
 
 def ranks_of(run: StoredRun) -> pd.DataFrame:
@@ -378,7 +315,7 @@ def ranks_of(run: StoredRun) -> pd.DataFrame:
     costs = {
         name: (each.mean, each.standard_error) for name, each in statistics_of(run).mse.items()
     }
-    costs |= {name: (cost, 0.0) for name, cost in exact_costs(run).items()}
+    costs |= {name: (cost, 0.0) for name, cost in exact_errors(run).items()}
     return ranks_table(pairs_of(run), costs)
 
 
@@ -448,16 +385,3 @@ def particle_losses_of(
         )
         for name in run.sets
     }
-
-
-COMPUTED: dict[str, Callable[[StoredRun], pd.DataFrame]] = {
-    "gains": gains_of,
-    "budget": budget_of,
-    "pairs": pairs_of,
-    "ranks": ranks_of,
-    "scenarios": scenarios_of,
-}
-"""Tables that follow from others, by name; the docstring of each function names the columns."""
-
-TABLES = (*KEYS, *COMPUTED)
-"""Names of all tables that a run may have."""

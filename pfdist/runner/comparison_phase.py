@@ -22,8 +22,8 @@ from pfdist.filters.work import Estimation, Result, Work, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.base import within_half_turn
+from pfdist.problem.set_key import references_of
 from pfdist.results import BLOCK, ComparisonStatistics
-from pfdist.results.reference import references_of
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.progress import SetGain

@@ -68,7 +68,9 @@ def _searching_steps(built: Built) -> float:
 def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
     """The sets that are compared, by name, after every search has ended."""
     built = session.built
-    rows = _given_rows(built)
+    rows: list[dict[str, Any]] = [
+        {"name": name, "measurement_times": times} for name, times in built.study.unsearched.items()
+    ]
     for search in built.searches:
         end = yield from run_search(session, search)
         rows += [
@@ -92,23 +94,16 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
             )
     for position, row in enumerate(rows):
         row["position"] = position
-    optional = ["exact_mse"] if any("exact_mse" in row for row in rows) else []
+    optional = []
+    if built.evaluator.exact:
+        optional = ["exact_mse"]
+        exact = built.evaluator.expected_mse([row["measurement_times"] for row in rows])
+        for row, mse in zip(rows, exact.tolist(), strict=True):
+            row["exact_mse"] = mse
     table = pa.Table.from_pylist(rows, schema=schema("compared", *optional))
     # Written after the tables of the searches: it marks the searches as done.
     session.later(partial(_publish_compared, session.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}
-
-
-def _given_rows(built: Built) -> list[dict[str, Any]]:
-    """Rows of the sets that no search finds; exact engines add the costs of named sets."""
-    sets = built.study.unsearched
-    rows: list[dict[str, Any]] = [
-        {"name": name, "measurement_times": times} for name, times in sets.items()
-    ]
-    if built.evaluator.exact and built.job.comparison.named:
-        for row, cost in zip(rows, built.evaluator.expected_mse([*sets.values()]), strict=True):
-            row["exact_mse"] = float(cost)
-    return rows
 
 
 def _publish_compared(store: Store, table: pa.Table) -> None:

@@ -20,6 +20,7 @@ from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
 from pfdist.problem.search_section import AUTO, EvaluationSettings, SearchSection
+from pfdist.problem.set_key import SetKey
 from pfdist.runner.planning import Planning
 from pfdist.search import Optimiser, StateSpaceRelaxation
 from pfdist.search.relaxation import relaxation_within
@@ -115,9 +116,9 @@ class Study:
     def _name(self, name: str, number: int) -> str:
         """Name of a set of so many measurements; a budget curve adds the number."""
         if self.job.budget is None:
-            return name
+            return SetKey(name).column
         digits = len(str(self.job.problem.feasible.horizon + 1))
-        return f"{name}_{number:0{digits}}"
+        return SetKey(name, f"{number:0{digits}}").column
 
 
 _POLISH_DRAWS = 4096  # at most

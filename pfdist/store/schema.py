@@ -240,7 +240,7 @@ _SCHEMAS = {
 
 
 _OPTIONAL = {
-    "exact_mse": _column("exact_mse", pa.float64(), _MSE, "of a given set; null: found"),
+    "exact_mse": _column("exact_mse", pa.float64(), _MSE, "if the engine is exact"),
     "scenario": _column(
         "scenario",
         pa.int16(),
@@ -251,7 +251,7 @@ _OPTIONAL = {
         "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
     ),
 }
-"""Columns that a table has only for some jobs: if it names sets, or has scenarios."""
+"""Columns that a table has only for some jobs: of an exact engine, or with scenarios."""
 
 
 _BY_DRAW = [_column("draw", pa.int64(), "", ""), _column("t", pa.int32(), "", "")]

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.errors import PoolError, StoreError
-from pfdist.results import finite
 from pfdist.runner.build import Built, build
 
 Call = Callable[..., Any]  # exit code, output and errors of a line
@@ -36,16 +36,17 @@ def test_run_and_status_print_the_same_json_and_nothing_else(run: Path, call: Ca
     again = call(f"run {run}/job.toml --results {run} --json")
     assert again == call(f"status {run} --json") == (0, again.out, "")
     answer = json.loads(again.out)
-    assert answer == finite(pfdist.open_run(run).summary().as_json())
+    assert answer == pfdist.open_run(run).as_json()
     told = (answer["state"], answer["evaluations"], answer["draws_compared"])
     assert told == ("finished", 34, 250)
-    regular, genetic = answer["results"]["regular"], answer["results"]["genetic"]
+    regular, genetic = answer["sets"][:2]
+    assert (regular["name"], genetic["name"]) == ("regular", "genetic")
     of_draws = {"mean_relative_gain", "positive_fraction", "gain_of_means", "mean_log10_ratio"}
     assert None not in {genetic[key] for key in (*of_draws, "search_excess")}
-    assert {regular[key] for key in (*of_draws, "search_excess", "search_cost")} == {None}
-    low, high = genetic["mean_relative_gain_interval"]
+    assert {regular[key] for key in (*of_draws, "search_excess", "search_mse")} == {None}
+    low, high = (genetic[f"mean_relative_gain_{end}"] for end in ("low", "high"))
     assert low < genetic["mean_relative_gain"] < high < 1
-    assert 0 <= genetic["positive_fraction_interval"][0] <= genetic["positive_fraction"] <= 1
+    assert 0 <= genetic["positive_fraction_low"] <= genetic["positive_fraction"] <= 1
 
 
 def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> None:
@@ -257,12 +258,15 @@ def test_without_a_terminal_progress_is_plain_lines(
     assert lines[1].startswith("Serial pool is ready: 1 worker")  # it starts with the first task
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
     assert "\x1b" not in "".join(lines)  # no escape codes
-    found = pfdist.open_run(tmp_path / "run").summary().results["genetic"]
+    found = results_of(pfdist.open_run(tmp_path / "run"))["genetic"]
     told = re.search(r"genetic: error ([\d.]+) ± ([\d.]+) % (lower|higher)", lines[-1])
     assert told is not None
     sign = 1 if told[3] == "lower" else -1
     assert sign * float(told[1]) == pytest.approx(100 * found.gain_of_means, rel=0.01)
-    low, high = found.gain_of_means_interval  # of 250 draws: 1.97 errors on each side
+    low, high = (
+        found.gain_of_means_low,
+        found.gain_of_means_high,
+    )
     assert float(told[2]) == pytest.approx(100 * (high - low) / 2 / 1.97, rel=0.05)
 
 

@@ -3,7 +3,6 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -13,12 +12,13 @@ import pytest
 
 import pfdist
 from oracles.listed import forget
+from oracles.results_of import results_of
 from pfdist.common.parts import Table, Text
 from pfdist.common.rounding import with_error
 from pfdist.pages.terminal import COLUMNS, lines_of, lines_of_blocks
 from pfdist.questions.budget_page import budget
 from pfdist.questions.runs import list_page, table_page
-from pfdist.results.summary import SetResult
+from pfdist.results import columns
 
 Printed = Callable[..., str]
 
@@ -50,7 +50,7 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
     assert max(map(len, lines)) <= COLUMNS
     words = lines[0].split() + lines[1].split()
     assert {"run", "seed", "measurement_budget", "set", "gain", "seconds"} <= set(words)
-    summary = pfdist.open_run(runs / "b").summary().results["random"]
+    summary = results_of(pfdist.open_run(runs / "b"))["random"]
     row = next(line for line in lines if line.startswith("b ") and "random" in line)
     assert with_error(summary.expected_mse, summary.standard_error) in row
     assert row.split()[:3] == ["b", "2", "5"]
@@ -127,32 +127,38 @@ def test_a_name_cannot_spoil_the_terminal(name: str, runs: Path, tmp_path: Path)
     assert all(line.isprintable() for line in lines)
 
 
+_NOTHING = dict.fromkeys(columns.COLUMNS)
+
+
 class Budget:
     """A run of 16 measurements, as a chapter sees it."""
 
     is_compared = True
-    cost_head = "cost"
 
     def __init__(self, scale: float = 1.0, reached: Any = None, **changes: Any) -> None:
-        self.results = {
-            f"{kind}_16": SetResult(
-                kind=kind,
-                measurement_times=[*range(16)],
-                measurements=16,
-                expected_mse=scale * mse,
-                low=scale * (mse - 2 * error),
-                high=scale * (mse + 2 * error),
-                search_cost=None,
-                search_standard_error=None,
+        self.rows = {
+            f"{kind}_16": SimpleNamespace(
+                **_NOTHING
+                | {
+                    "name": f"{kind}_16",
+                    "kind": kind,
+                    "measurement_times": [*range(16)],
+                    "measurements": 16,
+                    "expected_mse": scale * mse,
+                    "expected_mse_low": scale * (mse - 2 * error),
+                    "expected_mse_high": scale * (mse + 2 * error),
+                }
             )
             for kind, mse, error in (("regular", 34.207, 0.195), ("found", 25.846, 0.187))
         }
-        self.results["found_16"] = replace(self.results["found_16"], **changes)
+        vars(self.rows["found_16"]).update(changes)
         self.target = None if reached is None else 25.0
         nobody = {"measurements": None, "impossible": None}
         answers = {"found": nobody if reached is None else reached}
         self.reaching = lambda target: answers
         self.run = SimpleNamespace(tables=())
+
+    unit = ""
 
     def listed(self, times: list[int]) -> str:
         return str(times)

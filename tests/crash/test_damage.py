@@ -98,7 +98,7 @@ def _read_all(run: Path) -> list[object]:
     """All figures of a run, without its folder."""
     opened = pfdist.open_run(run)
     figures = [opened.table(name).to_dict("list") for name in opened.tables if name != "timings"]
-    answer = opened.summary().as_json()
+    answer = opened.as_json()
     return [repr(figures), {key: value for key, value in answer.items() if key != "run"}]
 
 

@@ -111,7 +111,7 @@ def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
         was_whole = begin in (_fresh, _grown)
         committed = committed_draws(path) if was_whole else None
         if (path / "run.json").exists() and was_whole:
-            pfdist.open_run(path).summary()  # whoever asks how far it is gets an answer
+            pfdist.open_run(path).as_json()  # whoever asks how far it is gets an answer
         counted.clear()
         pfdist.run(job, path, say=said.append, figures=False)
         assert hashes(path) == whole, where
@@ -208,7 +208,7 @@ def test_online_draws_that_go_wrong_at_any_file_operation_end_with_the_same_byte
     again, says = partial(pfdist.run, many, figures=False), None if fault == "ended" else SAYS
 
     def look(path: Path) -> None:
-        pfdist.open_run(path).summary()  # whoever asks how far it is gets an answer
+        pfdist.open_run(path).as_json()  # whoever asks how far it is gets an answer
 
     faults = go_wrong(again, begun, layer, step, fault, look, says)
     record_property("faults", f"{PROMISE}: {faults}")

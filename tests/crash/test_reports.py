@@ -87,7 +87,7 @@ def test_a_why_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
         try:
             layer.run(partial(why, path), fault, at)
         except (FAULTS[fault], PfdistWarning):  # which says that there is no report
-            assert pfdist.open_run(path).summary().state == "finished"
+            assert pfdist.open_run(path).state == "finished"
         why(path)
         assert hashes(path) == whole, f"{fault} at operation {at} of {count}"
         assert (path / "report.html").read_bytes() == report

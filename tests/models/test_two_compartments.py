@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist import load_model
 from pfdist.filters import kalman
 from pfdist.filters.particle_filter import filter_draws
@@ -101,6 +102,5 @@ def test_a_plan_with_both_assays_is_the_optimum_of_brute_force(tmp_path: Path) -
     best = min(mse, key=mse.__getitem__)
     assays = ("immunoassay", "chromatography")
     assert list(run.sets[name]) == [f"{hours[m // 2]:g} {assays[m % 2]}" for m in best]
-    bound = run.summary().results[name].lower_bound
-    assert bound["bound"] == pytest.approx(mse[best], rel=1e-9)
+    assert results_of(run)[name].bound == pytest.approx(mse[best], rel=1e-9)
     assert pfdist.evaluate(problem, run.sets[name]).expected_mse == pytest.approx(mse[best])

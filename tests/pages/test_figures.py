@@ -411,7 +411,12 @@ def curve() -> pd.DataFrame:
     table = pd.DataFrame(
         [
             {"kind": kind, "measurements": number, "measurement_times": [*range(number)]}
-            | {"expected_mse": mse, "low": mse - 0.2, "high": mse + 0.2, "draws": 100}
+            | {
+                "expected_mse": mse,
+                "expected_mse_low": mse - 0.2,
+                "expected_mse_high": mse + 0.2,
+                "draws": 100,
+            }
             | {"standard_error": 0.1, "bound": np.nan, "bound_low": np.nan}
             for kind, column in costs.items()
             for number, mse in enumerate(column, start=2)

@@ -202,7 +202,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         ],
         "belief": [call(_filtered(), component=1), call(filtered)],
         "bound": [call(proved), call(proved.table("bound"))],
-        "budget": [call(several), call(several.table("budget"))],
+        "budget": [call(several), call(several.table("sets"))],
         "comparison": [call(plain), call(proved.table("ranks"))],
         "cost": [
             call(plain),

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist import Job, Run, load_job
 from pfdist.cli.main import main
 from pfdist.common.percent import gap_sentence, rounded_up
@@ -23,7 +24,7 @@ from pfdist.models import installed_models
 from pfdist.pools.base import SerialPool
 from pfdist.questions.bound import Bound
 from pfdist.questions.bound import bound as bound_of
-from pfdist.results.stored_run import statistics_of
+from pfdist.results.stored_run import last_bounds, statistics_of
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.gap_parts import SET_DRAWS
@@ -297,7 +298,7 @@ def test_degenerate_draws_of_the_jobs_own_filter_count_in_the_gap(run_of: RunOf)
     few = ["evaluation.degenerate_draws=continue", "filter.particles=5"]
     models = ["model.name=random_walk", "model.filter.name=own.py:model"]
     run = run_of(*models, *few, source=CUT)
-    assert pfdist.open_run(run).table("budget")["degenerate_draws"].any()
+    assert pfdist.open_run(run).table("sets")["degenerate_draws"].any()
     assert all(not gap.reason and gap.gap > 0 for gap in bound(run, LEAST_DRAWS).gaps)
 
 
@@ -339,7 +340,7 @@ def test_an_error_of_the_users_own_has_no_bound(small_job: Job, tmp_path: Path) 
         bound(run)
     with pytest.warns(PfdistWarning, match=re.escape(line)):  # if nobody receives lines
         again = pfdist.run(run.path / "job.toml", run.path, bound_draws=LEAST_DRAWS, figures=False)
-    assert again.summary().unproved == line
+    assert again.as_json()["unproved"] == line
 
 
 def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
@@ -373,7 +374,7 @@ def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
     printed, _, _ = capsys.readouterr().out.partition("\n\ntables: ")
     assert " ".join(printed.split()).endswith(f" Note: {line}")
     assert "bound" in pfdist.run(walk / "job.toml", walk, **again).tables
-    assert pfdist.open_run(walk).summary().unproved == ""
+    assert pfdist.open_run(walk).as_json()["unproved"] == ""
 
 
 def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
@@ -390,7 +391,7 @@ def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
         with pytest.warns(PfdistWarning, match="^Not proved: the log-likelihood does not fit"):
             run = pfdist.run(walk / "job.toml", walk, **again)
     line = "Not proved: the log-likelihood does not fit the measurements."
-    assert run.summary().unproved == line
+    assert run.as_json()["unproved"] == line
     assert repr(run).endswith(f" | {line}>")
     with monkeypatch.context() as patched:
         patched.setattr(Prover, "_sums", refuse)
@@ -398,7 +399,7 @@ def test_a_proof_that_fails_is_named_at_the_end_of_every_answer(
     of_set = line.replace("proved", "proved for random")
     assert repr(proved).endswith(f" | {of_set}>")
     of_sets = of_set.replace("random", "genetic, random")
-    assert pfdist.open_run(walk).summary().unproved == of_sets
+    assert pfdist.open_run(walk).as_json()["unproved"] == of_sets
 
 
 def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
@@ -552,7 +553,7 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
     bound(walk, LEAST_DRAWS, window=1)
     run = pfdist.open_run(walk)
-    rows, summary = run.table("bound"), run.summary().results
+    rows, summary = run.table("bound"), results_of(run)
     looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
     assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
     assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
@@ -560,8 +561,8 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
     assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
     for gap in found.gaps:  # the proof of most work
-        assert summary[gap.name].lower_bound["gap"] == gap.gap
-        assert summary[gap.name].lower_bound["window"] == 2
+        assert summary[gap.name].bound_gap == gap.gap
+        assert last_bounds(run)[gap.name]["window"] == 2
     assert main(["verify", str(walk)]) == 0
 
 

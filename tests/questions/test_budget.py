@@ -13,6 +13,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
+from pfdist.common.rounding import rounded
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.feasible import Feasible
@@ -42,7 +43,7 @@ def exact(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
 @pytest.fixture
 def found(exact: pfdist.Run) -> pd.DataFrame:
     """The found times of each number of measurements."""
-    table = exact.table("budget")
+    table = exact.table("sets")
     return table[table["kind"] == "found"].set_index("measurements")
 
 
@@ -56,7 +57,7 @@ def optima() -> "pd.Series[float]":
 def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regular_ones(
     exact: pfdist.Run,
 ) -> None:
-    table = exact.table("budget")
+    table = exact.table("sets")
     kinds = ("regular", DEFAULT_METHOD)
     assert table["name"].tolist() == [f"{name}_{n:02}" for name in kinds for n in range(2, 7)]
     for row in table.to_dict("records"):
@@ -66,11 +67,11 @@ def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regu
         else:
             sets = list(feasible.every())
             costs = expected_mse(WALK, 12, sets)
-            assert row["search_cost"] == pytest.approx(costs.min(), rel=1e-9)
+            assert row["search_mse"] == pytest.approx(costs.min(), rel=1e-9)
             assert times == sets[int(costs.argmin())]
         cost = expected_mse(WALK, 12, [times])[0]
-        assert abs(row["expected_mse"] - cost) < 4 * row["standard_error"]
-        assert row["low"] < row["expected_mse"] < row["high"]
+        assert row["expected_mse"] == pytest.approx(cost, rel=1e-9)
+        assert row["standard_error"] == 0.0
     assert not (exact.path / "tables" / "trajectories").exists()
 
 
@@ -81,10 +82,10 @@ def test_no_set_costs_less_than_the_bound_and_a_set_that_costs_as_much_is_optima
     assert (found["bound"] <= optima * (1 + 1e-12)).all()
     assert (found["bound_error"] == 0).all()
     assert (found["bound_low"] == found["bound"]).all()
-    optimal = found["bound"] >= found["search_cost"] * (1 - 1e-11)
+    optimal = found["bound"] >= found["search_mse"] * (1 - 1e-11)
     assert optimal.all()  # windows have grown until the gap is 0
-    assert found["search_cost"].tolist() == pytest.approx(optima.tolist(), rel=1e-9)
-    regular = exact.table("budget").query("kind == 'regular'")
+    assert found["search_mse"].tolist() == pytest.approx(optima.tolist(), rel=1e-9)
+    regular = exact.table("sets").query("kind == 'regular'")
     assert regular[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
 
 
@@ -93,7 +94,7 @@ def test_a_number_is_impossible_if_no_set_of_so_many_times_reaches_the_target(
 ) -> None:
     for target in (1.0, 1.5, 1.8, 2.2, 2.6):
         cannot = optima.index[optima > target]
-        reached = reaching(exact.table("budget"), target)["found"]
+        reached = reaching(exact.table("sets"), target)["found"]
         assert reached["impossible"] == (max(cannot) if len(cannot) else None)
         assert reached["measurements"] is None or reached["measurements"] not in cannot
 
@@ -102,7 +103,7 @@ def test_with_particles_the_limit_lies_below_the_optimum(
     small_job: Job, tmp_path: Path, optima: "pd.Series[float]"
 ) -> None:
     job = small_job.with_changes(["model.name=random_walk", "filter.particles=100"])
-    table = pfdist.budget(job, (3, 5), tmp_path / "run", draws=60, figures=False).table("budget")
+    table = pfdist.budget(job, (3, 5), tmp_path / "run", draws=60, figures=False).table("sets")
     for row in table[table["kind"] == "found"].to_dict("records"):
         optimum = optima[row["measurements"]]
         assert row["bound_error"] > 0
@@ -132,7 +133,7 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
     assert whole.state == "finished"
     assert whole.names[0] == "regular_2"
     assert whole.table("bound")["draws"].tolist() == [LEAST_DRAWS] * 3
-    found = whole.table("budget").tail(3)
+    found = whole.table("sets").tail(3)
     assert (found["bound_low"] < found["bound"]).all()
 
 
@@ -150,19 +151,20 @@ def test_the_command_says_how_many_are_enough(
     command = ["budget", str(small_job.path), *words.split(), str(run)]
     assert main([*command, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert answer["results"][f"{DEFAULT_METHOD}_05"]["expected_mse"] == costs[5]
+    sets = {row["name"]: row for row in answer["sets"]}
+    assert sets[f"{DEFAULT_METHOD}_05"]["expected_mse"] == costs[5]
     assert answer["target"] == target
     assert answer["reached"]["found"]["measurements"] == 4
     assert answer["reached"]["found"]["impossible"] == 3
-    row = answer["results"][f"{DEFAULT_METHOD}_03"]
-    assert row["bound"] == row["bound_low"] == row["search_cost"] > target
-    assert answer["results"]["regular_03"]["bound"] is None
+    row = sets[f"{DEFAULT_METHOD}_03"]
+    assert row["bound"] == row["bound_low"] == row["search_mse"] > target
+    assert sets["regular_03"]["bound"] is None
     assert main(command) == 0
     text = capsys.readouterr().out
     assert f"\ntarget {target:g}: 4 found times reach it (95 %: " in text
     assert "; proved: no 3 times can (95 % confidence)" in " ".join(text.split())
     assert f"\nTo reach {target:g}, measure at t = " in text
-    row = rf"^5  .*\(.* to .*\) +{costs[5]:.2f} \(.* to .*\) +{bounds[5]:.4f}$"
+    row = rf"^5 +[0-9.]+ +{rounded(costs[5])} +{rounded(bounds[5])}$"
     assert re.search(row, text, re.MULTILINE)
     assert main(["status", str(run)]) == 0
     assert "\n2  " in capsys.readouterr().out
@@ -182,8 +184,8 @@ def test_without_draws_there_is_no_bound(
     assert "times can" not in text
     run = pfdist.open_run(tmp_path / "run")
     assert "bound" not in run.tables
-    assert run.table("budget")["bound_low"].isna().all()
-    assert reaching(run.table("budget"), 0.1)["found"]["impossible"] is None
+    assert run.table("sets")["bound_low"].isna().all()
+    assert reaching(run.table("sets"), 0.1)["found"]["impossible"] is None
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -192,10 +194,10 @@ def test_numbers_with_gaps_have_the_times_that_they_have_without_gaps(
 ) -> None:
     words = ["--draws", "300", "--set", *EXACT, "--measurements", "2 4,6"]
     assert main(["budget", str(exact_job.path), *words, "--results", str(tmp_path / "run")]) == 0
-    whole = exact.table("budget").set_index("name")
-    few = pfdist.open_run(tmp_path / "run").table("budget").set_index("name")
+    whole = exact.table("sets").set_index("name")
+    few = pfdist.open_run(tmp_path / "run").table("sets").set_index("name")
     assert few["measurements"].tolist() == [2, 4, 6] * 2
-    for column in ("measurement_times", "expected_mse", "search_cost", "bound"):
+    for column in ("measurement_times", "expected_mse", "search_mse", "bound"):
         pd.testing.assert_series_equal(few[column], whole[column][few.index])
 
 

@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist.cli.main import main
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistError, PriorError
 from pfdist.filters.evaluator import Evaluator
@@ -158,14 +159,14 @@ def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
     run = pfdist.run(job, tmp_path / "run")
     (regular, exhaustive), allowed = run.sets.values(), set(TIMES) - {2.0, 3.0}
     assert set(regular) | set(exhaustive) <= allowed
-    summary = run.summary()
-    assert summary.time_unit == "h"
-    weights = np.array(summary.instant_weights)
+    answer = run.as_json()
+    assert answer["time_unit"] == "h"
+    weights = np.array(answer["instant_weights"])
     assert np.average(np.arange(8.0), weights=weights) == pytest.approx(weighted(np.arange(8.0)))
     page = pfdist.report(run).read_text()
     assert "weights of instants in the MSE" in page
     assert "by the trapezoidal rule, because the steps differ, from 0.1667 to 2.333" in page
-    assert summary.results["exhaustive"].measurement_times == list(exhaustive)
+    assert results_of(run)["exhaustive"].measurement_times == list(exhaustive)
     rows = run.table("trajectories")
     assert rows["t"].tolist()[: len(TIMES)] == list(TIMES)
     assert rows.attrs["time_unit"] == "h"
@@ -195,7 +196,7 @@ def test_why_speaks_of_the_clock_and_its_profile_is_not_weighted(job: Path, tmp_
     assert weighted(profile["error"].to_numpy()) == pytest.approx(cost)
     assert set(found.worth["t"]) <= set(TIMES)
     assert not {2.0, 3.0} & set(found.sampling_windows["moved_to"])
-    assert run.summary().results["exhaustive"].exact_mse == pytest.approx(cost)
+    assert results_of(run)["exhaustive"].expected_mse == pytest.approx(cost)
 
 
 @pytest.mark.parametrize("engine", ["kalman", pytest.param("compiled", marks=pytest.mark.slow)])
@@ -206,9 +207,9 @@ def test_why_keeps_the_exact_cost_where_instants_do_not_count(
     given = [1, 0, 2, 0, 0, 0, 0, 5]
     changes = [f"filter.engine={engine}", f"problem.instant_weights={given}"]
     run = pfdist.run(pfdist.load_job(job, changes), tmp_path / "run")
-    before = run.summary().results["exhaustive"].exact_mse
+    before = results_of(run)["exhaustive"].expected_mse
     profile, cost, exact = _profile(run, pfdist.why(run, draws=300, figures=False))
-    after = pfdist.open_run(run.path).summary().results["exhaustive"].exact_mse
+    after = results_of(pfdist.open_run(run.path))["exhaustive"].expected_mse
     assert np.average(profile["error"], weights=given) == pytest.approx(cost)
     apart = np.abs(profile["error"] - exact)
     if engine == "kalman":

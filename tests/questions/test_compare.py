@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
@@ -107,9 +108,9 @@ def test_one_command_gives_the_numbers_of_three_lines_of_python(
     assert answer["pairs"] == compared.table("pairs").to_dict("records")
     assert answer["ranks"] == compared.table("ranks").to_dict("records")
     assert _bytes(folder / "command") == _bytes(compared.path)
-    few = answer["results"]["few"]
-    assert few["broken_constraints"] == ["problem.measurement_budget is 4, got 2 times"]
-    assert answer["results"]["clinic"]["broken_constraints"] == []
+    sets = {row["name"]: row for row in answer["sets"]}
+    assert sets["few"]["broken_constraints"] == ["problem.measurement_budget is 4, got 2 times"]
+    assert sets["clinic"]["broken_constraints"] == []
 
 
 def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
@@ -266,7 +267,7 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
     assert run.names == ["regular", "mine", "every", "random"]
     assert (named_sets(run), found_sets(run)) == (["mine", "every"], ["random"])
-    results = run.summary().results
+    results = results_of(run)
     assert results["random"].search_cause
     assert results["mine"].broken_constraints == ["problem.measurement_budget is 4, got 3 times"]
     assert (tmp_path / "both" / "figures" / "compared.svg").exists()

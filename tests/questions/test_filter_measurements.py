@@ -16,6 +16,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.results_of import results_of
 from pfdist import Filter, Job
 from pfdist.cli.main import main
 from pfdist.common.component_names import numbered_components
@@ -113,7 +114,7 @@ def test_planned_times_that_are_missing_and_extra_times_are_named(
     found = pfdist.filter_measurements(job, path, planned="regular")  # 0, 4, 8, 12
     assert (found.name, found.measured) == ("regular", (0, 5, 8))
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
-    results = pfdist.open_run(job.parent).summary().results
+    results = results_of(pfdist.open_run(job.parent))
     least = min(("genetic", "random"), key=lambda name: results[name].expected_mse)
     assert pfdist.filter_measurements(job, path).name == least
     nothing = pfdist.filter_measurements(job, _written(path, (), y), planned="regular")

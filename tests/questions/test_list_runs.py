@@ -43,10 +43,9 @@ def test_the_best_set_and_its_gain_are_those_of_the_summary(runs: Path) -> None:
     assert frame["run"].tolist() == ["plain", "sweep/n-9", "sweep/n-10"]
     assert set(frame["state"]) == {"finished"}
     for row in frame.to_dict("records"):
-        summary = pfdist.open_run(runs / row["run"]).summary()
-        best = summary.by_error[0]
-        assert (row["best"], row["reference"]) == (best, "regular")
-        assert row["gain_of_means"] == summary.results[best].gain_of_means
+        best = pfdist.open_run(runs / row["run"]).best
+        assert (row["best"], row["reference"]) == (best.name, "regular")
+        assert row["gain_of_means"] == best.gain_of_means
         assert row["draws"] == row["draws_wanted"] == 60
 
 

@@ -54,5 +54,5 @@ def test_a_budget_curve_begins_at_one_measurement(
     options = ["--measurements", "1:3", "--draws", "40", "--target", "1000"]
     assert main([*command, *options, "--bound-draws", "0"]) == 0
     assert "1 found time reaches it" in capsys.readouterr().out
-    table = pfdist.open_run(tmp_path / "budget").table("budget")
+    table = pfdist.open_run(tmp_path / "budget").table("sets")
     assert sorted(set(table["measurements"])) == [1, 2, 3]

@@ -12,6 +12,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, count_draws
+from oracles.results_of import results_of
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, SearchError, TaskError
@@ -70,13 +71,13 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_run: pfdist.Run) 
 
 
 def test_a_search_reports_what_its_own_evaluation_got(small_run: pfdist.Run) -> None:
-    evaluations, results = small_run.table("evaluations"), small_run.summary().results
+    evaluations, results = small_run.table("evaluations"), results_of(small_run)
     last = evaluations[(evaluations["phase"] == "genetic") & (evaluations["generation"] == 3)]
     best = last.loc[last["expected_mse"].idxmin()]
-    assert results["genetic"].search_cost == best["expected_mse"]
+    assert results["genetic"].search_mse == best["expected_mse"]
     assert results["genetic"].measurement_times == best["measurement_times"].tolist()
     assert results["regular"].measurement_times == [0, 4, 8, 12]
-    assert results["regular"].search_cost is None
+    assert results["regular"].search_mse is None
 
 
 def test_the_first_trajectories_belong_to_the_comparison(small_run: pfdist.Run) -> None:
@@ -239,9 +240,9 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
     grown = pfdist.run(larger, tmp_path / "grown", figures=False)
     assert sum(counted) == (430 - 250) * (3 + 1 + 3 + 4)  # all sets three times
     assert hashes(grown.path) == hashes(at_once.path)
-    assert grown.summary().draws_compared == 430
+    assert grown.draws_compared == 430
     counted.clear()
-    assert pfdist.run(larger, grown.path, figures=False).summary() == grown.summary()
+    assert pfdist.run(larger, grown.path, figures=False).as_json() == grown.as_json()
     assert counted == []
 
 
@@ -341,14 +342,16 @@ def test_between_search_and_comparison_the_found_times_are_told(
 
     with pytest.raises(KeyboardInterrupt):
         pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
-    summary = pfdist.open_run(tmp_path / "run").summary()
-    assert (summary.state, summary.draws_compared) == ("comparing", 0)
-    assert set(summary.results) == {"regular", "genetic", "random"}
-    assert len(summary.results["genetic"].measurement_times) == 4
+    run = pfdist.open_run(tmp_path / "run")
+    assert (run.state, run.draws_compared) == ("comparing", 0)
+    results = results_of(run)
+    assert set(results) == {"regular", "genetic", "random"}
+    assert len(results["genetic"].measurement_times) == 4
+    assert results["genetic"].expected_mse is None
     assert main(["status", str(tmp_path / "run")]) == 0
     text = capsys.readouterr().out
     assert "genetic: measure at t = " in text
-    assert "The search believed an expected error of" in " ".join(text.split())
+    assert "The search estimated an error of" in " ".join(text.split())
     assert f"tables: {tmp_path / 'run' / 'tables'}" in text
     assert "figures" not in text  # there is no such folder yet
     with pytest.raises(PfdistError, match=r"run is not finished \(comparing\): run its job on fi"):

@@ -1,7 +1,6 @@
 """Scenarios: parameters that the truth may have, plans for their mean and for the worst."""
 
 from dataclasses import replace
-from functools import partial
 from itertools import chain, combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,7 +27,7 @@ from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.questions.robust import worst_effect
-from pfdist.results.summary import Summary
+from pfdist.results.columns import Row
 from pfdist.runner import search_phase
 from pfdist.runner.build import build
 from pfdist.runner.proof import best_shares
@@ -210,7 +209,7 @@ def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
     rows = run.table("scenarios").query("name == 'exhaustive'")
     fresh = rows.loc[rows["expected_mse"].idxmax()]
     assert fresh["expected_mse"] > 1.05 * run.best.expected_mse  # the mean is another error
-    believed = run.best.search_cost / fresh["expected_mse"]
+    believed = run.best.search_mse / fresh["expected_mse"]
     assert run.best.search_cause == "its draws chose the set"
     assert run.best.search_excess == pytest.approx(believed - 1, rel=1e-9, abs=1e-12)
     if engine:
@@ -222,11 +221,11 @@ def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Pa
     run = pfdist.budget(
         problem(engine="kalman"), numbers, draws=48, results=tmp_path / "run", report=False
     )
-    rows = run.table("budget").query("kind == 'found'").set_index("measurements")
+    rows = run.table("sets").query("kind == 'found'").set_index("measurements")
     for number in numbers:
         sets = list(combinations(range(HORIZON + 1), number))
         exact = combined(costs(sets, told=True), "mean").min()
-        assert rows["search_cost"][number] == pytest.approx(exact, rel=1e-9)
+        assert rows["search_mse"][number] == pytest.approx(exact, rel=1e-9)
         assert rows["bound"][number] == pytest.approx(exact, rel=1e-9)
 
 
@@ -436,8 +435,10 @@ def test_the_answer_for_the_worst_names_its_error_and_its_gain(scenario: int, sa
         for number, mse in enumerate(errors)
     ]
     rows[2 + scenario] |= {"expected_mse": 4.0, "standard_error": 0.04}
-    summary = SimpleNamespace(scenarios=rows, is_worst=True)
-    summary.worst_scenario = partial(Summary.worst_scenario, summary)
-    subject = SimpleNamespace(summary=summary, results={"regular": None})
+    subject = SimpleNamespace(
+        scenarios=[Row(**row) for row in rows],
+        worst_decides=True,
+        reference_row=Row(name="regular"),
+    )
     said = f"{says}, from 4.000 ± 0.040 to 2.000 ± 0.020."
     assert worst_effect(subject, "found") == said

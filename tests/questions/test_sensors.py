@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
 from pfdist.common.clock import Clock
@@ -111,8 +112,8 @@ def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
     ]
     (name,) = found_sets(run)
     assert _numbers(run.sets[name]) == min(within, key=mse.__getitem__)
-    bound = run.summary().results[name].lower_bound
-    assert bound["bound"] == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
+    bound = results_of(run)[name].bound
+    assert bound == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
     assert pfdist.bound(problem, results=run.path, report=False).as_json()["leaves_out_limits"]
 
 
@@ -139,13 +140,12 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     within = [times for times in apart if len({time % 3 for time in times}) == 3]
     (name,) = found_sets(run)
     assert _numbers(run.sets[name]) == min(within, key=apart.__getitem__)
-    bound = run.summary().results[name].lower_bound
-    assert bound["bound"] == pytest.approx(min(apart.values()), rel=1e-9)
+    bound = results_of(run)[name].bound
+    assert bound == pytest.approx(min(apart.values()), rel=1e-9)
     assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in answer_in_a_line(run)
-    summary = run.summary()
-    assert all(result.cost == result.measurements for result in summary.results.values())
+    assert all(result.price == result.measurements for result in results_of(run).values())
     rows = [row for row in lines_of(answer_of(run)) if row.split()[1:2] == [name]]
-    assert rows[0].split()[2:4] == ["3", "3"]  # measurements and cost
+    assert rows[0].split()[2:4] == ["3", "3"]  # measurements and price
 
 
 def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
@@ -285,8 +285,7 @@ def test_the_plan_is_the_optimum_of_brute_force_and_its_gap_is_0(
     times = _numbers(run.sets[name])
     assert system.expected_mse(times) == pytest.approx(least, rel=1e-9)
     assert times == best
-    bound = run.summary().results[name].lower_bound
-    assert bound["gap"] == pytest.approx(0.0, abs=1e-9)
+    assert results_of(run)[name].bound_gap == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -302,9 +301,7 @@ def test_no_other_bearings_of_two_platforms_lower_the_error_by_three_percent(
     )  # fmt: skip
     (name,) = found_sets(run)
     assert {str(each).split()[1] for each in run.sets[name]} == {"moving", "still"}
-    bound = run.summary().results[name].lower_bound
-    assert bound["reason"] == ""
-    assert bound["gap_at_most"] < 0.03
+    assert results_of(run)[name].bound_gap_at_most < 0.03
 
 
 @pytest.mark.slow

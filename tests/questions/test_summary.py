@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist import Job, Problem, StateSpaceModel
 from pfdist.common.parts import Table
+from pfdist.common.percent import HEAVY
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.pages.terminal import lines_of
@@ -46,7 +48,7 @@ def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ru
 def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     raced: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    result, rows = raced.summary().results["survivors"], raced.table("evaluations")
+    result, rows = results_of(raced)["survivors"], raced.table("evaluations")
     times = rows["measurement_times"].map(tuple) == tuple(result.measurement_times)
     own = rows[times & rows["phase"].isin(["survivors", "survivors.polish"]) & (rows["end"] == 12)]
     race = rows[rows["phase"] == "survivors.shortlist"]
@@ -54,23 +56,22 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     polished = own[own["phase"] == "survivors.polish"]
     chosen = polished if len(polished) else own  # on the most draws that it was tried on
     believed = chosen.loc[chosen["draws"].idxmax()]
-    assert result.search_cost == believed["expected_mse"]
+    assert result.search_mse == believed["expected_mse"]
     assert result.search_standard_error == believed["standard_error"]
     fresh = raced.table("comparison")["mse_survivors"].mean()
     assert result.expected_mse == pytest.approx(fresh)
-    assert result.search_excess == pytest.approx(result.search_cost / fresh - 1)
-    differs = {"particles": 20, "resampling": "systematic", "estimator": "filter_variance"}
-    assert result.search_estimation == differs
+    assert result.search_excess == pytest.approx(result.search_mse / fresh - 1)
+    how = "particles = 20, resampling = systematic, estimator = filter_variance"
+    assert result.search_settings == how
     text = _all_that_is_said(raced)
     (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
-    assert row[3].text == with_error(result.search_cost, result.search_standard_error)
+    assert row[3].text == with_error(result.search_mse, result.search_standard_error)
     excess = 100 * result.search_excess
     assert row[4].text == f"{abs(excess):.1f} % {'below' if excess < 0 else 'above'}"
     assert row[4].value == result.search_excess
-    how = "particles = 20, resampling = systematic, estimator = filter_variance"
     assert row[5].text == f"{result.search_cause}; {how}"
     for cost in race["expected_mse"]:
-        assert not np.isclose(cost, [result.expected_mse, result.search_cost]).any()
+        assert not np.isclose(cost, [result.expected_mse, result.search_mse]).any()
         assert f"{cost:.3f}" not in re.findall(r"[\d.]+", text)
 
 
@@ -92,11 +93,10 @@ def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
     a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
     assert (a != b).all()  # other noise,
     assert np.corrcoef(a, b)[0, 1] > 4 / np.sqrt(100)  # the same draws
-    result = run.summary().results["regular"]
+    result = results_of(run)["regular"]
     assert result.gain_over_itself == pytest.approx(np.mean(-((a - b) ** 2) / (2 * a * b)))
     assert result.gain_over_itself_draws == 100
-    low, high = result.gain_over_itself_interval
-    assert low < result.gain_over_itself < high
+    assert result.gain_over_itself_low < result.gain_over_itself < result.gain_over_itself_high
 
 
 SKEWED = """
@@ -129,21 +129,21 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     required = ["problem.required=[8, 9, 10, 12]", "comparison.reference=[0, 1, 2, 3]"]
     job = pfdist.load_job(small_job.path, [*small, *changes, *required])
     run = pfdist.run(job, tmp_path / "run", figures=False)
-    genetic = run.summary().results["genetic"]
+    genetic = results_of(run)["genetic"]
     assert genetic.mean_relative_gain < 0 < genetic.gain_of_means
     assert genetic.gains_disagree
     text = _all_that_is_said(run)
-    best = run.summary().results[run.summary().by_error[0]]
+    best = run.best
     shown = with_interval(
-        *(100 * part for part in (best.gain_of_means, *best.gain_of_means_interval))
+        *(100 * getattr(best, f"gain_of_means{end}") for end in ("", "_low", "_high"))
     )
     headline = "lowers the expected error by {} % (95 %: {} to {} %)".format(*shown)
     assert 0 < text.index(headline) < text.index("mean relative gain")
-    noise = run.summary().results["reference"].gain_over_itself
+    noise = results_of(run)["reference"].gain_over_itself
     assert f"of the filters alone gives a mean of {100 * noise:.2f} %" in text
     visible = " ".join(" ".join(lines_of(answer_of(run))).split())
     value, *ends = with_interval(
-        *(100 * part for part in (genetic.mean_relative_gain, *genetic.mean_relative_gain_interval))
+        *(100 * getattr(genetic, f"mean_relative_gain{end}") for end in ("", "_low", "_high"))
     )
     told = f"The mean relative gain of genetic is {value} % (95 %: {ends[0]} to {ends[1]}), and"
     assert told in visible
@@ -163,7 +163,7 @@ def test_the_papers_search_shows_its_figures_and_its_own_experiment_those_of_the
         run.job.update({key: papers[key] for key in ("model", "filter", "evaluation", "search")})
         run.job["problem"] = papers["problem"]
     text = " ".join(" ".join(lines_of(answer_of(run))).split())
-    genetic = run.summary().results["genetic"]
+    genetic = results_of(run)["genetic"]
     share = 100 * genetic.positive_fraction
     told = re.search(r"The mean relative gain of genetic is (-?[\d.]+) % \(.*?\), and (.*)", text)
     assert told is not None
@@ -194,17 +194,17 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
     problem = Problem(model, horizon=3, measurement_budget=2, particles=30, engine="numpy")
     sets = {"early": [0, 1], "late": [2, 3]}
     run = pfdist.compare(problem, times=sets, results=tmp_path / "run", draws=400, figures=False)
-    for name, result in run.summary().results.items():
+    for name, result in results_of(run).items():
         mse = np.sort(run.table("comparison")[f"mse_{name}"])
         assert result.top_percent_share == pytest.approx(mse[-4:].sum() / mse.sum())
-        assert result.top_percent_share > 0.5
+        assert result.top_percent_share > HEAVY
     told = _all_that_is_said(run)
-    share = run.summary().results["late"].top_percent_share
+    share = results_of(run)["late"].top_percent_share
     assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in told
     page = page_of(run).warnings[-1]
     assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in page
     evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
-    assert evaluation.top_percent_share > 0.5
+    assert evaluation.top_percent_share > HEAVY
     assert "of the error: 95 % intervals are too narrow" in evaluation._repr_html_()
 
 
@@ -229,8 +229,7 @@ def test_the_papers_model_has_no_heavy_tail(
     finished: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = pfdist.open_run(finished())
-    summary = run.summary()
-    assert all(0.01 < each.top_percent_share < 0.25 for each in summary.results.values())
+    assert run.table("sets")["top_percent_share"].between(0.01, 0.25).all()
     assert "carry" not in _all_that_is_said(run)
 
 
@@ -247,21 +246,21 @@ def budget(small_job: Job, tmp_path: Path) -> Run:
 
 def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished(*EXACT))
-    sets, table = run.sets, run.table("budget")
+    sets, table = run.sets, run.table("sets")
     assert list(sets) == run.names
     assert all(len(measurement_times) == 4 for measurement_times in sets.values())
     assert table["kind"].tolist() == ["regular", "found", "found"]
     assert table["measurements"].tolist() == [4, 4, 4]
     check_results(run)
     least = table[table["kind"] == "found"]["expected_mse"].min()
-    assert reaching(run.table("budget"), least)["found"]["measurements"] == 4
-    below = reaching(run.table("budget"), least * 0.999)
+    assert reaching(run.table("sets"), least)["found"]["measurements"] == 4
+    below = reaching(run.table("sets"), least * 0.999)
     assert (below["found"]["measurements"], below["regular"]["measurements"]) == (None, None)
 
 
 def check_results(run: Run) -> None:
     """Check that there is a result for each row of the curve."""
-    results, table = run.summary().results, run.table("budget").set_index("name")
+    results, table = results_of(run), run.table("sets").set_index("name")
     assert list(results) == run.names == table.index.tolist()
     for name, result in results.items():
         assert result.expected_mse == table.loc[name, "expected_mse"]
@@ -270,7 +269,7 @@ def check_results(run: Run) -> None:
 
 def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
     check_results(budget)
-    results, gains = budget.summary().results, budget.table("gains")
+    results, gains = results_of(budget), budget.table("gains")
     assert len(budget.references) == 3
     assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
     for name, reference in budget.references.items():

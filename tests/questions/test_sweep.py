@@ -12,6 +12,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
@@ -480,7 +481,7 @@ def test_losses_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
         if len(row.measurement_times) != len(own.sets["exhaustive"]):
             assert math.isnan(row.loss)
             continue
-        exact = own.summary().results["exhaustive"].exact_mse
+        exact = results_of(own)["exhaustive"].expected_mse
         assert row.loss == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
         assert row.loss_low == row.loss == row.loss_high
 

@@ -12,6 +12,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.results_of import results_of
 from pfdist import Job, Run
 from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
@@ -80,7 +81,7 @@ def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
     particles = 200
     run = run_of(*WALK, f"filter.particles={particles}")
     found = why(run, draws=3000)
-    for name, result in run.summary().results.items():
+    for name, result in results_of(run).items():
         exact = _by_riccati(tuple(result.measurement_times), 12)
         rises = _rises(found, name)
         assert rises.keys() == exact.keys()
@@ -94,7 +95,7 @@ def test_where_everything_is_known_no_draws_are_taken(run_of: Callable[..., Run]
     run = run_of(*KALMAN)
     found = why(run)
     assert found.draws == 0
-    for name, result in run.summary().results.items():
+    for name, result in results_of(run).items():
         exact = _by_riccati(tuple(result.measurement_times), 12)
         for key, (rise, error) in _rises(found, name).items():
             assert (rise, error) == (pytest.approx(exact[key]), 0.0)
@@ -109,7 +110,7 @@ def test_a_measurement_is_moved_only_to_where_the_job_allows_it(
     allowed = set(small_job.with_changes(bound).problem.feasible.every())
     run = run_of(*KALMAN, *bound)
     found = why(run)
-    for name, result in run.summary().results.items():
+    for name, result in results_of(run).items():
         times = set(result.measurement_times)
         moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
         possible = {

@@ -33,7 +33,7 @@ def test_the_cause_of_a_wrong_belief_is_the_filter_where_draws_do_not_explain_it
     believed: float, own: dict[str, object], cause: str
 ) -> None:
     result = {
-        "search_cost": believed,
+        "search_mse": believed,
         "search_standard_error": 0.06,
         "expected_mse": 5.0,
         "standard_error": 0.08,  # of the difference: 0.1

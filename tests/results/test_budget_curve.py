@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
-from pfdist.results import ComparisonStatistics, reaching
-from pfdist.results.budget_curve import BOUND_DEGREES, budget_table, with_bounds
+from pfdist.results import reaching
+from pfdist.results.budget_curve import BOUND_DEGREES, with_bounds, worse_than
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.proof import Gap, GapParts, Proof, gap_of
 
@@ -29,21 +29,25 @@ COSTS = {
 
 def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
     comparison = pd.DataFrame({f"mse_{name}": column for name, column in mse.items()})
-    references = {name: name for name in mse if not name.startswith("regular")}
-    statistics = ComparisonStatistics(list(mse), references=references)
-    statistics.add(comparison.to_numpy())
-    compared = pd.DataFrame(
-        [
-            {
-                "name": name,
-                "measurement_times": np.arange(int(name.rpartition("_")[2])),
-                "search_cost": math.nan if name.startswith("regular") else 1.0,
-                "search_standard_error": 0.1,
-            }
-            for name in mse
-        ]
-    )
-    return budget_table(compared, statistics, [comparison[:130], comparison[130:]], "regular")
+    rows = []
+    for name, column in mse.items():
+        mean, kind = Estimate.of_mean(column), name.rpartition("_")[0]
+        low, high = mean.interval()
+        row = {
+            "name": name,
+            "kind": "regular" if kind == "regular" else "found",
+            "measurements": int(name.rpartition("_")[2]),
+            "measurement_times": [*range(int(name.rpartition("_")[2]))],
+            "expected_mse": mean.value,
+            "standard_error": mean.standard_error,
+            "expected_mse_low": low,
+            "expected_mse_high": high,
+            "draws": column.size,
+        }
+        rows.append(row)
+    table = pd.DataFrame(rows)
+    worse = worse_than(table, [comparison[:130], comparison[130:]])
+    return table.assign(worse_than=[worse.get(name, math.nan) for name in mse])
 
 
 @pytest.fixture
@@ -55,7 +59,7 @@ def test_a_row_a_set_with_its_interval(table: pd.DataFrame) -> None:
     assert table["kind"].tolist() == ["regular"] * 4 + ["found"] * 4
     assert table["measurements"].tolist() == [2, 3, 4, 5] * 2
     assert table["expected_mse"].tolist() == pytest.approx(list(COSTS.values()))
-    half = (table["high"] - table["low"]) / 2
+    half = (table["expected_mse_high"] - table["expected_mse_low"]) / 2
     assert half.tolist() == pytest.approx([0.05 * 1.97] * 8, rel=0.01)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from oracles.systems import scalar
 from pfdist.common.estimate import Estimate
 from pfdist.filters.evaluator import Evaluator
@@ -146,7 +147,7 @@ def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[...
     tolerance = 4 * column.std() / math.sqrt(1000)
     assert column.mean() == pytest.approx(nothing * 4 / 5, abs=tolerance)  # (P - 1) / P of it
     for name in run.names:
-        result = run.summary().results[name]
+        result = results_of(run)[name]
         assert 0.05 < result.particle_loss < result.particle_loss_at_most
         assert "5 particles may be too few" in result.warnings[0]
 
@@ -154,4 +155,4 @@ def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[...
 def test_exact_engines_lose_nothing_and_say_nothing(finished: Callable[..., Path]) -> None:
     run = pfdist.open_run(finished("model.name=random_walk", "filter.engine=kalman"))
     assert particle_losses_of(run) == {}
-    assert not any(result.particle_loss for result in run.summary().results.values())
+    assert not any(result.particle_loss for result in results_of(run).values())

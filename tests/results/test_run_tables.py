@@ -10,7 +10,7 @@ import pytest
 
 from pfdist import Run, open_run
 from pfdist.errors import ArgumentError, PfdistError, StoreError
-from pfdist.results.stored_run import COMPUTED, TABLES
+from pfdist.results.run import COMPUTED, TABLES
 from pfdist.store.schema import KEYS
 
 EXAMPLE = Path(__file__).parents[2] / "results" / "example"
@@ -43,7 +43,7 @@ def test_computed_tables_follow_from_the_stored(run: Run) -> None:
     comparison, gains = run.table("comparison"), run.table("gains")
     expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
     np.testing.assert_allclose(gains["gain_genetic"], expected)
-    costs = run.table("budget").set_index("name")["expected_mse"]
+    costs = run.table("sets").set_index("name")["expected_mse"]
     for name in run.sets:
         assert costs[name] == pytest.approx(comparison[f"mse_{name}"].mean())
     assert not set(COMPUTED) & set(KEYS)
@@ -61,7 +61,7 @@ def test_the_first_draws_of_a_table_are_the_first_rows_of_all_draws(run: Run, na
     [
         (("bonds",), "must be one of evaluations, .* got 'bonds'; did you mean 'bound'"),
         ((3,), "must be one of .* got 3$"),
-        (("budget", 5), "the table budget has no rows of draws"),
+        (("sets", 5), "the table sets has no rows of draws"),
         (("comparison", 0), "draws must be at least 1, got 0"),
         (("comparison", 2.5), "draws must be an integer, got 2.5"),
     ],

@@ -13,6 +13,7 @@ from scipy import stats
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, SETS, count_draws
+from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError, StoreError
@@ -146,7 +147,7 @@ def test_what_is_shown_at_the_end_is_what_the_summary_says(
     seen: list[Progress] = []
     job = _until(small_job, half_width)
     run = pfdist.run(job, tmp_path / "run", progress=seen.append, figures=False)
-    results = run.summary().results
+    results = results_of(run)
     assert [found.name for found in seen[-1].found] == ["genetic", "random"]
     for found in seen[-1].found:
         result = results[found.name]
@@ -160,12 +161,13 @@ def test_a_kill_in_the_midst_shows_what_was_found_before(
 ) -> None:
     stopped(small_job, tmp_path / "run", "comparison", 200)
     seen: list[Progress] = []
-    known = pfdist.open_run(tmp_path / "run").summary()
+    known = pfdist.open_run(tmp_path / "run")
     assert (known.state, known.draws_compared) == ("comparing", 200)
+    gain = results_of(known)["genetic"].gain_of_means
     pfdist.run(small_job, tmp_path / "run", progress=seen.append, figures=False)
     first = next(state for state in seen if state.found)
     assert first.evaluations == 200
-    assert first.found[0].gain_of_means.value == known.results["genetic"].gain_of_means
+    assert first.found[0].gain_of_means.value == gain
 
 
 def _tree(run: Path) -> dict[Path, bytes]:

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
 from pfdist.questions.evaluate import evaluate
-from pfdist.results.reference import described
+from pfdist.results.sets import described
 
 SHORT = ["search.genetic.generations=1", "search.random.evaluations=3", "comparison.draws=60"]
 COUNTED = {"horizon": 12, "measurement_budget": 4}
@@ -59,7 +60,7 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     assert list(rows) == ["draw", "mse_reference", "mse_genetic", "mse_random"]
     expected = 1 - rows["mse_random"] / rows["mse_reference"]
     np.testing.assert_allclose(run.table("gains")["gain_random"], expected)
-    reference = run.summary().results["reference"]
+    reference = results_of(run)["reference"]
     assert tuple(reference.measurement_times) == times
     broken = [f"problem.measurement_budget is 4, got {len(times)} times"]
     assert reference.broken_constraints == broken

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Work
@@ -100,9 +101,9 @@ def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
     (line,) = [line for line in said if "cannot be believed" in line]
     assert line.startswith("search survivors: filter_variance of 100 particles cannot be believed")
     assert line.endswith("; searching again by the squared error")
-    result = run.summary().results["survivors"]
+    result = results_of(run)["survivors"]
     assert result.search_distrust in line
-    assert result.search_estimation == {}  # the race chose, as the comparison estimates
+    assert result.search_settings == ""  # the race chose, as the comparison estimates
     (row,) = [row for row in searches(Subject(run)).blocks[0].rows if row[0].text == "survivors"]
     assert result.search_distrust in row[-1].text
     assert row[-1].text.endswith("its draws chose the set")
@@ -141,9 +142,9 @@ def test_the_best_sets_of_both_searches_join_one_race(planned: Planned) -> None:
     assert not len(_rows(planned[0], "survivors.shortlist"))
     last = race[race["generation"] == race["generation"].max()]
     winner = last.loc[last["expected_mse"].idxmin()]
-    result = planned[0].summary().results["survivors"]
+    result = results_of(planned[0])["survivors"]
     assert result.measurement_times == list(winner["measurement_times"])
-    assert result.search_cost == winner["expected_mse"]
+    assert result.search_mse == winner["expected_mse"]
 
 
 @pytest.mark.slow
@@ -168,7 +169,7 @@ def test_a_search_by_the_squared_error_needs_no_probe(job: Job, tmp_path: Path) 
     run = pfdist.plan(job, tmp_path / "run", "survivors", changes, figures=False)
     phases = {"survivors", "survivors.polish", "survivors.shortlist"}
     assert set(run.table("evaluations")["phase"]) == phases
-    assert run.summary().results["survivors"].search_distrust is None
+    assert results_of(run)["survivors"].search_distrust is None
 
 
 def test_an_estimator_that_the_user_chose_is_probed_as_well(job: Job, tmp_path: Path) -> None:
@@ -197,7 +198,7 @@ def test_where_the_best_sets_change_their_order_the_search_is_done_again(
     assert {evaluation.measurement_times for evaluation in squared} == {*believed}
     (line,) = [line for line in said if "cannot be believed" in line]
     assert "it prefers {" in line
-    found = run.summary().results["survivors"]
+    found = results_of(run)["survivors"]
     again = _rows(run, "survivors.again.shortlist")
     assert tuple(found.measurement_times) in set(map(tuple, again["measurement_times"]))
 

@@ -187,8 +187,7 @@ def test_a_model_and_a_search_of_an_installed_package_are_run(tmp_path: Path) ->
     command = ("run", tmp_path / "job.toml", "--json", "--results", tmp_path / "run")
     done = _python(installed, "-m", "pfdist", *command, "--set", *changes)
     assert done.returncode == 0, done.stderr
-    results = json.loads(done.stdout)["results"]
-    greedy, regular = results["greedy"], results["regular"]
+    regular, greedy = json.loads(done.stdout)["sets"]
     assert greedy["expected_mse"] < regular["expected_mse"]
 
 

@@ -1,0 +1,285 @@
+"""The columns of the table of sets, each declared once, and the views of its rows.
+
+Everything that is shown of a set comes from this table: answers, reports, lists and tables of runs,
+JSON and DataFrames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from textwrap import shorten
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pfdist.common.formatted_times import formatted_times
+from pfdist.common.parts import Cell, Table, without_empty_columns
+from pfdist.common.percent import range_of, times_100
+from pfdist.common.rounding import with_error, with_interval
+from pfdist.errors import relative
+from pfdist.results.gains import (
+    QUANTILES,
+    quantile_name,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+T = TypeVar("T")
+Results = dict[str, Any]
+_MOST_LETTERS = 60  # of the times in the `repr` of a set
+
+
+class Row(SimpleNamespace):
+    """A row of a table: its columns are attributes, and None is a missing value."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"a row has no column {name!r}; it has: {', '.join(vars(self))}")
+
+    def __repr__(self) -> str:
+        if not {"expected_mse", "measurement_times"} <= {*vars(self)}:
+            return super().__repr__()
+        mse = with_error(self.expected_mse, self.standard_error)
+        times = shorten(formatted_times(self.measurement_times), _MOST_LETTERS, placeholder=" ...")
+        return f"<{self.name}: {self.measurements} measurements, expected MSE {mse}: t = {times}>"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A result of a set.
+
+    Parameters
+    ----------
+    name : str
+    meaning : str
+        A phrase for the manual.
+    dtype : str
+        Type of the column in a DataFrame.
+    head : str
+        Head of the column on pages.
+    error : str
+        Column of its standard error, which pages show beside it.
+    is_percent : bool
+        Pages show it in per cent.
+    has_interval : bool
+        The ends of its 95 % interval are the columns ``NAME_low`` and ``NAME_high``.
+    """
+
+    name: str
+    meaning: str
+    dtype: str = "float64"
+    head: str = ""
+    error: str = ""
+    is_percent: bool = False
+    has_interval: bool = False
+
+    def cell(self, row: Row, unit: str = "") -> Cell:
+        """The value of a row as pages show it; empty if it is missing.
+
+        Parameters
+        ----------
+        row : Row
+        unit : str
+            Unit of measurement times.
+        """
+        value = getattr(row, self.name)
+        if value is None:
+            return Cell("")
+        if isinstance(value, list):
+            return Cell(formatted_times(value, unit))
+        if self.error:
+            return Cell(with_error(value, getattr(row, self.error)), value)
+        if self.has_interval:
+            ends = (getattr(row, f"{self.name}_{end}") for end in ("low", "high"))
+            return interval_cell(value, *ends, is_percent=self.is_percent)
+        return Cell(value if isinstance(value, str) else f"{value:,.10g}", value)
+
+
+def interval_cell(
+    value: float | None, low: float | None, high: float | None, *, is_percent: bool = False
+) -> Cell:
+    """A number with its interval, or alone if it is exact.
+
+    >>> interval_cell(0.176321, 0.162, 0.1904, is_percent=True).text
+    '17.6 (16.2 to 19.0)'
+    >>> interval_cell(2.5, 2.5, 2.5).text
+    '2.5000'
+    """
+    ends = (value, low, high)
+    text, *texts = with_interval(*(map(times_100, ends) if is_percent else ends))
+    return Cell(text if low == high == value else f"{text} ({range_of(*texts)})", value)
+
+
+def _with_interval(column: Column) -> Iterable[Column]:
+    """The column, and those of the ends of its 95 % interval."""
+    ends = [
+        Column(name=f"{column.name}_{end}", meaning=f"{which} end of its 95 % interval")
+        for end, which in (("low", "lower"), ("high", "upper"))
+    ]
+    return [column, *(ends if column.has_interval else [])]
+
+
+_DECLARED = [
+    Column(name="name", dtype="object", head="times", meaning="name of the set"),
+    Column(
+        name="kind", dtype="object",
+        meaning="found (by a search), regular, reference (the times that the job gives as "
+        "comparison.reference), or given (a set that the job names)",
+    ),
+    Column(
+        name="reference", dtype="object",
+        meaning="set over which this set gains: with several numbers of measurements it has as "
+        "many; missing for a reference",
+    ),
+    Column(name="measurements", dtype="int64", head="number", meaning="number of measurements"),
+    Column(name="measurement_times", dtype="object", head="t", meaning="on the clock of the job"),
+    Column(name="price", head="price", meaning="total price, where the job has one"),
+    Column(
+        name="expected_mse", error="standard_error", has_interval=True,
+        head="expected error ± standard error",
+        meaning="on the compared draws, or exact where the engine is exact",
+    ),
+    Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
+    Column(name="draws", dtype="int64", meaning="compared draws"),
+    Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),
+    Column(
+        name="top_percent_share",
+        meaning="share of expected_mse that 1 % of the draws carry; above 0.25 the intervals are "
+        "too narrow; missing with fewer than 100 draws, and where expected_mse is exact",
+    ),
+    Column(
+        name="worse_than", dtype="Int64",
+        meaning="best smaller number of measurements of the same kind, if it is better on common "
+        "draws; the intervals of all such differences hold together with 95 %",
+    ),
+    Column(
+        name="gain_of_means", has_interval=True, is_percent=True, head="lower by, %",
+        meaning="1 - expected_mse / expected_mse of the reference; interval by Fieller",
+    ),
+    Column(
+        name="positive_fraction", has_interval=True, is_percent=True,
+        head="draws with a lower error, %",
+        meaning="share of draws with a positive relative gain; interval by Wilson",
+    ),
+    Column(
+        name="mean_relative_gain", has_interval=True, is_percent=True, head="mean gain, %",
+        meaning="mean of 1 - mse / mse of the reference over the draws, the paper's figure; filter "
+        "noise biases it low; interval by Student's t",
+    ),
+    Column(
+        name="mean_log10_ratio", has_interval=True,
+        meaning="mean of log10(mse / mse of the reference); exchanging the two sets changes only "
+        "its sign; interval by Student's t",
+    ),
+    *(
+        Column(
+            name=quantile_name(share),
+            meaning=f"{share:.0%} quantile of the relative gain, to 0.001; -inf below -10",
+        )
+        for share in QUANTILES
+    ),
+    Column(name="gain_draws", dtype="Int64", meaning="draws whose relative gain is a number"),
+    Column(
+        name="gains_disagree", dtype="object",
+        meaning="whether mean_relative_gain and gain_of_means disagree: see `GainSummary.disagree`",
+    ),
+    Column(
+        name="gain_over_itself", has_interval=True, is_percent=True,
+        meaning="mean relative gain of a reference over itself by filter noise alone",
+    ),
+    Column(name="gain_over_itself_draws", dtype="Int64", meaning="draws of gain_over_itself"),
+    Column(
+        name="search_mse", error="search_standard_error",
+        head="estimated by the search ± standard error",
+        meaning="expected MSE of the set as its search estimated it",
+    ),
+    Column(name="search_standard_error", meaning="of search_mse"),
+    Column(
+        name="search_excess", is_percent=True,
+        meaning="search_mse / expected_mse - 1 (of the worst scenario, where it decides)",
+    ),
+    Column(name="search_cause", dtype="object", meaning="reason of search_excess"),
+    Column(
+        name="search_settings", dtype="object",
+        meaning="settings in which the search estimates otherwise than the comparison",
+    ),
+    Column(
+        name="search_distrust", dtype="object",
+        meaning="reason why the search was run again by the squared error, if it was",
+    ),
+    Column(
+        name="particle_loss",
+        meaning="share of expected_mse due to finitely many particles, by two filters; known where "
+        "the engine has particles and the error is the squared norm",
+    ),
+    Column(name="particle_loss_error", meaning="standard error of particle_loss"),
+    Column(name="particle_loss_at_most", meaning="at least the particle loss"),
+    Column(name="particle_loss_at_most_error", meaning="standard error of particle_loss_at_most"),
+    Column(name="particle_loss_limit", meaning="upper 95 % limit of the particle loss"),
+    Column(name="unmeasured_mse", meaning="expected MSE of the exact filter without measurements"),
+    Column(
+        name="bound", error="bound_error", head="lower bound",
+        meaning="lower bound of the expected MSE of any feasible times of this number, or price",
+    ),
+    Column(name="bound_error", meaning="standard error of bound; 0 where it is exact"),
+    Column(
+        name="bound_low",
+        meaning="one-sided limit of bound; the limits of all numbers hold together with 95 %",
+    ),
+    Column(name="bound_gap", is_percent=True, meaning="1 - bound / expected MSE of the set"),
+    Column(name="bound_gap_at_most", is_percent=True, meaning="upper 95 % limit of bound_gap"),
+    Column(name="description", dtype="object", meaning="a phrase about a set that the job gives"),
+    Column(
+        name="broken_constraints", dtype="object", meaning="constraints of the job that it breaks"
+    ),
+    Column(name="warnings", dtype="object", meaning="sentences"),
+]  # fmt: skip
+
+COLUMNS = {each.name: each for declared in _DECLARED for each in _with_interval(declared)}
+"""All columns of the table of sets, in their order."""
+
+
+def rows_of(table: pd.DataFrame) -> list[Row]:
+    """The rows of a table; its columns have names of attributes."""
+    plain = table.astype(object).where(table.notna(), None)
+    return [Row(**{str(k): value for k, value in row.items()}) for row in plain.to_dict("records")]
+
+
+def records_of(table: pd.DataFrame) -> list[Results]:
+    """The rows of a table as JSON holds them: None for numbers that are missing or infinite."""
+    return finite([vars(row) for row in rows_of(table)])
+
+
+def sets_table(
+    caption: str, rows: Iterable[Row], columns: Sequence[str], *, unit: str = "", **how: Any
+) -> Table:
+    """A table of some results of sets for pages; columns in which all cells are empty are left out.
+
+    Parameters
+    ----------
+    caption : str
+    rows : iterable of Row
+    columns : sequence of str
+        Names of columns that have a head. The last that are not needed are the first that a narrow
+        terminal leaves out.
+    unit : str
+        Unit of measurement times.
+    how
+        As of `pfdist.common.parts.Table`.
+    """
+    declared = [COLUMNS[name] for name in columns]
+    cells = [[column.cell(row, unit) for column in declared] for row in rows]
+    return without_empty_columns(Table(caption, [each.head for each in declared], cells, **how))
+
+
+def finite(value: T) -> T:
+    """The same value for JSON: None for floats that are not finite, lists, and relative paths."""
+    plain: Any = relative(value) if isinstance(value, str) else value
+    if isinstance(value, dict):
+        plain = {key: finite(inner) for key, inner in value.items()}
+    elif isinstance(value, list | tuple):
+        plain = [finite(inner) for inner in value]
+    elif isinstance(value, float) and not math.isfinite(value):
+        plain = None
+    return plain  # type: ignore[no-any-return]
