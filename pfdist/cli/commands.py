@@ -143,7 +143,7 @@ COMMANDS = {
         },
     ),
     "evaluate": Command(
-        "pfdist.cli.own:evaluate",
+        "pfdist.questions.evaluate:evaluated",
         "Estimate the expected MSE of a set of measurement times, or of several.",
         {
             "pfdist evaluate jobs/plan.toml --times 0:60:3": "Measure at t = 0, 3, 6, ..., 60",

@@ -3,9 +3,7 @@
 Each gives an answer, as the functions of `pfdist.questions` do, or lines and checks one by one.
 """
 
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
@@ -17,83 +15,9 @@ from pfdist.runner.progress import silent
 if TYPE_CHECKING:  # each command imports what it needs, and no other command waits for that
     import pandas as pd
 
-    from pfdist.common.parts import Page
-    from pfdist.filters.estimate import Evaluation
     from pfdist.questions.model_checks import Check
     from pfdist.questions.sweep import Sweep
     from pfdist.results import Run
-
-_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
-
-
-@dataclass(frozen=True)
-class Evaluated:
-    """The answer of ``pfdist evaluate``: sets of times, which may break constraints, by name."""
-
-    evaluations: Mapping[str, "Evaluation"]
-    broken: Mapping[str, Sequence[str]]
-    parameters: Sequence[Mapping[str, Any]]  # of each scenario
-    seconds: float
-
-    def as_json(self) -> dict[str, Any]:
-        """The estimates of each set, or of the one that has no name."""
-        sets = {
-            name: {key: getattr(evaluation, key) for key in _ANSWERED}
-            | {"broken_constraints": self.broken[name]}
-            for name, evaluation in self.evaluations.items()
-        }
-        answer: dict[str, Any] = sets[""] if list(sets) == [""] else {"sets": sets}
-        return answer | {"seconds": round(self.seconds, 3)}
-
-    def _page(self) -> "Page":
-        from pfdist.questions.evaluate_page import evaluate_page
-
-        return evaluate_page(self.evaluations, self.broken, self.parameters)
-
-
-def evaluate(
-    job: str,
-    *,
-    times: Mapping[str, str],
-    draws: int | None = None,
-    particles: int | None = None,
-    seed: int | None = None,
-    changes: Sequence[str] = (),
-) -> Evaluated:
-    """Estimate the expected MSE of a set of measurement times, or of several.
-
-    Parameters
-    ----------
-    job : str
-        A job file, as jobs/plan.toml, or the folder of a run.
-    times : mapping of str to str
-        Measurement times: numbers and ranges FIRST:LAST or FIRST:LAST:STEP, both ends included, as
-        0:60:3 or 0,6,12, on the clock of the job, if it has one. NAME=TIMES, given several times,
-        evaluates several sets on the same draws.
-    draws : int, optional
-        Number of draws; by default evaluation.draws of the job.
-    particles : int, optional
-        Number of particles; by default filter.particles of the job.
-    seed : int, optional
-        Seed of the noise; by default that of the job.
-    changes : sequence of str, optional
-        Other values of keys of the job, as seed=3.
-    """
-    from pfdist.problem.job import load_job
-    from pfdist.questions.evaluate import prepare
-
-    loaded = load_job(job, changes)
-    written = times[""] if list(times) == [""] else times
-    compute = prepare(loaded, written, draws, particles, seed)
-    start = time.perf_counter()  # after the compilation
-    evaluations = compute()
-    seconds = time.perf_counter() - start
-    broken = {
-        name: loaded.problem.broken(evaluation.measurement_times)
-        for name, evaluation in evaluations.items()
-    }
-    scenarios = loaded.scenarios.each if loaded.scenarios else ()
-    return Evaluated(evaluations, broken, [each.parameters for each in scenarios], seconds)
 
 
 @with_options

@@ -1,21 +1,28 @@
 """The expected MSE of sets of measurement times, computed in this process."""
 
-from collections.abc import Callable, Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
 from pfdist.common.clock import Time
 from pfdist.common.measurement_times import REGULAR, Times
+from pfdist.common.parts import Cell, Page, Section, Table
+from pfdist.common.percent import heavy_tail_warning
+from pfdist.common.rounding import rounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import Result, joined
-from pfdist.problem.job import Job
+from pfdist.problem.job import Job, load_job
 from pfdist.problem.source import JobSource, as_job
 from pfdist.problem.written import validated_instants
 from pfdist.questions.options import following
+from pfdist.questions.robust import parameters_text
+from pfdist.questions.subject import mse_cell
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, silent
@@ -156,3 +163,123 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
             sets, mse, degenerate, exact, strict=True
         )
     }
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
+_HEAD = ("times", "number", "expected MSE ± standard error", "draws")
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The answer of ``pfdist evaluate``: sets of times, which may break constraints, by name."""
+
+    evaluations: Mapping[str, Evaluation]
+    broken: Mapping[str, Sequence[str]]
+    parameters: Sequence[Mapping[str, Any]]  # of each scenario
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The estimates of each set, or of the one that has no name."""
+        sets = {
+            name: {key: getattr(evaluation, key) for key in _ANSWERED}
+            | {"broken_constraints": self.broken[name]}
+            for name, evaluation in self.evaluations.items()
+        }
+        answer: dict[str, Any] = sets[UNNAMED] if list(sets) == [UNNAMED] else {"sets": sets}
+        return answer | {"seconds": round(self.seconds, 3)}
+
+    def _page(self) -> Page:
+        line, rows = "", [_row(name, evaluation) for name, evaluation in self.evaluations.items()]
+        if list(self.evaluations) == [UNNAMED]:
+            _, _, mse, draws = (cell.text for cell in rows.pop())
+            line = f"expected MSE {mse}" + f", {draws} draws" * bool(draws)
+        tables = [Table("", _HEAD, rows)] if rows else []
+        tables += _of_scenarios(self.evaluations, self.parameters)
+        return Page("", line, [Section("", tables)], [*self._warnings()])
+
+    def _warnings(self) -> Iterator[str]:
+        for name, evaluation in self.evaluations.items():
+            these = f"the times of {name} break" if name else "these times break"
+            for constraint in self.broken[name]:
+                yield f"{these} a constraint: {constraint}"
+            if evaluation.degenerate_draws:
+                yield f"{name}: " * bool(name) + evaluation.degenerate_text
+            if warning := heavy_tail_warning({name: evaluation.top_percent_share}):
+                yield warning
+
+
+def evaluated(
+    job: str,
+    *,
+    times: Mapping[str, str],
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+    changes: Iterable[str] = (),
+) -> Evaluated:
+    """Estimate the expected MSE of a set of measurement times, or of several.
+
+    Parameters
+    ----------
+    job : str
+        A job file, as jobs/plan.toml, or the folder of a run.
+    times : mapping of str to str
+        Measurement times: numbers and ranges FIRST:LAST or FIRST:LAST:STEP, both ends included, as
+        0:60:3 or 0,6,12, on the clock of the job, if it has one. NAME=TIMES, given several times,
+        evaluates several sets on the same draws.
+    draws : int, optional
+        Number of draws; by default evaluation.draws of the job.
+    particles : int, optional
+        Number of particles; by default filter.particles of the job.
+    seed : int, optional
+        Seed of the noise; by default that of the job.
+    changes : iterable of str, optional
+        Other values of keys of the job, as seed=3.
+    """
+    loaded = load_job(job, changes)
+    written = times[UNNAMED] if list(times) == [UNNAMED] else times
+    compute = prepare(loaded, written, draws, particles, seed)
+    start = time.perf_counter()  # after the compilation
+    evaluations = compute()
+    seconds = time.perf_counter() - start
+    broken = {
+        name: loaded.problem.broken(evaluation.measurement_times)
+        for name, evaluation in evaluations.items()
+    }
+    scenarios = loaded.scenarios.each if loaded.scenarios else ()
+    return Evaluated(evaluations, broken, [each.parameters for each in scenarios], seconds)
+
+
+def _of_scenarios(
+    evaluations: Mapping[str, Evaluation], parameters: Sequence[Mapping[str, Any]]
+) -> list[Table]:
+    """The expected MSE of each set in each scenario that has a draw."""
+    if not all(evaluation.of_scenarios for evaluation in evaluations.values()):
+        return []
+    columns = {name or "expected MSE": each.of_scenarios for name, each in evaluations.items()}
+    rows = [
+        [
+            Cell(parameters_text(parameters[number])),
+            *(
+                mse_cell(each[number].expected_mse, each[number].standard_error)
+                for each in columns.values()
+            ),
+        ]
+        for number in sorted(next(iter(columns.values())))
+    ]
+    return [Table("Expected MSE ± standard error in each scenario", ("scenario", *columns), rows)]
+
+
+def _row(name: str, evaluation: Evaluation) -> list[Cell]:
+    number = len(evaluation.measurement_times)
+    cells = [Cell(name), Cell(str(number), number)]
+    if evaluation.exact is not None:
+        return [*cells, Cell(f"{rounded(evaluation.exact)} (exact)"), Cell("")]
+    mse = with_error(evaluation.expected_mse, evaluation.standard_error)
+    return [
+        *cells,
+        Cell(mse),
+        Cell(f"{evaluation.draws:,}", evaluation.draws),
+    ]
