@@ -157,6 +157,25 @@ class Constraints:
         complete = self.with_required(times)
         return self.spent(complete) <= self.total and self.compatible(complete)
 
+    def moved(self, times: Times, t: int, to: int) -> Times | None:
+        """The set whose measurement at t is made at another instant; None if that is not allowed.
+
+        A required measurement never moves, and two measurements need two instants.
+
+        >>> apart = Constraints(
+        ...     horizon=9, measurement_budget=3, forbidden=(7,), minimum_spacing=2
+        ... )
+        >>> apart.moved((0, 4, 6), 4, 2), apart.moved((0, 4, 6), 6, 9)
+        ((0, 2, 6), (0, 4, 9))
+        >>> apart.moved((0, 4, 6), 4, 5), apart.moved((0, 4, 6), 6, 7)
+        (None, None)
+        """
+        others = {*times} - {t}
+        if to in others or to not in self.optional or t in self.required:
+            return None
+        changed = tuple(sorted(others | {to}))
+        return changed if self.allows(changed) else None
+
     def broken(self, times: Iterable[int]) -> list[str]:
         """The constraints that a set of times in 0..T breaks, one sentence each.
 

@@ -20,8 +20,8 @@ from pfdist.filters.work import Result, joined
 from pfdist.problem.job import Job, load_job
 from pfdist.problem.source import JobSource, as_job
 from pfdist.problem.written import validated_instants
+from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import following
-from pfdist.questions.robust import parameters_text
 from pfdist.questions.subject import mse_cell
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS

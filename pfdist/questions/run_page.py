@@ -28,9 +28,13 @@ from pfdist.errors import relative
 from pfdist.questions.about_run import citation, computed, problem, tables
 from pfdist.questions.bound_page import proof
 from pfdist.questions.budget_page import budget
-from pfdist.questions.compare_page import compared
-from pfdist.questions.online_page import online, online_sentence
-from pfdist.questions.robust import scenarios, worst_effect
+from pfdist.questions.compared_page import (
+    compared,
+    online,
+    online_sentence,
+    scenarios,
+    worst_effect,
+)
 from pfdist.questions.subject import Subject, all_sets, effect, exact_effect, number_of
 from pfdist.questions.why_page import worth
 from pfdist.results import Run

@@ -21,7 +21,6 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.work import Work, cut
 from pfdist.kernels.variates import generator
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.moves import moved
 from pfdist.questions.worth import mse_of_sets
 from pfdist.results.relative_loss import INSIDE, OPEN, OUTSIDE, RelativeLoss
 from pfdist.runner.door import Batch, Session
@@ -92,7 +91,7 @@ def _sides(times: Times, feasible: Feasible) -> list[list[tuple[Move, Times]]]:
         ends = (-1, *own, feasible.possible)
         before, _, after = ends[own.index(t) :][:3]
         for instants in (range(t - step, before, -step), range(t + step, after, step)):
-            sets = (((t, to), moved(times, t, to, feasible)) for to in instants)
+            sets = (((t, to), feasible.moved(times, t, to)) for to in instants)
             side = [(move, changed) for move, changed in sets if changed is not None]
             sides += [side] if side else []
     return sides

@@ -15,7 +15,6 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Result, Work
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.moves import moved
 from pfdist.results import Moments
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
@@ -91,7 +90,7 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
     for t in times:
         yield t, "removed", tuple(other for other in times if other != t)
         for change, to in (("earlier", t - feasible.sensors), ("later", t + feasible.sensors)):
-            changed = moved(times, t, to, feasible)
+            changed = feasible.moved(times, t, to)
             if changed is not None:
                 yield t, change, changed
 

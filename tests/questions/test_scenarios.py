@@ -26,7 +26,7 @@ from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
 from pfdist.problem.scenarios_section import Scenarios
-from pfdist.questions.robust import worst_effect
+from pfdist.questions.compared_page import worst_effect
 from pfdist.results.columns import Row
 from pfdist.runner import search_phase
 from pfdist.runner.build import build
