@@ -96,7 +96,7 @@ def search(job: Job, pool: Pool) -> dict[str, Any]:
         seconds = perf_counter() - start
         rows, compared = store.read("evaluations"), store.read("compared").set_index("name")
         steps = int((rows["end"] + 1).sum()) if built.evaluator.exact else counting.steps
-        believed, times = compared.loc[name, "search_cost"], store.compared_sets()[name]
+        believed, times = compared.loc[name, "search_mse"], store.compared_sets()[name]
     return {"steps": steps, "seconds": seconds, "believed": believed, "times": times}
 
 

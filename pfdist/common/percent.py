@@ -10,7 +10,7 @@ HEAVY = 0.25
 """If 1 % of the draws carry more than this share of an expected MSE, its interval is too narrow."""
 
 
-def cost(expected_mse: float | None) -> float:
+def infinite_if_none(expected_mse: float | None) -> float:
     """An expected MSE of an answer, in which None stands for an infinite value."""
     return math.inf if expected_mse is None else expected_mse
 

@@ -7,7 +7,7 @@ from typing import Any
 CHOOSING = ("search", "probe", "shortlist", "online", "particles")
 """Purposes of draws that decide between sets, or between numbers of particles.
 
-No cost on such draws is reported as proof.
+No error on such draws is reported as proof.
 """
 PROVING = ("comparison", "budget", "bound", "why", "evaluate", "filter", "simulate")
 """Purposes of draws that choose no set.

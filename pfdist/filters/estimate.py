@@ -28,7 +28,7 @@ class Evaluation(Shown):
         Per-draw MSE. In a degenerate draw the filter leaves out the measurements that no particle
         explains, and the draw counts with the error of this filter.
     degenerate_policy : {"continue", "kill"}
-        ``kill``, the paper's, makes the cost infinite if a draw is degenerate.
+        ``kill``, the paper's, makes the error infinite if a draw is degenerate.
     exact : float, optional
         The expected MSE, where the engine knows it without draws.
     end : int, optional
@@ -40,7 +40,7 @@ class Evaluation(Shown):
     scenarios : array of int64, (D,), optional
         The number of each draw's scenario.
     is_worst : bool
-        Whether the cost is the largest of the scenarios' means, and not the mean over all draws.
+        Whether `expected_mse` is the largest mean of a scenario, and not the mean over all draws.
     degenerate : array of bool, (D,), optional
         Whether each draw is degenerate; by default none is.
     """
@@ -132,11 +132,6 @@ class Evaluation(Shown):
             raise ValueError("the errors of each instant were not asked for")
         return self.errors
 
-    @property
-    def cost(self) -> float:
-        """`expected_mse`, which searches minimise."""
-        return self.expected_mse
-
     def _page(self) -> Page:
         mse = with_error(self.expected_mse, self.standard_error)
         count = len(self.measurement_times)
@@ -160,12 +155,16 @@ class Evaluation(Shown):
 
 
 def difference(first: Evaluation, second: Evaluation) -> Estimate:
-    """Cost of the first set minus that of the second, on the draws that both have.
+    """Error of the first set minus that of the second, on the draws that both have.
 
     Errors common to both sets cancel in each draw, and with them most of the variance.
     """
-    if not (math.isfinite(first.cost) and math.isfinite(second.cost)):
-        mean = 0.0 if first.cost == second.cost else first.cost - second.cost
+    if not (math.isfinite(first.expected_mse) and math.isfinite(second.expected_mse)):
+        mean = (
+            0.0
+            if first.expected_mse == second.expected_mse
+            else first.expected_mse - second.expected_mse
+        )
         return Estimate(mean)
     if first.exact is not None and second.exact is not None:
         return Estimate(first.exact - second.exact)

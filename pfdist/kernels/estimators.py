@@ -60,7 +60,7 @@ TWO_FILTERS = Estimator(
 FILTER_NOISE = Estimator(
     "filter_noise",
     ErrorWeights(distance=0.5),
-    "Half the squared distance of the estimates of two filters: what particles cost, no error.",
+    "Half the squared distance of the estimates of two filters: the part of particles alone.",
 )
 
 ESTIMATORS = {

@@ -69,8 +69,8 @@ def _title(table: pd.DataFrame, target: float | None) -> str:
             f"An expected MSE of {target:g} takes {numbers['found']} found {times}, or "
             f"{numbers['regular']} regular."
         )
-    costs = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
-    both = costs.dropna()
+    errors = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
+    both = errors.dropna()
     if both.empty:
         return "No number of measurements has an expected MSE with both kinds of times."
     lower = 1 - (both["found"] / both["regular"]).median()

@@ -1,22 +1,23 @@
 """`pfdist.plots`: functions that draw one panel, from tables to axes.
 
-The functions `belief`, `bound`, `budget`, `comparison`, `cost`, `degenerate_draws`,
+The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
-`online_shares`, `particle_losses`, `sampling_windows`, `shifts`, `times`, `uncertainty` and `worth`
-each draw one panel: of a run, or of tables, into ``ax``, or into a new figure of pyplot. They
-return the axes. So do `against`, `heat_map` and `found_times`, which draw a table of many runs.
+`online_shares`, `particle_losses`, `sampling_windows`, `searches`, `shifts`, `times`,
+`uncertainty` and `worth` each draw one panel: of a run, or of tables, into ``ax``, or into a new
+figure of pyplot. They return the axes. So do `against`, `heat_map` and `found_times`, which draw a
+table of many runs.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """
 
 from pfdist.pages import style  # noqa: F401  first: it decides how Matplotlib is imported
 from pfdist.pages.bounds import bound, budget, draw_target
-from pfdist.pages.costs import comparison, cost
 from pfdist.pages.figure import draw_figures, draw_missing_figures
 from pfdist.pages.filtered import belief, check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.pages.gains import gain, one_draw
 from pfdist.pages.measurements import sampling_windows, shifts, worth
 from pfdist.pages.online import online_gain, online_raster, online_shares
+from pfdist.pages.searches import comparison, searches
 from pfdist.pages.sweeps import against, found_times, heat_map
 from pfdist.pages.times_axis import times, uncertainty
 from pfdist.pages.why import degenerate_draws, effective_sample_size, error_profile, particle_losses
@@ -28,7 +29,6 @@ __all__ = [
     "budget",
     "check_figure_replaceable",
     "comparison",
-    "cost",
     "degenerate_draws",
     "draw_figures",
     "draw_filtered",
@@ -46,6 +46,7 @@ __all__ = [
     "online_shares",
     "particle_losses",
     "sampling_windows",
+    "searches",
     "shifts",
     "times",
     "uncertainty",

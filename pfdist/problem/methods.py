@@ -32,9 +32,9 @@ class Method:
     name: str  # in job files
     optimiser: Callable[..., Any]  # gives a `pfdist.search.Optimiser`
     section: type[SearchSection]  # the section [[search]], with the settings of the method
-    curve: Curve  # in the figure ``cost``, which shows expected MSE by evaluation
+    curve: Curve  # in the figure ``searches``, which shows expected MSE by evaluation
     online: bool  # whether the method can plan the remaining measurements
-    additive: bool  # whether the method adds errors of instants, so that a cost must be a mean
+    additive: bool  # whether the method adds errors of instants, so that an error must be a mean
 
     @property
     def description(self) -> str:
@@ -90,12 +90,12 @@ def method(
     polish : bool
         Default of ``polish``: whether an exchange search then improves the best set.
     curve : str
-        The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
+        The curve of the search in the figure ``searches``, which shows expected MSE by evaluation.
     online : bool
         Whether the method can plan the remaining measurements. A method that asks for the errors
         of each instant cannot. It takes a whole number of blocks of 24 draws.
     additive : bool
-        Whether the method adds errors of instants or of prefixes. Then costs must be means.
+        Whether the method adds errors of instants or of prefixes. Then errors must be means.
     """
 
     def declare(optimiser: C) -> C:

@@ -45,7 +45,7 @@ class EvaluationSettings(Section):
     estimator : str
         How the error of a draw is estimated; "auto" chooses by the model.
     degenerate_draws : str
-        Whether a degenerate draw makes the cost of a set infinite ("kill").
+        Whether a degenerate draw makes the error of a set infinite ("kill").
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None

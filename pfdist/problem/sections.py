@@ -214,8 +214,8 @@ class EvaluationSection(Section):
     noise : str
         Whether each evaluation has draws of its own, or all share theirs.
     degenerate_draws : str
-        Whether a degenerate draw makes the cost of a set infinite ("kill"). By default only genetic
-        and random searches read it.
+        Whether a degenerate draw makes the error of a set infinite ("kill"). By default only
+        genetic and random searches read it.
     estimator : str
         How the error of a draw is estimated.
     """

@@ -114,7 +114,7 @@ def bound(
         A job file, whose run is meant, or the folder of a run.
     draws : int, optional
         Number of draws of the bound, 480 to 100,000, rounded up to a multiple of 24; by default
-        1,920. With more draws the bound is higher, because the least of many noisy costs is too
+        1,920. With more draws the bound is higher, because the least of many noisy errors is too
         low. Exact engines ignore it.
     within : float, optional
         Double the number of draws until the upper limits of the gaps are at most this fraction, or

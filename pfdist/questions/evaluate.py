@@ -135,7 +135,7 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
     evaluator, times, count = built.evaluator, tuple(sets.values()), len(sets)
     exact, scenarios = [None] * count, None
     if evaluator.exact:
-        exact, mse = built.exact_costs([*times]).tolist(), np.empty((count, 0))
+        exact, mse = built.exact_errors([*times]).tolist(), np.empty((count, 0))
         degenerate = np.empty((count, 0), np.bool_)
     else:
         evaluation = Settings.from_job(built.job)
@@ -153,13 +153,13 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
         name: Evaluation(
             tuple(built.job.problem.clock.written_of(sets[name])),
             mse_of_set,
-            exact=cost,
+            exact=exact_mse,
             purpose="evaluate",
             scenarios=scenarios,
             is_worst=built.is_worst,
             degenerate=degenerate_of_set,
         )
-        for name, mse_of_set, degenerate_of_set, cost in zip(
+        for name, mse_of_set, degenerate_of_set, exact_mse in zip(
             sets, mse, degenerate, exact, strict=True
         )
     }

@@ -18,7 +18,7 @@ from pfdist.common.parts import (
     Text,
     without_empty_columns,
 )
-from pfdist.common.percent import cost
+from pfdist.common.percent import infinite_if_none
 from pfdist.common.rounding import rounded, with_error
 from pfdist.questions.subject import number_of
 from pfdist.store.schema import components_in
@@ -201,5 +201,6 @@ def _before(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _expected(answer: Mapping[str, Any], plan: str) -> str:
-    mse = with_error(cost(answer[f"expected_mse{plan}"]), answer[f"standard_error{plan}"])
+    error = infinite_if_none(answer[f"expected_mse{plan}"])
+    mse = with_error(error, answer[f"standard_error{plan}"])
     return f"{mse} from t = {_time(answer, answer['now'])} on"

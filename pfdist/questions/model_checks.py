@@ -295,7 +295,7 @@ def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -
 def check_filter(
     make: Callable[[], Evaluator], times: Times, estimation: Estimation
 ) -> Iterator[Check]:
-    """Yield checks of an evaluation with some times: its degenerate draws, its cost and its time.
+    """Yield checks of an evaluation with some times: its degenerate draws, its error and its time.
 
     A slow model has fewer draws than a thousand.
     """

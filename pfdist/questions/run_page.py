@@ -330,7 +330,7 @@ def searches(subject: Subject) -> Section | None:
         without_empty_columns(table),
         *killed,
         Text(_SEARCHES, detail=True),
-        Figures(["cost"]),
+        Figures(["searches"]),
     ]
     return Section("How the times were found", blocks)
 

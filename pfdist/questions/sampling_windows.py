@@ -117,11 +117,11 @@ def _rows(
     streams = stream_of("why", seed, "filter", name), stream_of("why", seed, "draws")
     work = evaluator.work(sets, *streams, (0, draws), session.built.comparing)
     if evaluator.exact:
-        (costs,), _ = yield from mse_of_sets(session, [work])
-        cost_unmoved, *_ = costs
+        (errors,), _ = yield from mse_of_sets(session, [work])
+        mse_unmoved, *_ = errors
         return [
-            _exact_row((cost - cost_unmoved) / cost_unmoved if cost_unmoved > 0.0 else math.nan)
-            for cost in costs
+            _exact_row((error - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan)
+            for error in errors
         ]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
@@ -250,8 +250,8 @@ class _Jittering:
             ]
             return (yield from mse_of_sets(self.session, works))[0]
         different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
-        cost_of_set = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
-        return np.array([[cost_of_set[times] for times in of_a_draw] for of_a_draw in sets])
+        mse_of_set = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
+        return np.array([[mse_of_set[times] for times in of_a_draw] for of_a_draw in sets])
 
     def _sets(self, draw: int) -> tuple[Times, ...]:
         """The original times, and the random times of a draw for each level."""

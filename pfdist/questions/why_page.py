@@ -6,7 +6,7 @@ from typing import Any
 
 from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.common.parts import Block, Cell, Figures, Page, Section, Table, Text
-from pfdist.common.percent import cost
+from pfdist.common.percent import infinite_if_none
 from pfdist.common.rounding import with_error
 from pfdist.questions.subject import Subject, number_of
 from pfdist.results.sampling_windows import STRICT, WIDE, sentences, windows_of
@@ -57,9 +57,11 @@ def why_page(answer: Mapping[str, Any], found_names: Iterable[str]) -> Page:
         Names of the sets that searches have found.
     """
     blocks, names = list[Block](), set(found_names)
-    sets = sorted(answer["sets"].items(), key=lambda item: cost(item[1]["expected_mse"]))
+    sets = sorted(
+        answer["sets"].items(), key=lambda item: infinite_if_none(item[1]["expected_mse"])
+    )
     for name, each in sets:  # the best first
-        mse = with_error(cost(each["expected_mse"]), each["standard_error"])
+        mse = with_error(infinite_if_none(each["expected_mse"]), each["standard_error"])
         blocks.append(Text(f"{name}: expected MSE {mse}", prominent=True))
         parts = each["worth"], each["sampling_windows"], each["jitter"]
         blocks += _of_set(name, *parts, is_found=name in names, mse=each["expected_mse"] or 0.0)

@@ -56,7 +56,7 @@ def worth_of(
     ends = (*range(instants), *(evaluator.horizon,) * len(changed))
     of_draws = stream_of("why", seed, "draws")
     work = evaluator.work(sets, stream, of_draws, (0, draws), built.comparing, ends=ends)
-    (cost, *estimates), degenerate = yield from _means(session, work)
+    (mse, *estimates), degenerate = yield from _means(session, work)
     at = {t // sensors for t in times}
     alone = evaluator.work((times,), stream, of_draws, (0, draws), built.comparing)
     sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
@@ -76,7 +76,7 @@ def worth_of(
     worth = {t: {"t": t} | dict.fromkeys(_COLUMNS, math.nan) for t in times}
     for (t, change, _), (mean, error) in zip(changed, estimates[instants:], strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
-    summary = {"expected_mse": cost[0], "standard_error": cost[1]}
+    summary = {"expected_mse": mse[0], "standard_error": mse[1]}
     return Worth(summary | {"degenerate_draws": degenerate[-1]}, profile, list(worth.values()))
 
 
@@ -132,8 +132,8 @@ def mse_of_sets(
     evaluator, (work, *_) = session.built.evaluator, works
     if evaluator.exact:
         exact = evaluator if work.weighted else replace(evaluator, weights=None)
-        costs = exact.expected_mse(work.measurement_times, work.ends)[None]
-        return costs, np.zeros(costs.shape, np.bool_)
+        errors = exact.expected_mse(work.measurement_times, work.ends)[None]
+        return errors, np.zeros(errors.shape, np.bool_)
     mse = np.empty((last - first, len(work.ends)))
     degenerate = np.empty(mse.shape, np.bool_)
 

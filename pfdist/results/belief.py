@@ -17,7 +17,7 @@ _ERRS_MORE = "the search's filter errs more than the job's own"
 
 
 def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[str, Any]:
-    """How far the believed cost of a set is from the cost on fresh draws, and why.
+    """How far the estimated error of a set is from the error on fresh draws, and why.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[st
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
     distrust, copies = distrust_of(run, search), copies_of(run).get(search, [1])
-    # After a second search the race gives the cost, and it estimates as the comparison.
+    # After a second search the race gives the error, and it estimates as the comparison.
     own = {} if distrust else own_estimation(run, search)
     return {
         "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
@@ -48,7 +48,7 @@ def belief_of(run: StoredRun, search: str, result: Mapping[str, Any]) -> dict[st
 def cause_of_excess(
     result: Mapping[str, Any], own: Mapping[str, Any], run: str, evaluations: int = 1
 ) -> str:
-    """The reason why a search's cost differs from the cost on fresh draws.
+    """The reason why a search's estimate differs from the error on fresh draws.
 
     A search chooses the set with the smallest of many estimates, so the estimate is too low. The
     draws explain a difference up to the likely minimum of as many normal variates.
@@ -67,7 +67,7 @@ def cause_of_excess(
     apart = result["search_mse"] - result["expected_mse"]
     error = math.hypot(result["search_standard_error"], result["standard_error"])
     limit = largest_of(evaluations) if apart < 0 and not _is_biased(own) else CLEAR_ERRORS
-    rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both costs are exact
+    rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both errors are exact
     if not abs(apart) > limit * error + rounding:
         return _CHOSE if error else _EXACT
     if apart > 0 and own:

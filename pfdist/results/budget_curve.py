@@ -152,5 +152,5 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     return answer
 
 
-def _least(costs: pd.Series[float], target: float) -> int | None:
-    return next((int(number) for number, cost in costs.items() if cost <= target), None)  # type: ignore[call-overload]
+def _least(errors: pd.Series[float], target: float) -> int | None:
+    return next((int(number) for number, error in errors.items() if error <= target), None)  # type: ignore[call-overload]

@@ -130,7 +130,7 @@ def pairs_table(
     return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
 
 
-def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
+def ranks_table(pairs: pd.DataFrame, errors: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
     """A row for each set, the lowest expected MSE first, with its interval of ranks.
 
     Two sets are clearly different if the simultaneous interval of their difference does not
@@ -144,7 +144,7 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
     ----------
     pairs : DataFrame
         The result of `pairs_table`.
-    costs : mapping of str to (float, float)
+    errors : mapping of str to (float, float)
         Expected MSE and standard error of each set by name.
 
     Returns
@@ -152,10 +152,10 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
     DataFrame
         The columns of the table ``ranks``.
     """
-    order = sorted(costs, key=lambda name: (math.isnan(costs[name][0]), costs[name][0]))
+    order = sorted(errors, key=lambda name: (math.isnan(errors[name][0]), errors[name][0]))
     # For each set, the number of sets that are clearly better; and of those that are clearly worse
     # or exactly equal.
-    better, worse = dict.fromkeys(costs, 0), dict.fromkeys(costs, 0)
+    better, worse = dict.fromkeys(errors, 0), dict.fromkeys(errors, 0)
     to_best = {order[0]: (0.0, 0.0, 0.0)}
     for pair in pairs.to_dict("records"):
         first, second = pair["first"], pair["second"]
@@ -171,7 +171,7 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
         elif first == order[0]:
             to_best[second] = (-pair["difference"], -pair["high"], -pair["low"])
     rows = [
-        (name, *costs[name], 1 + better[name], len(costs) - worse[name], *to_best[name])
+        (name, *errors[name], 1 + better[name], len(errors) - worse[name], *to_best[name])
         for name in order
     ]
     import pandas as pd  # noqa: PLC0415  it loads when tables are made

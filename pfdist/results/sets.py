@@ -64,7 +64,7 @@ def _given(run: StoredRun) -> Iterable[Results]:
     problem = problem_of(run)
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
-        reference, is_found = run.references.get(name), not math.isnan(entry["search_cost"])
+        reference, is_found = run.references.get(name), not math.isnan(entry["search_mse"])
         own_kind = key_of(name, run.job).origin if reference is None else GIVEN
         row: Results = {
             "name": name,
@@ -80,7 +80,7 @@ def _given(run: StoredRun) -> Iterable[Results]:
         if problem.total_cost is not None:
             row["price"] = float(problem.feasible.cost_of(problem.clock.measurements(times)))
         if is_found:
-            row["search_mse"] = float(entry["search_cost"])
+            row["search_mse"] = float(entry["search_mse"])
             row["search_standard_error"] = float(entry["search_standard_error"])
         elif "budget" not in run.job:
             row |= described(run.job, name, tuple(times))

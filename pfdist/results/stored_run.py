@@ -312,11 +312,11 @@ def ranks_of(run: StoredRun) -> pd.DataFrame:
     and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from best_rank to
     worst_rank.
     """
-    costs = {
+    errors = {
         name: (each.mean, each.standard_error) for name, each in statistics_of(run).mse.items()
     }
-    costs |= {name: (cost, 0.0) for name, cost in exact_errors(run).items()}
-    return ranks_table(pairs_of(run), costs)
+    errors |= {name: (error, 0.0) for name, error in exact_errors(run).items()}
+    return ranks_table(pairs_of(run), errors)
 
 
 def scenarios_of(run: StoredRun) -> pd.DataFrame:

@@ -180,17 +180,17 @@ def evaluated_by_errors(
     else:
         sums = sums_of(counted)
         errors, steps = (yield from sums.means(blocks, session)), sums.steps(blocks)
-    costs = [errors_of_set.sum() / (horizon + 1) for errors_of_set in errors]
+    means = [errors_of_set.sum() / (horizon + 1) for errors_of_set in errors]
     evaluations = [
         Evaluation(
             candidate.measurement_times,
-            np.array([cost]),
-            exact=float(cost) if exact else None,
+            np.array([mean]),
+            exact=float(mean) if exact else None,
             end=candidate.end,
             errors=errors_of_set,
             purpose=purpose,
         )
-        for candidate, errors_of_set, cost in zip(candidates, errors, costs, strict=True)
+        for candidate, errors_of_set, mean in zip(candidates, errors, means, strict=True)
     ]
     return evaluations, steps
 

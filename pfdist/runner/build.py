@@ -43,7 +43,7 @@ from pfdist.runner.searches import (
 class Built:
     """A job and the objects made of it; see `build`.
 
-    `feasible` has smaller sets if measurements cost money and the filter's model is not the truth.
+    `feasible` has smaller sets if measurements have prices and the filter's model is not the truth.
     """
 
     job: Job
@@ -59,20 +59,20 @@ class Built:
 
     @property
     def is_worst(self) -> bool:
-        """Whether the cost of a set is the expected MSE of its worst scenario."""
+        """Whether the error of a set is the expected MSE of its worst scenario."""
         return self.job.scenarios is not None and self.job.scenarios.is_worst
 
-    def exact_costs(
+    def exact_errors(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None, *, additive: bool = False
     ) -> NDArray[np.float64]:
-        """The cost of each set up to its end, (S,), from an exact engine.
+        """The error of each set up to its end, (S,), from an exact engine.
 
         If `additive`, it is the mean over scenarios even if the worst scenario decides.
         """
         if additive or not self.is_worst:
             return self.evaluator.expected_mse(sets, ends)
-        costs = [each.expected_mse(sets, ends) for each in self.evaluator.of_scenarios]
-        worst: NDArray[np.float64] = np.max(costs, axis=0)
+        errors = [each.expected_mse(sets, ends) for each in self.evaluator.of_scenarios]
+        worst: NDArray[np.float64] = np.max(errors, axis=0)
         return worst
 
     @property

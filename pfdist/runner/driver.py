@@ -77,7 +77,7 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
             {
                 "name": name,
                 "measurement_times": winner.measurement_times,
-                "search_cost": winner.cost,
+                "search_mse": winner.expected_mse,
                 "search_standard_error": winner.standard_error,
                 "distrust": end.distrust,
             }
@@ -87,7 +87,7 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
     for name in built.names:
         if name not in compared:
             raise SearchError(
-                f"search {name}: every set of times that it ended with costs infinity, by a "
+                f"search {name}: every set of times that it ended with has an infinite error, by a "
                 f"degenerate draw (a measurement no particle explains) or an infinite error; more "
                 f"particles than {built.job.filter.particles} help, or "
                 f"evaluation.degenerate_draws = 'continue'"

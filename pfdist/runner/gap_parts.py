@@ -67,8 +67,8 @@ def gap_parts(
     """
     built = session.built
     if built.evaluator.exact:
-        costs = built.evaluator.expected_mse(list(sets.values())).tolist()
-        return {name: GapParts(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
+        errors = built.evaluator.expected_mse(list(sets.values())).tolist()
+        return {name: GapParts(Estimate(error)) for name, error in zip(sets, errors, strict=True)}
     draws = _draws(built, run.draws_compared, of_bound)
     # The compared draws have the job's shares of scenarios, and not those of the bound.
     are_compared = draws <= run.draws_compared and not built.is_worst

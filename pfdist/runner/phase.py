@@ -264,8 +264,8 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
             no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]
             phase.leaders.extend(new_leaders(no_windows, phase.leaders))
         state, generation = optimiser.tell(state, in_order), generation + 1
-        costs, best = _whole_costs(in_order), _whole_costs(optimiser.finalists(state))
-        mean = float(np.mean(costs)) if costs else None
+        errors, best = _whole_errors(in_order), _whole_errors(optimiser.finalists(state))
+        mean = float(np.mean(errors)) if errors else None
         reporter.note(best=best[0] if best else None, mean=mean)
     reporter.note(done=start + phase.steps())
     # After the last generation, which also waits: `later` keeps the order.
@@ -273,12 +273,12 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     return optimiser.finalists(state)
 
 
-def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
-    """Finite costs of whole sets; those of prefixes cover only a part of the horizon."""
+def _whole_errors(evaluations: Iterable[Evaluation]) -> list[float]:
+    """Finite errors of whole sets; those of prefixes cover only a part of the horizon."""
     return [
-        evaluation.cost
+        evaluation.expected_mse
         for evaluation in evaluations
-        if evaluation.end is None and math.isfinite(evaluation.cost)
+        if evaluation.end is None and math.isfinite(evaluation.expected_mse)
     ]
 
 
@@ -302,7 +302,7 @@ class _Generation:
         self.evaluations[candidate] = evaluation
         self.recorded += self.copies[candidate]
         if self.shows_best:
-            self.least = min(self.least, *_whole_costs([evaluation]), math.inf)
+            self.least = min(self.least, *_whole_errors([evaluation]), math.inf)
 
     def show(self) -> None:
         """Report the evaluations that were recorded so far."""
@@ -322,10 +322,10 @@ def _exactly(phase: Phase, requests: list[Request], record: _Generation) -> None
     """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
     ends = [request.end for request in requests]
-    costs = phase.built.exact_costs(sets, ends, additive=phase.additive)
-    for request, cost in zip(requests, costs, strict=True):
+    errors = phase.built.exact_errors(sets, ends, additive=phase.additive)
+    for request, error in zip(requests, errors, strict=True):
         request.mse, request.degenerate = np.empty(0), np.empty(0, np.bool_)
-        record(request.candidate, phase.evaluation(request, float(cost)))
+        record(request.candidate, phase.evaluation(request, float(error)))
     record.show()
 
 

@@ -29,7 +29,7 @@ from pfdist.problem.search_section import SearchSection
 from pfdist.search.base import Candidate, Optimiser
 
 _BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
-_ROUNDING = 1e-9  # relative difference of exact costs that counts as none
+_ROUNDING = 1e-9  # relative difference of exact errors that counts as none
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class _Outlook:
             candidates = optimiser.ask(state, generator(self.stream, "search", generation))
             state = optimiser.tell(state, self._evaluated(draws, candidates, planning.estimation))
             generation += 1
-        best = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.cost)]
+        best = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.expected_mse)]
         return [each.measurement_times for each in best]
 
     def better(self, plans: Sequence[Times], *, keep: bool) -> Times:
@@ -205,7 +205,7 @@ class _Outlook:
         candidates = [Candidate(times) for times in plans]
         first, new = self._evaluated(self.draws(fresh), candidates, planning.judging)
         gain = difference(new, first)
-        rounding = _ROUNDING * first.cost if math.isfinite(first.cost) else 0.0
+        rounding = _ROUNDING * first.expected_mse if math.isfinite(first.expected_mse) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
         return plans[1] if lower else plans[0]
 
@@ -244,9 +244,9 @@ class _Outlook:
     ) -> list[Evaluation]:
         """Evaluations of sets up to their ends on common draws with common noise."""
         if draws is None:
-            costs = self.evaluator.expected_mse(sets, ends).tolist()
-            each_set = zip(sets, costs, strict=True)
-            return [Evaluation(times, np.empty(0), exact=cost) for times, cost in each_set]
+            errors = self.evaluator.expected_mse(sets, ends).tolist()
+            each_set = zip(sets, errors, strict=True)
+            return [Evaluation(times, np.empty(0), exact=error) for times, error in each_set]
         noise = stream_key(self.stream, "filter")
         mse, flags = self.evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
         rows = zip(sets, mse.T.copy(), flags.T, strict=True)

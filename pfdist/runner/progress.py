@@ -56,9 +56,9 @@ class Progress:
     generation, generations : int
         Current and expected last generation of the search; 0 in other phases.
     best : float or None
-        Cost of the set that the search would return now.
+        Expected MSE of the set that the search would return now.
     mean : float or None
-        Mean cost of the last finished generation.
+        Mean expected MSE of the last finished generation.
     found : tuple of SetGain
         The comparison's gains: for each set but the reference. Empty where the answer gives others.
     doing : str

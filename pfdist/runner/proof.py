@@ -2,7 +2,7 @@
 
 Errors are the variances of particles among which the truth stands. Their expectation is at most
 the error of the exact filter, for any number of particles (`pfdist.kernels.schemes.CONDITIONAL`).
-The bound is the least of many estimated costs. Its expectation is at most the least expected cost,
+The bound is the least of many estimates. Its expectation is at most the least expected error,
 so it is too low on average, and the gap too large: this is the safe direction.
 
 Sources: Bayraksan, Morton, "Assessing solution quality in stochastic programs", Mathematical
@@ -105,7 +105,7 @@ class GapParts:
 
     expected_mse: Estimate  # with the job's own filter; NaN if a draw is infinite
     # Expected MSE with the true model, less the expected variance of particles among which the
-    # truth stands. This is at least what the number of particles costs.
+    # truth stands. This is at least what the number of particles adds.
     estimate: Estimate = ZERO
     # expected MSE with the filter's model, less that with the true model
     filter_model: Estimate = ZERO
@@ -173,7 +173,7 @@ def gap_of(
         name,
         times,
         mse,
-        "the set costs less than the bound" if is_below else "",
+        "the error of the set lies below the bound" if is_below else "",
         budget,
         proof.bounds[budget],
         proof.paths[budget],
@@ -186,7 +186,7 @@ def gap_of(
 
 
 def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
-    """The gaps of all known sets, without those that are contradicted: sets that cost less.
+    """The gaps of all known sets, without those that are contradicted: sets whose error is lower.
 
     `pfdist.runner.ranks` tests the likelihood.
     """
@@ -199,7 +199,7 @@ def _contradicted(gap: Gap, gaps: Mapping[str, Gap]) -> str:
         error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
         difference = Estimate(gap.bound.value - other.expected_mse.value, error)
         if other.budget == gap.budget and difference.is_positive():
-            return f"the set {other.name} costs less than the bound"
+            return f"the error of the set {other.name} lies below the bound"
     return ""
 
 
@@ -225,11 +225,11 @@ def best_shares(relaxation: Relaxation, errors: Array, spent: int) -> tuple[floa
     for _ in range(_ROUNDS):
         mean = np.sum(shares[:, None] * errors, axis=0)  # BLAS would round by the processor
         path = Programme(relaxation, mean, spent).path(spent)
-        costs = [programme.of_set(path) for programme in alone]
-        value = float(np.sum(shares * costs))
+        values = [programme.of_set(path) for programme in alone]
+        value = float(np.sum(shares * values))
         if value > largest:
             best, largest = shares, value
-        planes.append([*(-cost for cost in costs), 1.0])
+        planes.append([*(-value for value in values), 1.0])
         found = linprog(objective, planes, np.zeros(len(planes)), total, [1.0], bounds)
         if found.x is None or found.x[-1] <= largest * (1 + _SETTLED):
             break

@@ -43,7 +43,7 @@ _CHECKED = 200  # draws whose states check the likelihood
 _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
 _FEWER, _LEAST_GROWING = 4, 50  # particles while windows grow: a fourth of all, and at least
-# Windows grow until the relaxed costs lie below those of the sets by so small a share:
+# Windows grow until the relaxed errors lie below those of the sets by so small a share:
 _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
 
 
@@ -105,7 +105,7 @@ class Prover:
     def prove(self, session: Session, run: Run) -> Generator[Batch, None, Look]:
         """Prove the sets of a finished run, and write the table ``bound``."""
         # The sums are published before the table of the bound, which marks the proof as done. A
-        # kill in between costs no filter: the next proof finds all sums by their ids.
+        # kill in between errors no filter: the next proof finds all sums by their ids.
         built = self._built
         try:
             looks = yield from self._looks(session, run)
@@ -255,12 +255,12 @@ class Prover:
     def _worst(self, run: Run, sets: Mapping[str, Times]) -> dict[str, Estimate]:
         """The expected MSE of each set in its worst scenario, exact or of the comparison."""
         if self._built.evaluator.exact:
-            costs = self._built.exact_costs([*sets.values()]).tolist()
-            return dict(zip(sets, map(Estimate, costs), strict=True))
+            errors = self._built.exact_errors([*sets.values()]).tolist()
+            return dict(zip(sets, map(Estimate, errors), strict=True))
         rows = worst_of(run)
         keys = "expected_mse", "standard_error", "draws"
-        costs = {name: [rows[name][key] for key in keys] for name in sets}
-        return {name: Estimate(mse, error, int(n) - 1) for name, (mse, error, n) in costs.items()}
+        errors = {name: [rows[name][key] for key in keys] for name in sets}
+        return {name: Estimate(mse, error, int(n) - 1) for name, (mse, error, n) in errors.items()}
 
     def _grown(
         self, session: Session, sets: tuple[Times, ...]

@@ -34,7 +34,7 @@ class SearchEnd:
     """How a search ended."""
 
     # The search's own evaluation of each compared set, by name, on draws that chose the set. Empty
-    # if every set at the end of the search or of the race has an infinite cost.
+    # if every set at the end of the search or of the race has an infinite error.
     winners: dict[str, Evaluation]
     distrust: str | None = None  # why the search was run again with the squared error, if it was
 
@@ -135,9 +135,9 @@ def _winners(
 
 
 def _finalists(session: Session, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
-    """Finalists of a phase whose cost is finite: no degenerate draw has killed them."""
+    """Finalists of a phase whose error is finite: no degenerate draw has killed them."""
     finalists = yield from run_phase(phase, session)
-    return [evaluation for evaluation in finalists if np.isfinite(evaluation.cost)]
+    return [evaluation for evaluation in finalists if np.isfinite(evaluation.expected_mse)]
 
 
 def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> list[Evaluation]:

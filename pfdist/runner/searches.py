@@ -38,7 +38,7 @@ class Study:
     def axis(self) -> dict[int, Feasible]:
         """Feasible sets by number of measurements, the smallest number first.
 
-        If measurements have costs, the number is that of regular times.
+        If measurements have prices, the number is that of regular times.
         """
         if self.job.budget is None:
             return {self.feasible.measurements: self.feasible}
@@ -171,7 +171,7 @@ class NamedSearch:
     settings: Settings
     polishing: Settings | None  # of exchanges that polish the best set; None for no exchanges
     racing: Settings  # of the race, which the job's own filter decides by the squared error
-    additive: bool  # whether the optimiser adds errors of instants; then costs must be means
+    additive: bool  # whether the optimiser adds errors of instants; then errors must be means
     is_worst: bool  # whether the worst scenario decides
     # The same search by the squared error, with the particles of the job's own filter. It follows
     # if the estimator cannot be trusted. None if this search uses it.

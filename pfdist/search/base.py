@@ -10,7 +10,7 @@ from pfdist.filters.estimate import Evaluation
 
 
 class Candidate(NamedTuple):
-    """A set, or a prefix of sets, whose cost a search asks for.
+    """A set, or a prefix of sets, whose expected MSE a search asks for.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Candidate(NamedTuple):
     squared : bool
         Whether the squared error is wanted. Otherwise the search's own estimator is used.
     since : int, optional
-        If given, the expected errors of the instants from this one on are wanted, and not the cost
+        If given, the expected errors of the instants from this one on are wanted, and not the mean
         of each draw.
     """
 
@@ -45,7 +45,9 @@ FINALISTS = 8
 def best_of(evaluations: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
     """The best evaluations of different sets, the best first, at most `FINALISTS`."""
     different = {evaluation.measurement_times: evaluation for evaluation in evaluations}
-    return tuple(sorted(different.values(), key=lambda evaluation: evaluation.cost)[:FINALISTS])
+    return tuple(
+        sorted(different.values(), key=lambda evaluation: evaluation.expected_mse)[:FINALISTS]
+    )
 
 
 class Optimiser(Protocol):

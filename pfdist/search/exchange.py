@@ -1,4 +1,4 @@
-"""Exchange search: it exchanges one time for another as long as this lowers the cost.
+"""Exchange search: it exchanges one time for another as long as this lowers the error.
 
 The neighbours of the best set are first evaluated on few draws. If a paired test finds the best
 neighbour better than the best set, the neighbour takes its place at once. Otherwise neighbours that
@@ -118,7 +118,7 @@ class Exchange:
     def tell(self, state: ExchangeState, evaluations: Sequence[Evaluation]) -> ExchangeState:
         """Move to the best neighbour if it is better; otherwise drop the worse neighbours."""
         best, *others = evaluations
-        order = sorted(others, key=lambda evaluation: evaluation.cost)
+        order = sorted(others, key=lambda evaluation: evaluation.expected_mse)
         last = state.draws == self.draws
         if order and len(state.left) < self.moves:
             leader = order[0].measurement_times
@@ -128,7 +128,7 @@ class Exchange:
                 return replace(self._around(leader), left=(*state.left, state.best))
         if last:
             return replace(state, evaluations=best_of(evaluations))
-        least = min(evaluations, key=lambda evaluation: evaluation.cost)
+        least = min(evaluations, key=lambda evaluation: evaluation.expected_mse)
         near = [
             evaluation
             for evaluation in order

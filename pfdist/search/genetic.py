@@ -2,9 +2,9 @@
 
 This module follows the paper. The authors' MATLAB code departs from the paper as follows:
 
-1. MATLAB looks up the index of the best cost after offspring have replaced the population, so it
+1. MATLAB looks up the index of the best error after offspring have replaced the population, so it
    returns an individual that was not evaluated. Here the result is the best individual of the last
-   evaluated generation, with the cost of this very individual.
+   evaluated generation, with the error of this very individual.
 2. MATLAB gives a degenerate individual the sum of the fitness of all others, so it gets about half
    of the selection. Here it is killed.
 3. The defaults of MATLAB are 250 particles and 100 draws. Here they are the paper's 500 and 1,000.
@@ -66,11 +66,11 @@ class GeneticAlgorithm:
     mutation_probability : float
         Probability that a gene (a measurement time) mutates.
     sigma_scaling : float
-        The paper's sigma coefficient. An individual whose cost lies this many standard deviations
+        The paper's sigma coefficient. An individual whose error lies this many standard deviations
         below the mean expects two offspring.
     share_copies : bool
         Whether copies of a set in a generation share one evaluation. The paper evaluates each
-        individual afresh. Sharing saves 4 to 27 % of the work, but the found sets cost 0.25 % more,
+        individual afresh. Sharing saves 4 to 27 % of the work, but found sets are 0.25 % worse,
         because one lucky evaluation then counts for every copy.
     """
 
@@ -96,10 +96,10 @@ class GeneticAlgorithm:
 
         If every individual was killed, there are no parents, and the next population is random.
         """
-        costs = np.array([evaluation.cost for evaluation in state.evaluations])
-        if not np.isfinite(costs).any():
+        errors = np.array([evaluation.expected_mse for evaluation in state.evaluations])
+        if not np.isfinite(errors).any():
             return self._candidates(self.feasible.random(self.population, rng))
-        offspring = expected_offspring(costs, self.sigma_scaling)
+        offspring = expected_offspring(errors, self.sigma_scaling)
         parents = rng.permutation(stochastic_universal_sampling(offspring, self.population, rng))
         population = [state.evaluations[parent].measurement_times for parent in parents]
         children: list[set[int]] = []
@@ -121,7 +121,7 @@ class GeneticAlgorithm:
 
     def finalists(self, state: GeneticState) -> list[Evaluation]:
         """The best individual of the last generation, with its evaluation there."""
-        return sorted(state.evaluations, key=lambda evaluation: evaluation.cost)[:1]
+        return sorted(state.evaluations, key=lambda evaluation: evaluation.expected_mse)[:1]
 
     def _candidates(self, population: Sequence[Times]) -> list[Candidate]:
         if self.share_copies:
@@ -144,18 +144,18 @@ class GeneticAlgorithm:
         return individual
 
 
-def expected_offspring(costs: NDArray[np.float64], sigma_scaling: float) -> NDArray[np.float64]:
-    """Expected offspring of each individual: max(0, 1 + (mean - cost) / (coefficient * sd)), (P,).
+def expected_offspring(errors: NDArray[np.float64], sigma_scaling: float) -> NDArray[np.float64]:
+    """Expected offspring of each individual: max(0, 1 + (mean - error) / (coefficient * sd)), (P,).
 
-    `sigma_scaling` is the coefficient. An infinite cost marks a killed individual, which expects no
-    offspring and does not count in mean and sd. If all costs are equal, each living individual
+    `sigma_scaling` is the coefficient. An infinite error marks a killed individual, which expects
+    no offspring and does not count in mean and sd. If all errors are equal, each living individual
     expects one.
     """
-    living = np.isfinite(costs)
-    mean, sd = np.mean(costs[living]), np.std(costs[living])
-    offspring = np.zeros_like(costs)
-    # If all costs are equal, rounding may make sd positive, and the mean less than every cost.
-    excess = (mean - costs[living]) / (sigma_scaling * sd) if np.ptp(costs[living]) > 0 else 0.0
+    living = np.isfinite(errors)
+    mean, sd = np.mean(errors[living]), np.std(errors[living])
+    offspring = np.zeros_like(errors)
+    # If all errors are equal, rounding may make sd positive, and the mean less than every error.
+    excess = (mean - errors[living]) / (sigma_scaling * sd) if np.ptp(errors[living]) > 0 else 0.0
     offspring[living] = np.maximum(0.0, 1.0 + excess)
     return offspring
 

@@ -131,7 +131,7 @@ def new_leaders(
     """The best evaluation of each kind in a generation, if it beats the last leader of its kind.
 
     Whole sets with the same number of measurements are a kind, and prefixes with the same number of
-    measurements are another. Prefixes are compared by their mean cost over the instants up to
+    measurements are another. Prefixes are compared by their mean error over the instants up to
     their ends.
     """
     best = {_kind(leader): leader for leader in before}
@@ -139,8 +139,8 @@ def new_leaders(
     for evaluation in evaluations:
         kind = _kind(evaluation)
         leader = new.get(kind, best.get(kind))
-        if math.isfinite(evaluation.cost) and (
-            leader is None or _mean_cost(evaluation) < _mean_cost(leader)
+        if math.isfinite(evaluation.expected_mse) and (
+            leader is None or _mean_error(evaluation) < _mean_error(leader)
         ):
             new[kind] = evaluation
     return list(new.values())
@@ -152,17 +152,17 @@ def _near_the_best(
     """The pairs of an estimate and an error whose estimate is near the least of its kind."""
     least = dict[tuple[int, bool], float]()
     for estimated, _ in pairs:
-        cost = least.setdefault(_kind(estimated), math.inf)
-        least[_kind(estimated)] = min(cost, _mean_cost(estimated))
-    return [each for each in pairs if _mean_cost(each[0]) * (1 - BELOW) <= least[_kind(each[0])]]
+        error = least.setdefault(_kind(estimated), math.inf)
+        least[_kind(estimated)] = min(error, _mean_error(estimated))
+    return [each for each in pairs if _mean_error(each[0]) * (1 - BELOW) <= least[_kind(each[0])]]
 
 
 def _kind(evaluation: Evaluation) -> tuple[int, bool]:
     return len(evaluation.measurement_times), evaluation.end is None
 
 
-def _mean_cost(evaluation: Evaluation) -> float:
-    return evaluation.cost / (1 if evaluation.end is None else evaluation.end + 1)
+def _mean_error(evaluation: Evaluation) -> float:
+    return evaluation.expected_mse / (1 if evaluation.end is None else evaluation.end + 1)
 
 
 BELOW = 0.15

@@ -1,6 +1,6 @@
 """The dynamic programme over known windows and what was spent: the least relaxed expected MSE.
 
-A set spends its number of measurements, or their costs in units. All sums up to the largest come
+A set spends its number of measurements, or their prices in units. All sums up to the largest come
 out of one programme.
 
 A set that is best in a relaxation, but not in truth, has windows that are too short: they add
@@ -72,16 +72,16 @@ class Programme:
     @cached_property
     def _to(self) -> Array:
         """The least sum of errors before the last measurement of each window, (W, most+1)."""
-        cost = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
-        cost[self.relaxation.index[START], 0] = 0.0
+        error = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
+        error[self.relaxation.index[START], 0] = 0.0
         for moves in self.relaxation.moves:
             check()
             price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 between = self._between(moves.before, self._instant(moves.time))
-                reached = between[:, None] + cost[moves.before, : self.most + 1 - price]
-                cost[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
-        return cost
+                reached = between[:, None] + error[moves.before, : self.most + 1 - price]
+                error[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
+        return error
 
     @property
     def _from(self) -> Array:
@@ -92,23 +92,23 @@ class Programme:
     def _onward(self) -> tuple[Array, Indices]:
         """`_from`, and the next time that reaches it, (W, most+1); -1 if nothing is measured."""
         relaxation = self.relaxation
-        cost = np.full((len(relaxation.windows), self.most + 1), np.inf)
-        following = np.full(cost.shape, NOTHING)
+        error = np.full((len(relaxation.windows), self.most + 1), np.inf)
+        following = np.full(error.shape, NOTHING)
         left_over = 0 if relaxation.constraints.counted else self.most
-        cost[:, : left_over + 1] = self._at_the_end[:, None]
+        error[:, : left_over + 1] = self._at_the_end[:, None]
         for moves in reversed(relaxation.moves):
             check()
             price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 after = relaxation.after[moves.before, moves.time]
                 between = self._between(moves.before, self._instant(moves.time))
-                onward = between[:, None] + cost[after, : self.most + 1 - price]
-                known, times = cost[moves.before, price:], following[moves.before, price:]
+                onward = between[:, None] + error[after, : self.most + 1 - price]
+                known, times = error[moves.before, price:], following[moves.before, price:]
                 # Between equal sums, the end wins, then the earliest time.
                 least = (onward < known) | ((onward == known) & (times != NOTHING))
-                cost[moves.before, price:] = np.where(least, onward, known)
+                error[moves.before, price:] = np.where(least, onward, known)
                 following[moves.before, price:] = np.where(least, moves.time, times)
-        return cost, following
+        return error, following
 
     @cached_property
     def _at_the_end(self) -> Array:

@@ -60,7 +60,7 @@ class Race:
 
     def tell(self, state: RaceState, evaluations: Sequence[Evaluation]) -> RaceState:
         """Keep the leader and the sets near it."""
-        order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
+        order = sorted(evaluations, key=lambda evaluation: evaluation.expected_mse)
         near = [
             evaluation
             for evaluation in order

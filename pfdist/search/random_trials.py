@@ -53,7 +53,7 @@ class RandomTrials:
 
     def tell(self, state: RandomState, evaluations: Sequence[Evaluation]) -> RandomState:
         """Count the evaluations and keep the best set."""
-        best = min([*state.best, *evaluations], key=lambda evaluation: evaluation.cost)
+        best = min([*state.best, *evaluations], key=lambda evaluation: evaluation.expected_mse)
         return RandomState(state.evaluated + len(evaluations), (best,))
 
     def done(self, state: RandomState) -> bool:

@@ -7,7 +7,7 @@ is solved again. The search ends when no set of the relaxation is better than th
 evaluated, when no window can grow, or after the last round. See `pfdist.search.relaxation` and
 `pfdist.search.programme`.
 
-If the costs are exact and the filter knows the truth, a search that ends before the last round has
+If the errors are exact and the filter knows the truth, a search that ends before the last round has
 proved that its best set is optimal.
 
 References
@@ -39,7 +39,7 @@ MOST_CELLS = 3_000_000
 _ROUNDING = 1e-11  # relative rounding error of a proof
 _SCREENING = (16, 4)  # the first programmes have a 16th and a 4th of the draws
 _SCREENED_EACH, _PATHS_EACH = 8, 2  # least numbers of sets for each sum that is sought
-# Exact costs take no time, and a proof is worth many rounds:
+# Exact errors take no time, and a proof is worth many rounds:
 _PATHS_IF_EXACT = 64
 _ROUNDS_IF_EXACT = 500
 Array = NDArray[np.float64]
@@ -81,9 +81,9 @@ class RelaxationState:
         return Programme(relaxation, errors, most)
 
     def least(self, spent: int) -> float:
-        """Least cost of the evaluated sets that the bound of this sum covers; inf for none."""
+        """Least error of the evaluated sets that the bound of this sum covers; inf for none."""
         return min(
-            (each.cost for each in self.whole
+            (each.expected_mse for each in self.whole
              if self.relaxation.spent(each.measurement_times) == spent),
             default=np.inf,
         )  # fmt: skip
@@ -107,7 +107,7 @@ class StateSpaceRelaxation:
     draws : int
         Number of draws of an evaluation. Two programmes with fewer draws come first, and leave few
         windows for the others. The best sets of the first programme with all draws are evaluated in
-        any case, because its relaxed costs vary with the draws. With 0 the search begins with all
+        any case, because its relaxed errors vary with the draws. With 0 the search begins with all
         draws, and its first programme may already end it.
     paths : int
         Number of sets that are evaluated, and whose windows grow, in a round.
@@ -122,7 +122,7 @@ class StateSpaceRelaxation:
     known_sets : tuple of tuples of int
         Good sets to begin with; by default regular times, and the empty set if it is feasible.
     gap : float
-        The search ends when the lowest relaxed costs lie below the costs of the best sets by at
+        The search ends when the lowest relaxed errors lie below the errors of the best sets by at
         most this share.
     start : Relaxation, optional
         The relaxation of the first round; by default that of `relaxation_within`.
@@ -185,7 +185,7 @@ class StateSpaceRelaxation:
         """Solve the programme, and let the windows grow along its best sets."""
         state = _with_evaluations(state, evaluations)
         if any(len(window) == 1 for window in state.infinite):
-            # No relaxed cost is known. Exchanges may still improve the sets that were evaluated.
+            # No relaxed error is known. Exchanges may still improve the sets that were evaluated.
             return replace(state, done=True)
         exact = any(evaluation.exact is not None for evaluation in state.whole)
         relaxation = state.relaxation
@@ -198,7 +198,7 @@ class StateSpaceRelaxation:
         screening = state.level < len(_SCREENING) and not exact
         by_draws = bool(self.draws) and not exact and state.round == 0
         # Sums whose search goes on. Only a later programme on all draws may end it: few draws err,
-        # and the first relaxed costs may be high by chance.
+        # and the first relaxed errors may be high by chance.
         left = [
             spent for spent in self._sought if np.isfinite(lower[spent])
             and (screening or by_draws or lower[spent] < least[spent] * (1 - self.gap))
@@ -233,11 +233,11 @@ class StateSpaceRelaxation:
         return state.done
 
     def finalists(self, state: RelaxationState) -> tuple[Evaluation, ...]:
-        """The best sets by their own costs; with `sought`, the best of each number of times."""
+        """The best sets by their own errors; with `sought`, the best of each number of times."""
         if not self.sought:
             return best_of(state.whole)
         best = dict[int, Evaluation]()
-        for evaluation in sorted(state.whole, key=lambda evaluation: evaluation.cost):
+        for evaluation in sorted(state.whole, key=lambda evaluation: evaluation.expected_mse):
             best.setdefault(len(evaluation.measurement_times), evaluation)
         return tuple(best[number] for number in sorted(best))
 

@@ -2,13 +2,13 @@
 
 The error up to t depends only on the measurements up to t. So sets are built from the left. The
 state of a prefix is its last measurement time (or its last two), and the number of measurements, or
-the money spent. A few prefixes of least cost survive in each state. Each survivor is extended by a
+the money spent. A few prefixes of least error survive in each state. Each survivor is extended by a
 measurement at every time that is not too far away and leaves a feasible set. The programme would be
-exact if the cost of a prefix said all about it. But the particles of a prefix influence what
+exact if the error of a prefix said all about it. But the particles of a prefix influence what
 follows, so several prefixes survive.
 
 All prefixes should be evaluated under common noise. Then a common part of two prefixes is filtered
-once, and noise hardly affects the difference of their costs.
+once, and noise hardly affects the difference of their errors.
 
 References
 ----------
@@ -201,5 +201,5 @@ def surviving(prefixes: Iterable[Evaluation], survivors: int, by_previous: bool)
     return [
         prefix.measurement_times
         for _, candidates in sorted(reached.items())
-        for prefix in sorted(candidates, key=lambda prefix: prefix.cost)[:survivors]
+        for prefix in sorted(candidates, key=lambda prefix: prefix.expected_mse)[:survivors]
     ]

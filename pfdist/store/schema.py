@@ -136,8 +136,8 @@ _SCHEMAS = {
         _column("position", pa.int32(), "", "order; 0 is the reference"),
         _column("name", pa.string(), "", "regular, or the search that found the set"),
         _TIMES,
-        _column("search_cost", pa.float64(), _MSE, "what the search believed; null: reference"),
-        _column("search_standard_error", pa.float64(), _MSE, "of search_cost"),
+        _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
+        _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),
         _column("distrust", pa.string(), "", "why the search was done again by the squared error"),
     ],
     "repeated": [

@@ -144,7 +144,7 @@ def test_evaluate_says_how_many_draws_are_degenerate(
 
 def test_plot_draws_every_figure_as_png_and_svg(run: Path, call: Call) -> None:
     files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
-    names = {"cost", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
+    names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
     wanted = {f"{name}.{kind}" for name in names for kind in ("png", "svg")}
     assert {file.name for file in files} == wanted
     assert all(file.stat().st_size > 5000 for file in files)

@@ -6,7 +6,7 @@ import pytest
 
 from pfdist.common.registry import Registry
 from pfdist.errors import PfdistError
-from pfdist.pages.costs import curve_of
+from pfdist.pages.searches import curve_of
 from pfdist.problem.methods import METHODS
 
 

@@ -257,10 +257,10 @@ def test_it_returns_whole_sets_it_asked_for_with_what_it_was_told(
     found = _searched(method, problem)[1]
     assert {each.measurement_times for each in found} <= _whole(method, problem)
     assert 1 <= len(found) <= FINALISTS
-    costs = [each.cost for each in found]
+    costs = [each.expected_mse for each in found]
     assert costs == sorted(costs)
     told = [Candidate(each.measurement_times, draws=each.draws) for each in found]
-    assert costs == [_evaluation(each, problem).cost for each in told]
+    assert costs == [_evaluation(each, problem).expected_mse for each in told]
 
 
 @both
@@ -281,4 +281,4 @@ def test_where_the_filter_is_wrong_a_search_may_leave_money_over(method: str, pr
     """The best set that leaves no money for another measurement costs more than what is found."""
     maximal = replace(PROBLEMS[problem], smaller=False).every()
     least = min(_costs(problem)[times] for times in maximal)
-    assert _searched(method, problem)[1][0].cost < least
+    assert _searched(method, problem)[1][0].expected_mse < least

@@ -368,7 +368,7 @@ def test_a_page_that_was_edited_is_named_with_the_command_that_makes_it_again(
 ) -> None:
     run = pfdist.run(job, tmp_path / "run", report=True).path
     assert not list(verify_run(run))
-    for page, command in (("figures/cost.svg", "plot"), ("report.html", "report")):
+    for page, command in (("figures/searches.svg", "plot"), ("report.html", "report")):
         (run / page).write_text((run / page).read_text() + " ")
         assert main(["verify", str(run)]) == 1
         assert f"`pfdist {command} {run}` makes it again" in capsys.readouterr().out

@@ -22,7 +22,7 @@ def _evaluation(mse: list[float], policy: str = "kill", degenerate: int = 0) -> 
 
 def test_expected_mse_and_its_standard_error() -> None:
     evaluation = _evaluation([1.0, 2.0, 6.0])
-    assert evaluation.expected_mse == evaluation.cost == 3.0
+    assert evaluation.expected_mse == evaluation.expected_mse == 3.0
     assert evaluation.standard_error == pytest.approx(math.sqrt(7.0 / 3.0))  # sd^2 = 7, D = 3
     assert (evaluation.draws, evaluation.degenerate_draws) == (3, 0)
 
@@ -33,14 +33,14 @@ def _work(sets: tuple[Times, ...], horizon: int, particles: int, draws: tuple[in
 
 def test_one_degenerate_draw_kills_an_individual() -> None:
     killed = _evaluation([1.0, 2.0, 3.0], "kill", 1)
-    assert killed.cost == killed.standard_error == math.inf
+    assert killed.expected_mse == killed.standard_error == math.inf
     assert (killed.draws, killed.degenerate_draws) == (3, 1)
 
 
 def test_otherwise_a_degenerate_draw_counts_with_its_error() -> None:
     """A set must not look better because its worst draws are left out."""
     counted = _evaluation([9.0, 1.0, 2.0], "continue", 1)
-    assert (counted.cost, counted.degenerate_draws) == (4.0, 1)
+    assert (counted.expected_mse, counted.degenerate_draws) == (4.0, 1)
     assert counted.first(1).degenerate_draws == 1
     assert "1 of 3 draws are degenerate" in counted.degenerate_text
     assert not _evaluation([1.0, 2.0], "kill").degenerate_text

@@ -164,7 +164,7 @@ def test_a_second_filter_that_no_particle_explains_starts_again_from_the_first()
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_exact_costs_never_rise_with_a_heuristic_search(name: str) -> None:
+def test_exact_errors_never_rise_with_a_heuristic_search(name: str) -> None:
     """The plan at hand is replaced only by one of lower cost, so online is as good or better."""
     model, feasible = EXACT[name].as_model(), Feasible(20, 6)
     evaluator = Evaluator(model, 20, engine="kalman")

@@ -13,7 +13,6 @@ from matplotlib.patches import StepPatch
 import pfdist
 from pfdist.common.clock import Clock
 from pfdist.errors import JobError
-from pfdist.pages.costs import legend_inches
 from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.pages.gains import plot_of_draw, typical_draw
 from pfdist.pages.online import measured_at, with_online
@@ -30,6 +29,7 @@ from pfdist.pages.plots import (
     uncertainty,
     worth,
 )
+from pfdist.pages.searches import legend_inches
 from pfdist.pages.style import COLUMN_INCHES, styled
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws
@@ -96,7 +96,7 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
     plain: Run, finished: Callable[..., Path]
 ) -> None:
     """The reference is known for the estimator of the comparison alone."""
-    [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
+    [(_, plot)] = FIGURES["searches"].plots(Tables(plain))
     comparable, other = drawn(plot).axes
     curves = {"genetic, average", "genetic, minimum"}
     mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}

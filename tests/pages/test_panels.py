@@ -204,7 +204,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "bound": [call(proved), call(proved.table("bound"))],
         "budget": [call(several), call(several.table("sets"))],
         "comparison": [call(plain), call(proved.table("ranks"))],
-        "cost": [
+        "searches": [
             call(plain),
             call(plain, ["survivors"]),
             call(proved.table("evaluations").assign(end=12)),
@@ -345,7 +345,7 @@ def test_a_set_has_one_colour_in_all_figures_of_a_run_and_the_reference_alone_is
     proved: Run,
 ) -> None:
     tables, colours = Tables(proved), dict[str, set[Any]]()
-    for figure in ("times", "bound", "filters", "why", "draw", "cost"):
+    for figure in ("times", "bound", "filters", "why", "draw", "searches"):
         for _, plot in FIGURES[figure].plots(tables):
             for line in (line for axes in drawn(plot).axes for line in axes.get_lines()):
                 words = str(line.get_label()).replace(",", " ").split()
@@ -439,8 +439,8 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
         (lambda run: plots.gain(run, beside="regular"), "beside must be one of genetic, survivors"),
         (lambda run: plots.one_draw(run, "nobody"), "sets must be one of genetic, survivors"),
         (lambda run: plots.one_draw(run, draw=61), "draw must be one of 0, 1, 2"),
-        (lambda run: plots.cost(run, ["nobody"]), "searches must be one of genetic, survivors"),
-        (lambda run: plots.cost(run, ["genetic", "survivors"]), "must estimate costs alike"),
+        (lambda run: plots.searches(run, ["nobody"]), "searches must be one of genetic, survivors"),
+        (lambda run: plots.searches(run, ["genetic", "survivors"]), "must estimate errors alike"),
         (lambda run: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'n"),
         (lambda run: plots.sampling_windows(WINDOWS, "x"), "name must be one of regular, mine"),
     ],
@@ -504,7 +504,7 @@ def _with_costly_names() -> dict[str, Draw]:
     calls = {
         "against": call(study),
         "bound": call(bounds),
-        "cost": call(evaluations, reference=(COSTLY, 2.0)),
+        "searches": call(evaluations, reference=(COSTLY, 2.0)),
         "degenerate_draws": call(profile),
         "effective_sample_size": call(profile),
         "error_profile": call(profile),

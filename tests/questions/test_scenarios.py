@@ -133,7 +133,7 @@ def test_the_cost_of_the_worst_is_the_largest_mean_and_differences_are_paired() 
     scenarios = np.array([0, 1, 0, 1])
     first = Evaluation((1,), np.array([1.0, 5.0, 3.0, 7.0]), scenarios=scenarios, is_worst=True)
     second = replace(first, mse=np.array([1.0, 4.0, 3.0, 6.5]))
-    assert first.cost == 6.0
+    assert first.expected_mse == 6.0
     assert first.standard_error == pytest.approx(1.0)  # of 5 and 7: sd sqrt(2), over sqrt(2)
     apart = difference(first, second)
     assert (apart.value, apart.standard_error) == (0.75, pytest.approx(0.25))
@@ -169,7 +169,7 @@ def test_searches_with_the_kalman_filter_find_the_optimum_of_brute_force(
     )
     found = combined(costs([run.sets[method]], told=True) / scales, criterion)
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
-    believed = run.table("compared").set_index("name")["search_cost"][method]
+    believed = run.table("compared").set_index("name")["search_mse"][method]
     assert believed == pytest.approx(exact.min(), rel=1e-9)
 
 
@@ -182,7 +182,7 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
     def seen(session: Any, name: str, attempts: Any, raced: Any) -> Any:
         for each in chain.from_iterable(attempt.finalists for attempt in attempts):
             means = [own.expected_mse for own in each.of_scenarios.values()]
-            costs_of.append((each.cost, max(means)))
+            costs_of.append((each.expected_mse, max(means)))
         return winners(session, name, attempts, raced)
 
     monkeypatch.setattr(search_phase, "_winners", seen)

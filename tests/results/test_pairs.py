@@ -57,7 +57,7 @@ def test_ranks_count_the_sets_that_are_clearly_better_and_clearly_worse() -> Non
     assert ranks["low"].to_list() == [0.0, -0.5, 2.0]
 
 
-def test_exact_costs_give_exact_differences_and_ranks_and_ties_share_a_rank() -> None:
+def test_exact_errors_give_exact_differences_and_ranks_and_ties_share_a_rank() -> None:
     exact = {"a": 3.0, "b": 3.0, "c": 4.0}
     pairs = pairs_table(NAMES, [ERRORS], exact)
     assert pairs["difference"].to_list() == [0.0, -1.0, -1.0]

@@ -125,9 +125,9 @@ def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
     expected = _expected(built, (0, 2 * BLOCK), phase.stream())
     for window, errors in zip(windows, expected, strict=True):
         np.testing.assert_allclose(window.errors_of_instants, errors, rtol=1e-12)
-        assert window.cost == pytest.approx(errors.sum() / (HORIZON + 1), rel=1e-12)
+        assert window.expected_mse == pytest.approx(errors.sum() / (HORIZON + 1), rel=1e-12)
     assert whole.errors is None
-    assert windows[3].cost == pytest.approx(whole.cost, rel=1e-9)
+    assert windows[3].expected_mse == pytest.approx(whole.expected_mse, rel=1e-9)
 
 
 def test_an_exact_engine_tells_errors_without_draws(

@@ -37,7 +37,7 @@ def test_the_searchs_best_set_wins_unless_the_race_contradicts_by_two_standard_e
 ) -> None:
     winner = _raced(WINNER, 0.0, 0.0)
     preferred, third = _raced(PREFERRED, 0.1 * standard_errors, 0.1), _raced(THIRD, 5.0, 0.1)
-    order = sorted([winner, preferred, third], key=lambda evaluation: evaluation.cost)
+    order = sorted([winner, preferred, third], key=lambda evaluation: evaluation.expected_mse)
     found = _uncontradicted([PREFERRED, WINNER, THIRD], order)
     assert found[0].measurement_times == first
     # The others keep the order of the race.

@@ -15,7 +15,7 @@ from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Work
-from pfdist.pages import costs
+from pfdist.pages import searches as searches_page
 from pfdist.pages.figure import Tables
 from pfdist.problem.methods import DEFAULT_METHOD
 from pfdist.questions.run_page import searches
@@ -236,12 +236,14 @@ def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_the_figure_of_costs_shows_the_search_that_was_done_again(
+def test_the_figure_of_searches_shows_the_search_that_was_done_again(
     planned: Planned, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
-    monkeypatch.setattr(costs, "cost", lambda *given, **named: drawn.append((*given, named)))
-    costs.cost_figure(Tables(planned[0])).draw([Figure().subplots()])
+    monkeypatch.setattr(
+        searches_page, "searches", lambda *given, **named: drawn.append((*given, named))
+    )
+    searches_page.searches_figure(Tables(planned[0])).draw([Figure().subplots()])
     ((evaluations, _, named),) = drawn
     assert named["title"].endswith("\nsystematic resampling")  # and the squared error
     shown = evaluations[evaluations["phase"] == "survivors"]

@@ -27,7 +27,7 @@ def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:
         return costs[-1]
 
     (best,) = TRIALS.finalists(last(TRIALS, cost))
-    assert (len(costs), best.cost) == (600, min(costs))
+    assert (len(costs), best.expected_mse) == (600, min(costs))
 
 
 def test_a_killed_set_is_never_the_best_while_another_lives() -> None:

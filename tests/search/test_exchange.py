@@ -47,8 +47,8 @@ def test_under_noise_it_ends_in_a_local_optimum_of_the_mean_over_its_draws() -> 
         state = search.tell(state, [_noisy(candidate, 1.0) for candidate in asked])
     found = search.finalists(state)[0].measurement_times
     assert found == state.best == (3, 4, 5, 6)
-    costs = [_noisy(Candidate(times), 1.0).cost for times in FEASIBLE.exchanges(found)]
-    assert min(costs) > _noisy(Candidate(found), 1.0).cost
+    costs = [_noisy(Candidate(times), 1.0).expected_mse for times in FEASIBLE.exchanges(found)]
+    assert min(costs) > _noisy(Candidate(found), 1.0).expected_mse
     whole = (len(state.left) + 1) * (len(FEASIBLE.exchanges(found)) + 1) * DRAWS
     assert spent < whole / 4  # few draws decide where the decision is plain
 

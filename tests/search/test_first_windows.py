@@ -93,9 +93,9 @@ def _found(search: StateSpaceRelaxation, model: StateSpaceModel) -> float:
     while not search.done(state):
         told = exactly(model, search.feasible.horizon, list(search.ask(state, rng)))
         state = search.tell(
-            state, [replace(each, mse=np.full(320, each.cost), exact=None) for each in told]
+            state, [replace(each, mse=np.full(320, each.expected_mse), exact=None) for each in told]
         )
-    return search.finalists(state)[0].cost
+    return search.finalists(state)[0].expected_mse
 
 
 def _priced(total: int) -> Feasible:
@@ -128,4 +128,4 @@ def test_with_coarse_units_a_search_still_finds_sets_that_can_be_paid_for(
         costs.append(_found(search, model))
     (regular,) = exactly(model, 24, [search.ask(search.init(), np.random.default_rng(0))[-1]])
     assert costs[1] <= costs[0] * 1.05
-    assert costs[1] < regular.cost
+    assert costs[1] < regular.expected_mse

@@ -172,7 +172,7 @@ def test_it_returns_the_best_of_the_last_generation_with_the_cost_it_got() -> No
     assert genetic.done(state)
     (best,) = genetic.finalists(state)
     assert best is told[0]
-    assert best.cost == 21.0
+    assert best.expected_mse == 21.0
 
 
 def test_if_all_are_killed_the_next_population_is_random() -> None:

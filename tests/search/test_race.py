@@ -67,7 +67,7 @@ def test_of_sets_that_no_test_tells_apart_the_worse_half_falls_out() -> None:
     assert [each.draws for each in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
     assert {each.measurement_times for each in found} == set(sets)
     assert {each.measurement_times for each in found[:4]} == set(of_half)
-    assert found[0].cost <= found[1].cost
+    assert found[0].expected_mse <= found[1].expected_mse
 
 
 def test_one_alone_runs_one_round_and_a_killed_one_never_wins() -> None:

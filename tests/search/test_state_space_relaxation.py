@@ -69,7 +69,7 @@ def test_the_best_of_30_million_sets_is_proved(model: StateSpaceModel) -> None:
     (best, *_) = search.finalists(state)
     assert feasible.accepts(best.measurement_times)
     (cost,) = expected_mse(model, 29, [best.measurement_times])
-    assert best.cost == pytest.approx(cost, rel=1e-12)
+    assert best.expected_mse == pytest.approx(cost, rel=1e-12)
     assert _bound(state, 10) == pytest.approx(cost, rel=PROVED)
 
 
@@ -81,11 +81,11 @@ def test_it_proves_what_brute_force_finds(model: StateSpaceModel, name: str) -> 
     state = _exactly(search, model)
     optimum = expected_mse(model, HORIZON, list(feasible.every())).min()
     found = search.finalists(state)
-    assert found[0].cost == pytest.approx(optimum, rel=PROVED)
+    assert found[0].expected_mse == pytest.approx(optimum, rel=PROVED)
     assert _bound(state, feasible.total) == pytest.approx(optimum, rel=PROVED)
     assert all(feasible.accepts(evaluation.measurement_times) for evaluation in found)
     costs = expected_mse(model, HORIZON, [evaluation.measurement_times for evaluation in found])
-    np.testing.assert_allclose([evaluation.cost for evaluation in found], costs, rtol=1e-12)
+    np.testing.assert_allclose([evaluation.expected_mse for evaluation in found], costs, rtol=1e-12)
 
 
 @systems
@@ -123,8 +123,8 @@ def test_together_every_number_has_the_best_set_that_it_has_alone(model: StateSp
         search = StateSpaceRelaxation(feasible, DRAWS)
         (alone, *_) = search.finalists(_exactly(search, model))
         optimum = expected_mse(model, HORIZON, list(feasible.every())).min()
-        assert evaluation.cost == pytest.approx(alone.cost, rel=PROVED)
-        assert evaluation.cost == pytest.approx(optimum, rel=PROVED)
+        assert evaluation.expected_mse == pytest.approx(alone.expected_mse, rel=PROVED)
+        assert evaluation.expected_mse == pytest.approx(optimum, rel=PROVED)
         assert _bound(state, number) == pytest.approx(optimum, rel=PROVED)
 
 
@@ -183,7 +183,7 @@ def _unknown(tell: Tell, draws: int) -> Tell:
 
     def told(asked: list[Candidate]) -> list[Evaluation]:
         return [
-            replace(evaluation, mse=np.full(draws, evaluation.cost), exact=None)
+            replace(evaluation, mse=np.full(draws, evaluation.expected_mse), exact=None)
             for evaluation in tell(asked)
         ]
 
@@ -214,7 +214,9 @@ def test_with_draws_few_windows_are_left_to_the_programme_with_all_draws(
     assert len(asked) <= 3 + search.rounds + 1
     (best, *_) = search.finalists(state)
     proved = _exactly(StateSpaceRelaxation(feasible, DRAWS), model).least(8)
-    assert best.cost == pytest.approx(proved, rel=PROVED)  # though most windows are left out
+    assert best.expected_mse == pytest.approx(
+        proved, rel=PROVED
+    )  # though most windows are left out
 
 
 @systems
@@ -264,7 +266,7 @@ def test_where_every_draw_is_degenerate_it_ends_at_once_with_the_known_sets() ->
     (state,) = _states(search, tell)
     (found,) = search.finalists(state)
     assert found.measurement_times == feasible.regular()
-    assert found.cost == np.inf
+    assert found.expected_mse == np.inf
 
 
 @systems
@@ -283,6 +285,6 @@ def test_windows_with_a_degenerate_draw_are_forgotten_and_the_rest_is_searched(
     (best, *_) = search.finalists(state)
     usable = [times for times in feasible.every() if not waits(times)]
     costs = expected_mse(model, HORIZON, usable)
-    assert best.cost <= expected_mse(model, HORIZON, [feasible.regular()])[0]
-    assert costs.min() * (1 - PROVED) <= best.cost <= np.quantile(costs, 0.1)
+    assert best.expected_mse <= expected_mse(model, HORIZON, [feasible.regular()])[0]
+    assert costs.min() * (1 - PROVED) <= best.expected_mse <= np.quantile(costs, 0.1)
     assert _bound(state, BUDGET) <= costs.min() * (1 + PROVED)

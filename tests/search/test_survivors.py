@@ -81,7 +81,7 @@ def test_it_finds_what_brute_force_finds(
     cost = prefix_costs(SYSTEMS[system], feasible.horizon)
     state = _last(Survivors(feasible, **settings), cost)
     assert all(feasible.accepts(evaluation.measurement_times) for evaluation in state.whole)
-    assert state.whole[0].cost == pytest.approx(_optimum(feasible, cost), rel=1e-12)
+    assert state.whole[0].expected_mse == pytest.approx(_optimum(feasible, cost), rel=1e-12)
 
 
 def test_more_survivors_are_never_worse_here_and_ask_more() -> None:
@@ -89,7 +89,7 @@ def test_more_survivors_are_never_worse_here_and_ask_more() -> None:
     for survivors in (1, 2, 4):
         steps = list(_steps(Survivors(Feasible(14, 5), survivors), cost))
         number.append(sum(len(asked) for asked, _ in steps))
-        best.append(steps[-1][1].whole[0].cost)
+        best.append(steps[-1][1].whole[0].expected_mse)
     assert number == sorted(set(number))
     assert best == sorted(best, reverse=True)
     assert best[0] > best[1]  # one survivor is not enough for this one
@@ -135,7 +135,7 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
 @pytest.mark.parametrize("budget", [1, 6])
 def test_one_time_and_all_times(budget: int) -> None:
     cost, feasible = prefix_costs(SCALAR, 5), Feasible(5, budget)
-    assert _last(Survivors(feasible), cost).whole[0].cost == _optimum(feasible, cost)
+    assert _last(Survivors(feasible), cost).whole[0].expected_mse == _optimum(feasible, cost)
 
 
 # --- the corridor method --------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def test_a_corridor_finds_the_optimum_from_regular_times_in_most_cases() -> None
     for system in SYSTEMS.values():
         for feasible in PROBLEMS.values():
             cost = prefix_costs(system, feasible.horizon)
-            found = _last(Corridor(feasible), cost).whole[0].cost
+            found = _last(Corridor(feasible), cost).whole[0].expected_mse
             excess.append(found / _optimum(feasible, cost) - 1)
     assert min(excess) > -1e-12
     assert sum(each < 1e-12 for each in excess) >= 0.8 * len(excess)
@@ -162,7 +162,7 @@ def test_it_starts_from_a_set_and_no_round_is_worse_under_common_noise(start: Ti
     for asked, state in _steps(search, cost):
         if asked[0].end is None:  # the end of a round
             assert Candidate(middles[-1]) in asked
-            best.append(state.whole[0].cost)
+            best.append(state.whole[0].expected_mse)
             middles.append(state.middle)
     assert best == sorted(best, reverse=True)
     assert best[-1] < best[0]

@@ -279,13 +279,13 @@ def test_without_locks_no_page_is_listed_beside_a_driver(
 
     monkeypatch.setattr("fcntl.flock", no_locks)
     (store.path / "figures").mkdir()
-    (store.path / "figures" / "cost.svg").write_text("a figure")
+    (store.path / "figures" / "searches.svg").write_text("a figure")
     before = (store.path / "files.json").read_text()
     with pytest.warns(PfdistWarning, match="only one command at a time"):
         record_pages(store.path)
     assert (store.path / "files.json").read_text() == before
     record_pages(store.path, locked=True)
-    assert "cost.svg" in (store.path / "files.json").read_text()
+    assert "searches.svg" in (store.path / "files.json").read_text()
 
 
 def test_several_tables_are_published_together(

@@ -1,4 +1,4 @@
-"""Costs: how close each search came to the best (the paper's figure 2), and how sets compare."""
+"""How close each search came to the best (the paper's figure 2), and how sets compare."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -38,12 +38,12 @@ _LONGEST_NAME = 12  # characters of a name with which the legend has two columns
 _ROW, _MOST_ROWS = 0.2, 40  # inches of a row of the comparison; rows up to which a figure grows
 _MOST_IN_TITLE = 3
 _MARKERS = "osD^vPX<>*"
-_LINEAR = 10.0  # per cent, up to which the axis of costs is linear
+_LINEAR = 10.0  # per cent, up to which the axis of errors is linear
 Curve = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
-    """Average and minimum of the finite costs of each generation (the paper's curves)."""
+    """Average and minimum of the finite errors of each generation (the paper's curves)."""
     alive = rows[np.isfinite(rows["expected_mse"])]
     total = (alive["expected_mse"] * alive["copies"]).groupby(alive["generation"]).sum()
     groups = alive.groupby("generation")
@@ -57,20 +57,20 @@ def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
 def _one_by_one(rows: pd.DataFrame) -> pd.DataFrame:
     """Average and minimum of all evaluations so far."""
     rows = rows.sort_values(["generation", "individual"])
-    cost = rows["expected_mse"].where(np.isfinite(rows["expected_mse"]))
-    curve = pd.DataFrame({"average": cost.expanding().mean(), "minimum": cost.cummin().ffill()})
+    mse = rows["expected_mse"].where(np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"average": mse.expanding().mean(), "minimum": mse.cummin().ffill()})
     return curve.set_index(rows["copies"].cumsum())
 
 
 def _best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
-    """Least cost of all complete sets so far that were evaluated on all draws.
+    """Least error of all complete sets so far that were evaluated on all draws.
 
     Prefixes, and sets that were evaluated on fewer draws, only count as evaluations.
     """
     rows = rows.sort_values(["generation", "individual"])
     whole = (rows["end"] == rows["end"].max()) & (rows["draws"] == rows["draws"].max())
-    cost = rows["expected_mse"].where(whole & np.isfinite(rows["expected_mse"]))
-    curve = pd.DataFrame({"best so far": cost.cummin().ffill()})
+    mse = rows["expected_mse"].where(whole & np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"best so far": mse.cummin().ffill()})
     return curve.set_index(rows["copies"].cumsum()).dropna()
 
 
@@ -86,14 +86,14 @@ def curve_of(method: str) -> Curve:
     return _CURVES[METHODS[method].curve if method in METHODS else "generations"]
 
 
-@figure("cost", applies=lambda run: one_number(run) and bool(run.job["search"]))
-def cost_figure(tables: Tables) -> Plot:
-    """Estimated cost against the number of evaluations, relative to the best (paper, figure 2).
+@figure("searches", applies=lambda run: one_number(run) and bool(run.job["search"]))
+def searches_figure(tables: Tables) -> Plot:
+    """Estimated error against the number of evaluations, relative to the best (paper, figure 2).
 
-    Costs of different estimators are not comparable, so each estimator has a panel. In the panel of
-    the searches that estimate costs as the comparison does, costs are relative to the least
+    Errors by different estimators are not comparable, so each estimator has a panel. In the panel
+    of the searches that estimate as the comparison does, errors are relative to the least
     expected MSE on fresh draws, and the reference is shown. Elsewhere they are relative to the
-    least estimated cost.
+    least estimated error.
     """
     run = tables.run
     groups, evaluations = groups_of(run), shown_evaluations(run)
@@ -102,7 +102,7 @@ def cost_figure(tables: Tables) -> Plot:
     def draw(panels: Sequence[Axes]) -> None:
         for ax, (difference, names) in zip(panels, groups.items(), strict=True):
             lines = {} if difference else on_fresh_draws
-            cost(evaluations, _methods(run, names), **lines, title=_way(difference), ax=ax)
+            searches(evaluations, _methods(run, names), **lines, title=_way(difference), ax=ax)
 
     height = _PANEL + max(map(legend_inches, groups.values()))
     title = _title(evaluations, _methods(run, [search["name"] for search in run.job["search"]]))
@@ -118,16 +118,16 @@ def _title(evaluations: pd.DataFrame, methods: Mapping[str, str]) -> str:
             near = curve.index[(curve <= 1.01 * curve.min()).argmax()]
             parts.append(f"{name} after {near:,} of {curve.index[-1]:,}")
     if not parts:
-        return "No search has a finite cost."
+        return "No search has a finite error."
     left_out = f" and {len(parts) - _MOST_IN_TITLE} more" * (len(parts) > _MOST_IN_TITLE)
     return (
-        "Evaluations until a search came within 1 % of the least cost in its curve: "
+        "Evaluations until a search came within 1 % of the least error in its curve: "
         f"{', '.join(parts[:_MOST_IN_TITLE])}{left_out}."
     )
 
 
 def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tuple[str, float]]:
-    """The reference and the best set, each with its expected MSE, as `cost` takes them."""
+    """The reference and the best set, each with its expected MSE, as `searches` takes them."""
     mse = {name: float(np.nan_to_num(statistics.mse[name].mean, nan=np.inf)) for name in run.names}
     reference, best = run.names[0], min(mse, key=lambda name: mse[name])
     return {
@@ -166,16 +166,16 @@ def shown_evaluations(run: Run) -> pd.DataFrame:
     return evaluations.assign(phase=evaluations["phase"].replace(repeated))
 
 
-def cost(
+def searches(
     evaluations: Run | pd.DataFrame,
-    searches: Mapping[str, str] | Collection[str] = (),
+    names: Mapping[str, str] | Collection[str] = (),
     *,
     reference: tuple[str, float] | None = None,
     best: tuple[str, float] | None = None,
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw how far estimated costs lie above the best, against the number of evaluations.
+    """Draw how far estimated errors lie above the best, against the number of evaluations.
 
     The difference is in per cent. Beyond 10 % the axis is logarithmic except near 0, so that
     differences of 1 % are seen beside those of 100 %.
@@ -184,15 +184,15 @@ def cost(
     ----------
     evaluations : Run or DataFrame
         A run, or the table of this name.
-    searches : mapping of str to str, or names
+    names : mapping of str to str, or collection of str
         The searches to show: with a DataFrame the method of each search by its name. By default
         the searches of a run that estimate the expected MSE as the comparison does, or else those
-        that estimate in another, common way. Costs of different estimators are not comparable.
+        that estimate in another, common way. Errors by different estimators are not comparable.
     reference : (str, float), optional
         Label and expected MSE of the reference, drawn as a line; a run has its own.
     best : (str, float), optional
-        Label and expected MSE of the set to which costs are relative: that of a run with the least
-        expected MSE on fresh draws. By default costs are relative to the least cost that is drawn.
+        Label and expected MSE of the set to which errors are relative: that of a run with the
+        least expected MSE on fresh draws. By default it is the least that is drawn.
     title : str
         Title of the legend; a run says how these searches estimate, if not as the comparison.
     ax : matplotlib Axes, optional
@@ -211,13 +211,13 @@ def cost(
     """
     check_kind(evaluations, (Run, pd.DataFrame), "evaluations")
     if isinstance(evaluations, Run):
-        run, way, names = evaluations, *_alike(groups_of(evaluations), list(searches))
-        searches, title = _methods(run, names), title or _way(way)
+        run, way, alike = evaluations, *_alike(groups_of(evaluations), list(names))
+        names, title = _methods(run, alike), title or _way(way)
         if not way and run.draws_compared and "budget" not in run.job:
             lines = _on_fresh_draws(run, statistics_of(run))
             reference, best = reference or lines["reference"], best or lines["best"]
         evaluations = shown_evaluations(run)
-    methods = searches if isinstance(searches, Mapping) else dict.fromkeys(searches, "")
+    methods = names if isinstance(names, Mapping) else dict.fromkeys(names, "")
     methods = methods or dict.fromkeys(map(str, evaluations["phase"].unique()), "")
     curves = {
         name: curve_of(method)(evaluations[evaluations["phase"] == name])
@@ -228,15 +228,15 @@ def cost(
     best = best if best is not None and 0 < best[1] < math.inf else None
     base = least if best is None else best[1]
     if not 0 < least < math.inf:
-        return write_instead(ax, "no search has a finite cost other than 0")
+        return write_instead(ax, "no search has a finite error other than 0")
     differences = []
     styles = styles_of(evaluations, ["", *curves])  # none has that of the reference
     colours = {name: styles[name]["color"] for name in curves}
     if len({*colours.values()}) < len(curves):  # only a palette tells so many apart
         colours = {name: colormaps["viridis"](k / len(curves)) for k, name in enumerate(curves)}
     for position, (name, curve) in enumerate(curves.items()):
-        for kind, costs in curve.items():
-            above = 100 * (costs / base - 1)
+        for kind, errors in curve.items():
+            above = 100 * (errors / base - 1)
             differences += above.dropna().tolist()
             dashes = "-" if kind == "average" else "--"
             ax.plot(
@@ -252,9 +252,9 @@ def cost(
             colour = by_label.get(line[0], GREY)
             ax.axhline(differences[-1], color=colour, lw=thin(0.9), ls=dashes, label=text)
     _scale(ax, np.array(differences))
-    ax.set_xlabel("number of cost function evaluations")
-    of_what = "estimated cost" if best is None else "expected MSE"
-    ax.set_ylabel(f"estimated cost above\nthe least {of_what} [%]")
+    ax.set_xlabel("number of evaluated sets")
+    of_what = "estimated error" if best is None else "expected MSE"
+    ax.set_ylabel(f"estimated error above\nthe least {of_what} [%]")
     ax.set_xlim(left=0)
     ax.margins(y=0.08)
     legend_above(ax, columns=_columns(methods), title=title)
@@ -281,7 +281,7 @@ def _alike(groups: Mapping[str, list[str]], names: list[str]) -> tuple[str, list
     ways = {way_of[name] for name in names}
     if len(ways) > 1:
         each = "; ".join(f"{name}: {way_of[name] or 'as the comparison'}" for name in names)
-        raise JobError(f"searches must estimate costs alike, got {each}", argument="searches")
+        raise JobError(f"searches must estimate errors alike, got {each}", argument="searches")
     return ways.pop(), names
 
 
