@@ -100,7 +100,6 @@ _ROWS = {
     "profile": "each compared set and instant, by `pfdist why`",
     "worth": "each compared set and measurement, by `pfdist why`",
     "sampling_windows": "each compared set, measurement and tried instant, by `pfdist why`",
-    "jitter": "each compared set and width of its sampling windows, by `pfdist why`",
 }
 
 

@@ -18,7 +18,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.one_filter import made
 from pfdist.models import StateSpaceModel
-from pfdist.store.user_tables import SEPARATORS, read_user_table, row_in
+from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
 
@@ -55,11 +55,11 @@ def read_measurements(
     try:
         check = partial(_check_header, allowed)
         columns = read_user_table(path, check, names={"sensor": sensors})
-        for row, t in enumerate(columns["t"].tolist()):
+        for row, t in enumerate(columns["t"].tolist(), 1):
             try:
                 instant_on(clock, t, start)
             except MeasurementsError as error:
-                raise MeasurementsError(f"{error} ({row_in(path, row)})") from error
+                raise MeasurementsError(f"{error} (row {row})") from error
         if sensors:
             columns = _side_by_side(columns, model)
             allowed = [["t", *(f"y{component}" for component in range(model.components[1]))]]

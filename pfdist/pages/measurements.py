@@ -29,7 +29,6 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import BLUE, GREY, RED, SENSORS
 from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, sentences, windows_of
-from pfdist.results.stored_run import found_sets
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _ROW, _TALLEST = 0.14, 6.0  # inches of a row, and of a figure
@@ -145,17 +144,14 @@ def _rises(
 
 @figure(
     "sampling_windows",
-    applies=lambda run: "sampling_windows" in run.tables and "jitter" in run.tables,
+    applies=lambda run: "sampling_windows" in run.tables,
     each_set=True,
 )
 def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
-    rows, jitter = (
-        table[table["name"] == name]
-        for table in (tables.run.table("sampling_windows"), tables.run.table("jitter"))
-    )
-    is_found = name in found_sets(tables.run)
-    said = sentences(rows.to_dict("records"), jitter.to_dict("records"), is_found=is_found)
+    table = tables.run.table("sampling_windows")
+    rows = table[table["name"] == name]
+    said = sentences(rows.to_dict("records"))
     return Plot(
         _height(len(windows_of(rows.to_dict("records"), WIDE))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing

@@ -38,7 +38,7 @@ def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
 def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[float]:
     """The values of a column; by default it has the name of the parameter."""
     # Imported here, because most jobs need no tables.
-    from pfdist.store.user_tables import read_user_table, row_in  # noqa: PLC0415
+    from pfdist.store.user_tables import read_user_table  # noqa: PLC0415
 
     file, column = given.get("file"), given.get("column", name)
     if given.keys() - _KEYS or not (isinstance(file, str) and isinstance(column, str)):
@@ -67,6 +67,6 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
         row = int(wrong[0])
         raise JobError(
             f"{key}: column {shown(column)} must hold finite numbers, got {values[row]} in "
-            f"{row_in(path, row)} ({path})"
+            f"row {row + 1} ({path})"
         )
     return [float(value) for value in values]

@@ -22,11 +22,11 @@ from pfdist.problem.source import JobSource
 from pfdist.questions.options import MOST_DRAWS, following
 from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import own_store, run_and_job
-from pfdist.questions.sampling_windows import jitter, sampling_windows, windows_by_percent
+from pfdist.questions.sampling_windows import sampling_windows
 from pfdist.questions.why_page import why_page
 from pfdist.questions.worth import worth_of
-from pfdist.results import Run, finite, open_run
-from pfdist.results.stored_run import check_one_number, found_sets
+from pfdist.results import Run, finite
+from pfdist.results.stored_run import check_one_number
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.progress import Say, Show, silent
@@ -35,8 +35,8 @@ from pfdist.store.schema import with_sensors
 
 DRAWS = 2000
 FIGURES = ("why", "sampling_windows", "filters")
-_PARTS = ("profile", "worth", "sampling_windows", "jitter")
-_STEPS = 3  # for each set: worth, windows, jitter
+_PARTS = ("profile", "worth", "sampling_windows")
+_STEPS = 2  # for each set: worth, windows
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,10 +73,6 @@ class Why(Shown):
         within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
         the lower limit is above, and else "open". The instants lie between the neighbouring
         measurements, and end on each side with the first that is outside within_5.
-    jitter : DataFrame
-        A row for each set and level: position, name, percent (1 or 5), draws, and the loss when
-        each draw moves all measurements at random within their windows of this level: loss,
-        loss_error, low and high (95 % interval). If nothing can move, draws is 0.
     figures : list of Path
         The PNG and SVG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
         reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
@@ -88,7 +84,6 @@ class Why(Shown):
     profile: pd.DataFrame
     worth: pd.DataFrame
     sampling_windows: pd.DataFrame
-    jitter: pd.DataFrame
     figures: list[Path]
 
     def as_json(self) -> dict[str, Any]:
@@ -97,17 +92,17 @@ class Why(Shown):
         frames: dict[str, pd.DataFrame] = {part: getattr(self, part) for part in _PARTS}
         for row in self.sets.to_dict("records"):
             name = row.pop("name")
-            parts = {key: frame[frame["name"] == name] for key, frame in frames.items()}
+            own = {key: frame[frame["name"] == name] for key, frame in frames.items()}
             parts = {
-                key: frame.drop(columns=["position", "name"] + ["draws"] * (key != "jitter"))
-                for key, frame in parts.items()
+                key: frame.drop(columns=["position", "name", "draws"]).to_dict("records")
+                for key, frame in own.items()
             }
-            sets[str(name)] = row | {key: frame.to_dict("records") for key, frame in parts.items()}
+            sets[str(name)] = row | parts
         values = {"run": str(self.run), "draws": self.draws, "sets": sets}
         return finite(values | {"figures": list(map(str, self.figures))})
 
     def _page(self) -> Page:
-        return why_page(self.as_json(), found_sets(open_run(self.run)))
+        return why_page(self.as_json())
 
 
 def why(
@@ -122,9 +117,8 @@ def why(
 ) -> Why:
     """Show what each measurement of a run is worth, and how exactly it must be kept.
 
-    The model is run. The tables ``profile``, ``worth``, ``sampling_windows`` and ``jitter`` and the
-    figures ``why-SET``, ``sampling_windows-SET`` and ``filters`` are written into the folder of
-    the run.
+    The model is run. The tables ``profile``, ``worth`` and ``sampling_windows``, and the figures
+    ``why-SET``, ``sampling_windows-SET`` and ``filters`` are written into the folder of the run.
 
     Parameters
     ----------
@@ -132,7 +126,7 @@ def why(
         A job file, whose run is meant, or the folder of a run.
     draws : int
         Number of draws, at least 2. They are computed in this process, and memory does not grow
-        with their number. An exact engine uses it only for ``jitter``.
+        with their number. An exact engine does not use it.
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
@@ -196,11 +190,9 @@ def _examine(
         times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
         result = yield from worth_of(session, name, times, draws)
         windows = yield from sampling_windows(session, name, times, draws)
-        by_percent = windows_by_percent(windows, times)
-        jittered = yield from jitter(session, name, times, by_percent, draws)
         answers.append({"name": name, "measurement_times": list(clock_times)} | result.summary)
         about = {"position": position, "name": name, "draws": drawn}
-        parts = (result.profile, result.worth, windows, jittered)
+        parts = (result.profile, result.worth, windows)
         for part, of_a_part in zip(_PARTS, parts, strict=True):
             rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}

@@ -10,7 +10,6 @@ from pfdist.common.percent import infinite_if_none
 from pfdist.common.rounding import with_error
 from pfdist.questions.subject import Subject, number_of
 from pfdist.results.sampling_windows import STRICT, WIDE, sentences, windows_of
-from pfdist.results.stored_run import found_sets
 
 _HEAD = ("t", "if removed", "if one instant earlier", "if one instant later")
 _WINDOWS_HEAD = ("t", f"within {STRICT} %", f"within {WIDE} %")
@@ -28,17 +27,13 @@ Rows = Iterable[Mapping[Any, Any]]
 def worth(subject: Subject) -> Section | None:
     """The worth of each measurement of a run's sets, where ``pfdist why`` has run."""
     run = subject.run
-    if "worth" not in run.tables:
+    if not {"worth", "sampling_windows"} <= {*run.tables}:
         return None
-    rises = run.table("worth")
-    has_windows = "sampling_windows" in run.tables and "jitter" in run.tables
-    windows = run.table("sampling_windows") if has_windows else rises.iloc[:0]
-    jitter = run.table("jitter") if has_windows else rises.iloc[:0]
+    rises, windows = run.table("worth"), run.table("sampling_windows")
     tables = list[Block]()
     for name, group in rises.groupby("name", sort=False):
-        parts = (group, windows[windows["name"] == name], jitter[jitter["name"] == name])
-        records = (part.to_dict("records") for part in parts)
-        tables += _of_set(str(name), *records, is_found=name in found_sets(run), detail=True)
+        parts = (group, windows[windows["name"] == name])
+        tables += _of_set(str(name), *(part.to_dict("records") for part in parts), detail=True)
     figures = Figures(["why", "sampling_windows", "filters"], subject.shown)
     draws = int(rises["draws"].max())
     return Section(
@@ -46,25 +41,23 @@ def worth(subject: Subject) -> Section | None:
     )
 
 
-def why_page(answer: Mapping[str, Any], found_names: Iterable[str]) -> Page:
+def why_page(answer: Mapping[str, Any]) -> Page:
     """The answer of `pfdist.why`.
 
     Parameters
     ----------
     answer : mapping
         As of `pfdist.questions.why.Why.as_json`.
-    found_names : iterable of str
-        Names of the sets that searches have found.
     """
-    blocks, names = list[Block](), set(found_names)
+    blocks = list[Block]()
     sets = sorted(
         answer["sets"].items(), key=lambda item: infinite_if_none(item[1]["expected_mse"])
     )
     for name, each in sets:  # the best first
         mse = with_error(infinite_if_none(each["expected_mse"]), each["standard_error"])
         blocks.append(Text(f"{name}: expected MSE {mse}", prominent=True))
-        parts = each["worth"], each["sampling_windows"], each["jitter"]
-        blocks += _of_set(name, *parts, is_found=name in names, mse=each["expected_mse"] or 0.0)
+        rises, windows = each["worth"], each["sampling_windows"]
+        blocks += _of_set(name, rises, windows, mse=each["expected_mse"] or 0.0)
     draws = answer["draws"]
     how = f"on {draws:,} fresh draws; ± standard error" if draws else "exact"
     line = f"what each measurement of {answer['run']} is worth, {how}"
@@ -85,9 +78,7 @@ def _of_set(
     name: str,
     worth: Rows,
     windows: Rows,
-    jitter: Rows,
     *,
-    is_found: bool,
     detail: bool = False,
     mse: float = 0.0,
 ) -> list[Block]:
@@ -105,7 +96,7 @@ def _of_set(
         for strict, wide in zip(*levels, strict=True)
     ]
     table = Table(f"Sampling windows, times of {name}", _WINDOWS_HEAD, cells, detail)
-    said = sentences(rows, jitter, is_found=is_found) or ["nothing can move."]
+    said = sentences(rows) or ["nothing can move."]
     return [*blocks, table, Text(f"{name}: {' '.join(said)}")]
 
 

@@ -1,22 +1,26 @@
-"""Sampling windows as readers want them: instants, which measurements matter, and how flat it is.
+"""Sampling windows: the loss of a moved measurement, the instants, and which measurements matter.
 
-The functions take rows of the tables ``sampling_windows`` and ``jitter``, also those of a JSON
-answer.
+The functions take rows of the table ``sampling_windows``, also those of a JSON answer.
 """
 
 import math
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from pfdist.common.clock import Time
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 from pfdist.common.formatted_times import formatted_time, formatted_times, measurement_of
-from pfdist.common.percent import percent_with_interval
-from pfdist.results.relative_loss import INSIDE, OPEN
+from pfdist.results.streaming_moments import Array, Pairs
 from pfdist.store import WINDOW_PERCENTS
 
+INSIDE, OPEN, OUTSIDE = "inside", "open", "outside"
+"""States of a loss against a level: at most the level, undecided, and above the level."""
 Rows = Iterable[Mapping[Hashable, Any]]
+_TWO_SIDED = 2 * CONFIDENCE - 1  # its ends are one-sided limits of the confidence
 _LONGEST_LIST = 2  # successive instants that are listed singly
 STRICT, WIDE = min(WINDOW_PERCENTS), max(WINDOW_PERCENTS)
 
@@ -130,68 +134,15 @@ def spelled(instants: Mapping[Time, int]) -> str:
     )
 
 
-def is_flat(windows: Sequence[SamplingWindow], jitter: Mapping[Hashable, Any]) -> bool:
-    """Whether all measurements together can move within their windows at a loss of at most a level.
-
-    All measurements that the job and their neighbours do not fix have another instant inside, and
-    the 95 % interval of the loss when all are jittered ends at or below the level.
+def sentences(rows: Rows) -> list[str]:
+    """Say which measurements must be kept exactly, which can move, and which are undecided.
 
     Parameters
     ----------
-    windows : sequence of SamplingWindow
-        For one level.
-    jitter : mapping
-        The row of the table ``jitter`` of this level.
+    rows : iterable of mappings
+        Rows of the table ``sampling_windows`` of one set.
     """
-    movable = [window for window in windows if window.can_be_tried]
-    high = math.nan if jitter["high"] is None else jitter["high"]
-    is_small = bool(high <= jitter["percent"] / 100)
-    return bool(movable) and all(window.is_wide for window in movable) and is_small
-
-
-def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
-    """Say which measurements must be kept exactly, which need not, and whether the optimum is flat.
-
-    Parameters
-    ----------
-    rows, jitter : iterable of mappings
-        Rows of the tables ``sampling_windows`` and ``jitter`` of one set.
-    is_found : bool
-        Whether a search has found the set; other sets are no optimum.
-    """
-    rows, jitter = list(rows), list(jitter)
-    windows = {int(row["percent"]): windows_of(rows, int(row["percent"])) for row in jitter}
-    flat = [row for row in jitter if is_flat(windows[int(row["percent"])], row)]
-    flat = flat[:1] if is_found else []
-    said = [_flat_sentence(row, windows[int(row["percent"])]) for row in flat]
-    said += _measurements(windows.get(STRICT, []))
-    return said + [
-        f"If all measurements move at random within their windows of {row['percent']} %, the loss "
-        f"is {loss_text(row)}."
-        for row in jitter
-        if row["draws"] and row not in flat
-    ]
-
-
-def loss_text(row: Mapping[Hashable, Any]) -> str:
-    """The loss of a row of the table ``jitter`` with its 95 % interval, in per cent."""
-    values = [None if row[key] is None else float(row[key]) for key in ("loss", "low", "high")]
-    loss, *interval = [None if x is None or math.isnan(x) else x for x in values]
-    return percent_with_interval(loss, interval).replace("  (", " (")
-
-
-def _flat_sentence(row: Mapping[Hashable, Any], windows: Sequence[SamplingWindow]) -> str:
-    movable = sum(window.can_be_tried for window in windows)
-    return (
-        f"The optimum is flat: {movable} of {len(windows)} measurements can move"
-        f"{', each' * (movable > 1)} within a window of {row['percent']} %. If all of these move "
-        f"at random within their windows, the loss is {loss_text(row)}."
-    )
-
-
-def _measurements(windows: Sequence[SamplingWindow]) -> list[str]:
-    """Name the measurements that must be kept exactly, that can move, and that are undecided."""
-    movable = [window for window in windows if window.can_be_tried]
+    movable = [window for window in windows_of(rows, STRICT) if window.can_be_tried]
     wide = [window for window in movable if window.is_wide]
     single = [window for window in movable if window.is_single]
     undecided = [window for window in movable if not window.is_wide and window.open]
@@ -208,3 +159,55 @@ def _listed(windows: Sequence[SamplingWindow]) -> str:
     if windows[0].sensor:
         return formatted_times(window.measurement for window in windows)
     return spelled({window.t: window.inside[window.t] for window in windows})
+
+
+@dataclass
+class RelativeLoss:
+    """Mean rise of the MSE over the mean MSE of the kept set, on the pairs of errors added so far.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        Moments of the rise of the MSE (x) and the MSE of the kept set (y).
+    """
+
+    pairs: Pairs = field(default_factory=Pairs)
+
+    def add(self, changed_mse: Array, kept_mse: Array) -> None:
+        """Add a block of draws; the same blocks in the same order give the same bits.
+
+        Parameters
+        ----------
+        changed_mse, kept_mse : array of float64, (D,)
+            Per-draw MSE of both sets on the same draws.
+        """
+        with np.errstate(invalid="ignore"):  # infinite errors have no difference
+            self.pairs.add(changed_mse - kept_mse, kept_mse)
+
+    @property
+    def mean(self) -> float:
+        """The loss; NaN if an error is infinite, or if the mean error is not above 0."""
+        return self.pairs.x.mean / self.pairs.y.mean if self._is_known else math.nan
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the loss, by the delta method."""
+        return self.pairs.ratio_error if self._is_known else math.nan
+
+    @property
+    def limits(self) -> Interval:
+        """One-sided 95 % lower limit and one-sided 95 % upper limit, Fieller's."""
+        return self.pairs.ratio_interval(_TWO_SIDED) if self._is_known else UNKNOWN
+
+    def state(self, level: float) -> str:
+        """Whether the loss is at most a level, by its one-sided limits."""
+        low, high = self.limits
+        if high <= level:
+            return INSIDE
+        return OUTSIDE if low > level else OPEN
+
+    @property
+    def _is_known(self) -> bool:
+        rise, kept_mse = self.pairs.x, self.pairs.y
+        moments = (rise.mean, rise.squares, kept_mse.mean, kept_mse.squares)
+        return all(map(math.isfinite, moments)) and kept_mse.mean > 0.0

@@ -55,7 +55,6 @@ KEYS: dict[str, list[str]] = {
     "profile": ["position", "t"],
     "worth": ["position", "t"],
     "sampling_windows": ["position", "t", "moved_to"],
-    "jitter": ["position", "percent"],
 }
 """Columns that identify a row of each table."""
 
@@ -103,11 +102,6 @@ _OF_A_SET = (
 _LEFT_OUT = "whether no particle explains a measurement, which is left out"
 _DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
-
-_LOSS = (
-    _column("loss", pa.float64(), "", "expected MSE over that of the kept set, less 1"),
-    _column("loss_error", pa.float64(), "", "standard error of loss"),
-)
 
 
 _SCHEMAS = {
@@ -220,21 +214,14 @@ _SCHEMAS = {
         _column("moved_to", pa.int32(), "t", "to which it alone is moved; t itself is a row, too"),
         _column("moved_to_instant", pa.int32(), "", "number of the instant moved_to, from 0"),
         _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
-        *_LOSS,
+        _column("loss", pa.float64(), "", "expected MSE over that of the kept set, less 1"),
+        _column("loss_error", pa.float64(), "", "standard error of loss"),
         _column("lower_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
         _column("upper_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
         *(
             _column(f"within_{percent}", pa.string(), "", _WITHIN.format(percent))
             for percent in WINDOW_PERCENTS
         ),
-    ],
-    "jitter": [
-        *_OF_A_SET,
-        _column("percent", pa.int32(), "%", "largest loss within the sampling windows"),
-        _column("draws", pa.int64(), "", "each with random times; 0: nothing moves"),
-        *_LOSS,
-        _column("low", pa.float64(), "", "end of the 95 % interval of loss"),
-        _column("high", pa.float64(), "", "end of the 95 % interval of loss"),
     ],
 }
 

@@ -79,9 +79,9 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         ("t,y0,y1\n1.5,2,3", "t must be an integer, got 1.5"),
         ("t,y0,y1\n0,2,3", "t must lie in 1..10, got 0"),
         ("t,y0,y1\n3,inf,3", "got y0 = inf at t = 3"),
-        ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' must hold numbers, got 'high' in line 3"),
-        ("t,y0,y1\n3,1_000,3", "column 'y0' must hold numbers, got '1_000' in line 2"),
-        ("t,y0,y1\n3,1,2,3", "as many values as the first: got 4 values in line 2, 3 in the first"),
+        ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' must hold numbers, got 'high' in row 2"),
+        ("t,y0,y1\n3,1_000,3", "column 'y0' must hold numbers, got '1_000' in row 1"),
+        ("t,y0,y1\n3,1,2,3", "as many values as the first: Expected 3 fields in line 2, saw 4"),
         (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
         ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' must hold numbers, got 'xxx"),
         (",".join(map(str, range(1001))) + "\n", "at most 1,000 columns, got 1,001"),
@@ -108,9 +108,9 @@ def test_a_wrong_parquet_table_is_explained_in_one_line(
     words = r"a Parquet table was expected, got \"Parquet file size"
     with pytest.raises(MeasurementsError, match=words):
         read_measurements(path, ship, Clock.counting(10))
-    for wrong, kind in (("high", ".*string"), (True, "bool")):
+    for wrong, got in (("high", "'high' in row 1"), (True, "bool")):
         _written(path, {"t": [1], "y0": [wrong], "y1": [1.0]})
-        with pytest.raises(MeasurementsError, match=rf"'y0' must hold numbers, got '{kind}'"):
+        with pytest.raises(MeasurementsError, match=f"'y0' must hold numbers, got {got}"):
             read_measurements(path, ship, Clock.counting(10))
     _written(path, {"t": [1, 2], "y0": [1, 2], "y1": [None, None]})
     assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
@@ -135,6 +135,36 @@ def test_a_file_that_is_none_or_too_large_is_not_read(
             with pytest.raises(MeasurementsError, match="at most 15 bytes is read, got"):
                 read_measurements(path, ship, Clock.counting(10))
         assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
+
+
+def test_a_table_in_memory_may_have_an_index_missing_values_and_numbers_as_texts(
+    ship: StateSpaceModel,
+) -> None:
+    table = pd.DataFrame(
+        {"y0": pd.array([1, None], "Int64"), "y1": [" 0.1", None]}, index=pd.Index([3, 7], name="t")
+    )
+    found = read_measurements(table, ship, Clock.counting(10))
+    assert found.t == (3,)  # nothing was measured at 7
+    np.testing.assert_array_equal(found.y, [[1.0, 0.1]])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ([True], "got bool"),
+        ([1j], "got complex128"),
+        (pd.to_datetime(["2020-01-01"]), "got datetime64"),
+        ([[1.0, 2.0]], "got '[1.0, 2.0]' in row 1"),
+        (["high"], "got 'high' in row 1"),
+    ],
+)
+def test_a_column_in_memory_that_holds_no_numbers_is_named(
+    wrong: Any, words: str, ship: StateSpaceModel
+) -> None:
+    table = pd.DataFrame({"t": [1], "y0": wrong, "y1": [1.0]})
+    must = re.escape(f"measurements: column 'y0' must hold numbers, {words}")
+    with pytest.raises(MeasurementsError, match=must):
+        read_measurements(table, ship, Clock.counting(10))
 
 
 # --- priors ---------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import inspect
 import io
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import pairwise, product
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -94,22 +94,6 @@ def _filtered() -> pd.DataFrame:
         {name: np.arange(5.0) for name in filtered_schema(numbered_components(2)).names}
     )
     return table.assign(t=range(5), measured=[True, False, True, False, False])
-
-
-def test_only_a_found_set_is_called_an_optimum_in_a_title() -> None:
-    windows = pd.DataFrame(product(("given", "found"), [3], (3, 4)), columns=WINDOWS.columns[:3])
-    windows = windows.assign(within_1="inside", within_5="inside")
-    jitter = pd.DataFrame({"name": ["given", "found"], "percent": 1, "draws": 9})
-    jitter = jitter.assign(loss=0.0, low=0.0, high=0.001)
-    run = SimpleNamespace(
-        table={"sampling_windows": windows, "jitter": jitter}.__getitem__,
-        job={"comparison": {"sets": {"given": [3]}}},
-        sets={"given": (3,), "found": (3,)},
-        references={"found": "given"},
-    )
-    tables = SimpleNamespace(run=run)
-    titles = [FIGURES["sampling_windows"].plot(tables, name).title for name in ("given", "found")]
-    assert ["optimum is flat" in title for title in titles] == [False, True]
 
 
 def test_times_that_are_not_whole_are_shown_without_a_run() -> None:

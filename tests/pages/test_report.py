@@ -111,9 +111,8 @@ def test_it_has_the_sampling_windows_of_every_set(run: pfdist.Run, see: See) -> 
     assert "Sampling windows of genetic." in page.text  # the title of the figure
     for name, rows in found.sampling_windows.groupby("name"):
         assert f"Sampling windows, times of {name}" in page.text
-        jitter = found.jitter[found.jitter["name"] == name].to_dict("records")
         records = rows.to_dict("records")
-        for said in sentences(records, jitter, is_found=name != "regular"):
+        for said in sentences(records):
             assert said in page.text
         for window in windows_of(records, 1):
             assert window.text in page.text

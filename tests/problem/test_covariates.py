@@ -119,7 +119,7 @@ WRONG = [
         '{file="data/wether.csv"}',
         r"rain: cannot read .*wether\.csv: No such .*; did you mean '.*weather\.csv'",
     ),
-    (TABLE + 'column="day"}', r"column 'day' must hold numbers, got 'a' in line 2 \("),
+    (TABLE + 'column="day"}', r"column 'day' must hold numbers, got 'a' in row 1 \("),
     (TABLE + 'colum="rain"}', r"rain must be numbers, or a column of a table, as \{file"),
     ("{column=3}", r"rain must be numbers, or a column of a table"),
     ('"wet"', r"rain must be a number, a list with .* or a column of a table, as .* got 'wet'"),
@@ -139,7 +139,7 @@ def test_a_value_that_is_not_finite_is_named_with_its_row(
 ) -> None:
     (folder / "gap.csv").write_text(f"rain\n1\n2.5\n{wrong or ','}\n4\n".replace(",\n", '""\n'))
     with pytest.raises(
-        JobError, match=r"^" + part + r"\.parameters\.rain: .* got (nan|inf) in line 4"
+        JobError, match=r"^" + part + r"\.parameters\.rain: .* got (nan|inf) in row 3"
     ):
         load_job(folder / "csv.toml", [f'{part}.parameters.rain={{file="gap.csv"}}'])
     model = load_model(f"{folder / 'lake.py'}:model")

@@ -212,13 +212,13 @@ def test_the_last_instant_of_a_clock_is_planned(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("2,near,1.5\n\n40,near,1", r"t must lie in 0\.\.12, got 40 \(line 4\)$"),
-        ("2,Near,1.5", "got 'Near' in line 2; did you mean 'near'"),
-        ("2,near,wet", "column 'y0' must hold numbers, got 'wet' in line 2$"),
-        ("2,near,1,5", "decimals have a point; .* got 4 values in line 2, 3 in the first$"),
+        ("2,near,1.5\n\n40,near,1", r"t must lie in 0\.\.12, got 40 \(row 2\)$"),
+        ("2,Near,1.5", "got 'Near' in row 1; did you mean 'near'"),
+        ("2,near,wet", "column 'y0' must hold numbers, got 'wet' in row 1$"),
+        ("2,near,1,5", "decimals have a point; .* Expected 3 fields in line 2, saw 4$"),
     ],
 )
-def test_a_mistake_in_a_table_names_its_line(rows: str, said: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_table_names_its_row(rows: str, said: str, tmp_path: Path) -> None:
     table = tmp_path / "case.csv"
     table.write_text(f"t,sensor,y0\n{rows}\n")
     with pytest.raises(pfdist.PfdistError, match=said):

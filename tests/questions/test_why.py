@@ -162,11 +162,9 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert [row["t"] for row in regular["worth"]] == [0, 4, 8, 12]
     assert regular["worth"][0]["earlier"] is None
     assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
-    windows, jitter = regular["sampling_windows"], regular["jitter"]
+    windows = regular["sampling_windows"]
     assert {row["t"] for row in windows} == {0, 4, 8, 12}
     assert [row["loss"] for row in windows if row["moved_to"] == row["t"]] == [0.0] * 4
-    assert [row["percent"] for row in jitter] == [1, 5]
-    assert all(row["low"] <= row["loss"] <= row["high"] for row in jitter)
     drawn = "why-genetic why-random sampling_windows-genetic sampling_windows-random filters"
     names = [f"{name}.{kind}" for name in drawn.split() for kind in ("png", "svg")]
     assert [Path(file).name for file in answer["figures"]] == names
@@ -186,7 +184,6 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     ]
     stored = run.table("sampling_windows")
     assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
-    assert run.table("jitter")["loss"].tolist()[:2] == [row["loss"] for row in jitter]
     assert not list(verify_run(run.path))
     again = hashes(run.path)
     assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0
@@ -202,7 +199,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     strict, wide = (windows_of(windows, percent)[1].text for percent in (1, 5))
     unwrapped = " ".join(text.split())
     assert f" 4 {strict} {wide} " in unwrapped
-    assert all(said in unwrapped for said in sentences(windows, jitter, is_found=False))
+    assert all(said in unwrapped for said in sentences(windows))
     assert all(len(line) <= 80 for line in text.splitlines() if str(run.path) not in line)
 
 
