@@ -6,15 +6,16 @@ import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from pydantic import Field
 
-from pfdist.common.arguments import whole_argument
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import did_you_mean
+from pfdist.common.section import Arguments, Whole
 from pfdist.errors import ArgumentError, JobError, StoreError, shown
 from pfdist.filters.engines import is_exact
 from pfdist.kernels.estimators import SQUARED_ERROR
@@ -32,8 +33,11 @@ from pfdist.store.schema import KEYS
 if TYPE_CHECKING:
     import pandas as pd
 
-_MOST_DRAWS = 2**62  # more than any table has
 _OF_THE_SET = ["position", "name", "measurement_times"]
+
+
+class _Rows(Arguments):
+    draws: Annotated[Whole, Field(ge=1, le=2**62)]  # more than any table has
 
 
 class StoredRun:
@@ -85,7 +89,7 @@ class StoredRun:
                 argument="name",
             )
         if draws is not None:
-            draws = whole_argument("draws", draws, 1, _MOST_DRAWS)
+            draws = _Rows(draws=draws).draws
             if name != "gains" and "draw" not in KEYS.get(name, []):
                 raise ArgumentError(f"the table {name} has no rows of draws", argument="draws")
         if not (self._store.has(name) if name in KEYS else name in self.tables):
