@@ -86,14 +86,6 @@ def _paths(texts: list[str]) -> list[str]:
     return [_path(text) for text in texts]
 
 
-def _count(text: str) -> int:
-    """A whole number from 1 to 32,000."""
-    number = whole_number(text)
-    if not 1 <= number <= 32_000:
-        raise ValueError(f"must be an integer in 1..32000, got {number}")
-    return number
-
-
 def _decimal(text: str) -> int | float:
     """A number; a whole number without a point is an int."""
     return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
@@ -163,7 +155,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "draws": _number("K"),
     "dry_run": _SWITCH,
     "folder": _file("DIR"),
-    "horizon": _number("T", _count),
+    "horizon": _number("T"),
     "job": _file("JOB"),
     "judge": Word(bool | None, Parameter()),
     "measurements": _file("MEASUREMENTS"),
@@ -203,7 +195,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     ),
     "evaluate.times": _texts("TIMES", _sets_or_one),
     "check-model.times": Word(str | None, Parameter(metavar="TIMES", converter=_each(_clock))),
-    "check-model.particles": _number("P", _count),
 }
 """The words of each parameter by its name, or by its command and its name."""
 

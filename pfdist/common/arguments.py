@@ -1,8 +1,7 @@
-"""Checks of arguments of public functions, with errors in one line."""
+"""Arguments that a function reads: paths, and lists of which an iterator gives each entry once."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import islice
-from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,30 +9,6 @@ from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.errors import ArgumentError, shown
 
 T = TypeVar("T")
-
-
-def whole_argument(name: str, value: Any, least: int, most: int) -> int:
-    """An argument as an int; an `ArgumentError` if it is no integer or lies outside least..most.
-
-    >>> whole_argument("draws", 1, 2, 100)
-    Traceback (most recent call last):
-        ...
-    pfdist.errors.ArgumentError: draws must be at least 2, got 1
-    """
-    if isinstance(value, bool) or not isinstance(value, Integral):
-        raise ArgumentError(f"{name} must be an integer, got {shown(value)}", argument=name)
-    number = int(value)
-    if not least <= number <= most:
-        allowed = f"at least {least:,}" if number < least else f"at most {most:,}"
-        raise ArgumentError(f"{name} must be {allowed}, got {shown(number)}", argument=name)
-    return number
-
-
-def number_argument(name: str, value: Any) -> float:
-    """An argument as a float; an `ArgumentError` if it is no number."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise ArgumentError(f"{name} must be a number, got {shown(value)}", argument=name)
-    return float(value)
 
 
 def path_argument(name: str, value: Any) -> Path:
@@ -87,16 +62,3 @@ def listed_argument(name: str, values: Iterable[T]) -> list[T]:
             f"{name} must be at most {MOST_NUMBERS:,} numbers, got {shown(values)}", argument=name
         )
     return listed
-
-
-def mapping_argument(name: str, value: Any) -> dict[str, Any]:
-    """An argument as a dictionary; an `ArgumentError` if it is no mapping of texts."""
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise ArgumentError(f"{name} must be a mapping, got {shown(value)}", argument=name)
-    return dict(value)
-
-
-def called_argument(name: str, value: Any) -> None:
-    """Raise an `ArgumentError` if an argument cannot be called."""
-    if not callable(value):
-        raise ArgumentError(f"{name} must be a function, got {shown(value)}", argument=name)

@@ -48,10 +48,8 @@ def named_component(text: str) -> Component:
 def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
     """The components that these names describe; without names, numbered components.
 
-    A ValueError says that the names are no tuple of so many names that give different columns.
+    A ValueError says that there are not so many names that give different columns.
     """
-    if not isinstance(names, tuple):
-        raise ValueError(f"must be a tuple, a name for each component, got {shown(names)}")
     if not names:
         return numbered_components(count)
     if len(names) != count:

@@ -1,14 +1,35 @@
-"""Sections of a job file: frozen data, and sentences that say what is wrong with a section."""
+"""Sections of a job file and arguments of functions: frozen data, and what is wrong with it.
 
-from collections.abc import Sequence
-from typing import Any, get_args, get_origin
+Types declare what a value may be. pydantic checks the values, and `explained` says in a sentence
+what was given, what is allowed, and where.
+"""
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, reduce, wraps
+from numbers import Real
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from pfdist.common.nearest import did_you_mean, quoted_names
-from pfdist.errors import shown
+from pfdist.errors import ArgumentError, PfdistError, shown
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Section(BaseModel):
@@ -16,6 +37,82 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
+
+# --- arguments ------------------------------------------------------------------------------------
+
+
+def _plain(value: Any) -> Any:
+    """A number of NumPy as one of Python; other values as they are."""
+    return value.item() if isinstance(value, Real) and hasattr(value, "item") else value
+
+
+Whole = Annotated[int, BeforeValidator(_plain)]
+"""An argument that is an integer of Python or of NumPy."""
+Number = Annotated[float, BeforeValidator(_plain)]
+"""An argument that is a number of Python or of NumPy."""
+
+
+class Arguments(Section):
+    """Base of the arguments of functions that are checked together.
+
+    Raises
+    ------
+    PfdistError
+        An argument is wrong. The class says which error it is, by default an `ArgumentError`.
+    """
+
+    error: ClassVar[type[PfdistError]] = ArgumentError
+
+    def __init__(self, **given: Any) -> None:
+        try:
+            super().__init__(**given)
+        except ValidationError as error:
+            name = str(_by_weight(error)[0]["loc"][0])
+            raise self.error(explained(error, type(self)), argument=name) from error
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Check the arguments of a function whose types declare limits, as ``Annotated`` does.
+
+    The signature shows the types without the limits. An `ArgumentError` names a wrong argument.
+
+    >>> from pydantic import Field
+    >>> @checked
+    ... def square(draws: Annotated[Whole, Field(ge=2)]) -> int:
+    ...     return draws**2
+    >>> square(3)
+    9
+    >>> square(1)
+    Traceback (most recent call last):
+        ...
+    pfdist.errors.ArgumentError: draws must be at least 2, got 1
+    """
+    signature = inspect.signature(function)
+    limits, shown_types = get_type_hints(function, include_extras=True), get_type_hints(function)
+    limited = [name for name, kind in shown_types.items() if limits[name] != kind]
+    parameters = [
+        each.replace(annotation=shown_types.get(each.name, each.annotation))
+        for each in signature.parameters.values()
+    ]
+
+    @cache
+    def model() -> type[Arguments]:
+        types: Any = {name: (limits[name], ...) for name in limited}
+        return create_model(function.__name__, __base__=Arguments, **types)
+
+    @wraps(function)
+    def call(*arguments: P.args, **named: P.kwargs) -> R:
+        given = signature.bind(*arguments, **named)
+        given.apply_defaults()
+        values = model()(**{name: given.arguments[name] for name in limited})
+        given.arguments.update(values)
+        return function(*given.args, **given.kwargs)
+
+    call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return call
+
+
+# --- errors ---------------------------------------------------------------------------------------
 
 _RULES = {
     "bool_type": "true or false",
@@ -29,6 +126,7 @@ _RULES = {
     "finite_number": "a finite number",
     "string_type": "a string",
     "string_unicode": "a string of Unicode characters",
+    "callable_type": "a function",
     "dict_type": "a section",
     "model_type": "a section",
     "model_attributes_type": "a section",
@@ -55,9 +153,13 @@ def explained(error: ValidationError, model: type[BaseModel]) -> str:
 
     It says what is wrong, what was given, and what is allowed.
     """
-    first, *others = _by_weight(error)
-    more = f"; {len(others)} more like this" if others else ""
-    return f"{_sentence(first, model)}{more}"
+    errors = _by_weight(error)
+    place = _place(errors[0], model)
+    of_place = [each for each in errors if _place(each, model) == place]
+    depth = max(len(each["loc"]) for each in of_place)  # of the members that fit best
+    sentence = _sentence([each for each in of_place if len(each["loc"]) == depth], place, model)
+    others = len(errors) - len(of_place)
+    return f"{sentence}; {others} more like this" if others else sentence
 
 
 def _by_weight(error: ValidationError) -> list[ErrorDetails]:
@@ -68,22 +170,35 @@ def _by_weight(error: ValidationError) -> list[ErrorDetails]:
     return sorted(telling, key=lambda detail: detail["type"] != "extra_forbidden")
 
 
-def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
-    parts = [part for part in error["loc"] if isinstance(part, str)]  # each may hold dots
+def _place(error: ErrorDetails, model: Any) -> tuple[int | str, ...]:
+    """The place of an error, without the members of unions, which pydantic names last."""
+    place, kind = error["loc"], reduce(_inner, error["loc"][:1], model)
+    for number, part in enumerate(place[1:], 1):
+        kind = _inner(kind, part)
+        if kind is None and error["type"] != "extra_forbidden":
+            return place[:number]
+    return place
+
+
+def _sentence(
+    errors: list[ErrorDetails], place: tuple[int | str, ...], model: type[BaseModel]
+) -> str:
+    """A sentence about a value, by the errors that the members of its type give."""
+    error = errors[0]
+    parts = [part for part in place if isinstance(part, str)]  # each may hold dots
     key, kind, got = ".".join(parts), error["type"], error["input"]
     if kind == "extra_forbidden":
         *section, name = parts
-        place = f" in [{'.'.join(section)}]" if section else ""
-        keys = _allowed_keys(section, model)
+        where = f" in [{'.'.join(section)}]" if section else ""
+        keys = _allowed_keys(place[:-1], model)
         meant = did_you_mean(name, keys) or _did_you_mean_elsewhere(name, model)
-        return f"unknown key {shown(name)}{place}, allowed: {', '.join(keys)}{meant}"
+        return f"unknown key {shown(name)}{where}, allowed: {', '.join(keys)}{meant}"
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         name = error["ctx"]["discriminator"].strip("'")
         value = got.get(name) if isinstance(got, dict) else got
-        *section, field = parts
-        kinds = _kinds(_section(section, model).model_fields[field])
+        kinds: Any = reduce(_inner, place, model)
         allowed = ", ".join(map(repr, kinds))
         meant = did_you_mean(value, kinds)
         return f"{key}.{name} must be one of {allowed}, got {shown(value)}{meant}"
@@ -91,23 +206,27 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
         return f"search must be one or more [[search]] sections, got {shown(got)}"
     if kind == "value_error":
         return str(error["ctx"]["error"])
-    rule = _rule(error)
-    meant = did_you_mean(got, quoted_names(rule)) if kind == "literal_error" else ""
-    return f"{key} must be {rule}, got {shown(got)}{meant}"
+    rules = dict.fromkeys(map(_rule, errors))
+    if any(rule.endswith("number") for rule in rules):
+        rules.pop("an integer", None)
+    rule = " or ".join(rules)
+    key = f"each entry of {key}" if place and isinstance(place[-1], int) else key
+    return f"{key} must be {rule}, got {shown(got)}{did_you_mean(got, quoted_names(rule))}"
 
 
 def _rule(error: ErrorDetails) -> str:
     """The rule that a value broke; a type of error without a rule is named."""
     rule = _RULES.get(error["type"], f"valid ({error['type']})")
     context = error.get("ctx", {})
-    return rule.format_map({k: f"{v:g}" if type(v) is float else v for k, v in context.items()})
+    forms = {int: "{:,}", float: "{:g}"}
+    return rule.format_map({k: forms.get(type(v), "{}").format(v) for k, v in context.items()})
 
 
-def _allowed_keys(section: Sequence[str], model: type[BaseModel]) -> list[str]:
-    """Keys of a section, by the parts of its name; none if the name is not that of a section."""
-    kind = _section(section, model)
-    is_section = isinstance(kind, type) and issubclass(kind, BaseModel)
-    return list(kind.model_fields) if is_section else []
+def _allowed_keys(place: Sequence[int | str], model: type[BaseModel]) -> list[str]:
+    """Keys of a section, by its place; none if there is no section."""
+    kind = reduce(_inner, place, model)
+    kinds = [each for each in (kind, *get_args(kind)) if isinstance(each, type)]
+    return [key for each in kinds if issubclass(each, BaseModel) for key in each.model_fields]
 
 
 def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
@@ -117,25 +236,23 @@ def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
     return f"; did you mean {' or '.join(map(repr, keys))}?" if keys else ""
 
 
-def _section(section: Sequence[str], model: type[BaseModel]) -> Any:
-    """The type of a section, by the parts of its name.
+def _inner(kind: Any, part: int | str) -> Any:
+    """The type of a part of a value: of a field, of an entry, or of the section with a tag.
 
-    The tag follows the name of a section that has kinds.
+    The kinds of a section are a dictionary by their tags. None says that there is no such part.
     """
-    kind: Any = model
-    parts = iter(section)
-    for part in parts:
-        if get_origin(kind) is dict:  # sections by names
-            kind = get_args(kind)[1]
-            continue
-        if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-            return kind
-        field = kind.model_fields[part]
-        if kinds := _kinds(field):
-            kind = kinds[next(parts)]
-        else:  # a section, which may be optional
-            kind = next(iter(get_args(field.annotation)), field.annotation)
-    return kind
+    if isinstance(kind, dict):
+        return kind if isinstance(part, int) else kind.get(part)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        field = kind.model_fields.get(str(part))
+        return None if field is None else _kinds(field) or field.annotation
+    origin = get_origin(kind)
+    members = [each for each in get_args(kind) if each is not NoneType]
+    if origin is Annotated or (origin in (Union, UnionType) and len(members) == 1):
+        return _inner(members[0], part)
+    if origin in (tuple, list) and isinstance(part, int):
+        return members[0]
+    return members[1] if origin in (dict, Mapping) else None
 
 
 def _kinds(field: FieldInfo) -> dict[str, type[BaseModel]]:

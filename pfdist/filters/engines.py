@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 AUTO: Final = "auto"  # the compiled engine, or NumPy for a model that cannot be traced
 
@@ -60,6 +60,10 @@ KALMAN = Engine(
     exact=True,
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, NUMPY, KALMAN)}
+if TYPE_CHECKING:
+    EngineName = str
+else:
+    EngineName = Literal[(AUTO, *ENGINES)]
 
 
 def is_exact(name: str) -> bool:

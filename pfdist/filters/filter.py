@@ -4,13 +4,13 @@ import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from pfdist.common.arguments import whole_argument
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
@@ -22,7 +22,15 @@ from pfdist.errors import (
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
-from pfdist.filters.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER, is_exact
+from pfdist.filters.engines import (
+    AUTO,
+    COMPILED,
+    ENGINES,
+    NUMPY,
+    NUMPY_TIMES_SLOWER,
+    EngineName,
+    is_exact,
+)
 from pfdist.filters.filter_estimate import (
     Belief,
     Estimate,
@@ -50,7 +58,6 @@ LAST = 32_000  # the largest horizon of a job
 # measurements is 1 %, the level of the alarm.
 SUSPICIOUS = 1e-3
 MANY = 200_000
-_LARGEST_DRAW = 2**32 - 1
 
 
 class Filter:
@@ -104,32 +111,25 @@ class Filter:
     (0, -2.721)
     """
 
+    @checked
     def __init__(
         self,
         model: StateSpaceModel | str,
         particles: int = 500,
-        seed: int = 0,
+        seed: Annotated[Whole, Field(ge=-(2**63), lt=2**63)] = 0,
         *,
         resampling: str = "systematic",
         resample: str = "always",
-        engine: str = AUTO,
+        engine: Annotated[EngineName, Field()] = AUTO,
         prior: Prior | ArrayLike | None = None,
-        draw: int = 0,
-        horizon: int = LAST,
+        draw: Annotated[Whole, Field(ge=0, lt=2**32)] = 0,
+        horizon: Annotated[Whole, Field(ge=0, le=LAST)] = LAST,
     ) -> None:
         if not isinstance(model, StateSpaceModel | str):
             raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
         self.model = load_model(model) if isinstance(model, str) else model
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer):
-            raise ArgumentError(f"seed must be an integer, got {shown(seed)}")
-        draw = whole_argument("draw", draw, 0, _LARGEST_DRAW)
-        horizon = whole_argument("horizon", horizon, 0, LAST)
-        if engine not in (AUTO, *ENGINES):
-            allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
-            meant = did_you_mean(engine, ENGINES)
-            raise ArgumentError(f"engine must be one of {allowed}, got {shown(engine)}{meant}")
         self.horizon = horizon
-        self.stream = stream_of("filter", int(seed))
+        self.stream = stream_of("filter", seed)
         """Key of the filter's noise, 64 bits."""
         start = None if prior is None else as_prior(prior, self.model)
         if start is not None:

@@ -1,18 +1,25 @@
 """Whether the settings of a particle filter fit a model."""
 
-from pfdist.common.arguments import whole_argument
-from pfdist.common.nearest import did_you_mean
-from pfdist.errors import ArgumentError, ModelError, PriorError, shown
+from typing import Annotated
+
+from pydantic import Field
+
+from pfdist.common.section import Arguments, Whole
+from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.work import Estimation
-from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
-from pfdist.kernels.schemes import SCHEMES
+from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR, EstimatorName
+from pfdist.kernels.schemes import SCHEMES, Resampling
 from pfdist.models import StateSpaceModel, squared_error
 
 RESAMPLING = tuple(SCHEMES)
 
-MOST_PARTICLES = 2**31 - 1  # an index of a particle has 32 bits
+
+class _Settings(Arguments):
+    particles: Annotated[Whole, Field(ge=1, lt=2**31)]  # an index of a particle has 32 bits
+    resampling: Resampling
+    estimator: EstimatorName
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
@@ -50,15 +57,7 @@ def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estim
     """
     resampling, estimator = settings.resampling, settings.estimator
     check_fits(model, truth)
-    for name, got, allowed in (
-        ("resampling", resampling, RESAMPLING),
-        ("estimator", estimator, ESTIMATORS),
-    ):
-        if not isinstance(got, str) or got not in allowed:
-            meant = did_you_mean(got, allowed)
-            raise ArgumentError(
-                f"{name} must be one of {', '.join(allowed)}, got {shown(got)}{meant}"
-            )
+    _Settings(particles=settings.particles, resampling=resampling, estimator=estimator)
     if SCHEMES[resampling].sorts and model.components[0] != 1:
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
@@ -80,4 +79,3 @@ def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estim
             f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
             f"model {truth.name}, which has its own error; allowed: {always!r}"
         )
-    whole_argument("particles", settings.particles, 1, MOST_PARTICLES)

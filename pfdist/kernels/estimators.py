@@ -1,7 +1,7 @@
 """The estimators of a draw's MSE. Data only: this imports no Numba."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 
 class ErrorWeights(NamedTuple):
@@ -68,5 +68,9 @@ ESTIMATORS = {
     for estimator in (SQUARED_ERROR, FILTER_VARIANCE, TWO_FILTERS, OWN_VARIANCE)
 }
 """The estimators that a job can name."""
+if TYPE_CHECKING:
+    EstimatorName = str
+else:
+    EstimatorName = Literal[tuple(ESTIMATORS)]
 
 ALL_ESTIMATORS = ESTIMATORS | {FILTER_NOISE.name: FILTER_NOISE}

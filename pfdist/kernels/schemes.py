@@ -3,7 +3,7 @@
 import math
 import re
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from pfdist.errors import shown
 
@@ -45,6 +45,10 @@ SCHEMES = {
     for scheme in (MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED_SYSTEMATIC)
 }
 """The schemes that a job can name."""
+if TYPE_CHECKING:
+    Resampling = str
+else:
+    Resampling = Literal[tuple(SCHEMES)]
 
 ALL_SCHEMES = SCHEMES | {CONDITIONAL.name: CONDITIONAL}
 

@@ -14,7 +14,7 @@ from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError
 from pfdist.models.checks import (
     MEASURING,
-    check_fields,
+    checked_fields,
     count_components,
     formula_of_each_sensor,
     own_formulas,
@@ -210,11 +210,10 @@ class StateSpaceModel:
     proposal_noise: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        for name, value in checked_fields(self).items():
+            object.__setattr__(self, name, value)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
         object.__setattr__(self, "parameters", fixed)
-        ranges = {name: tuple(map(float, each)) for name, each in self.parameter_ranges.items()}
-        object.__setattr__(self, "parameter_ranges", ranges)
         for name in own_formulas(self):
             formula = getattr(self, name)
             if isinstance(formula, Programs):

@@ -10,10 +10,12 @@ import keyword
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar, get_args
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
+from pfdist.common.section import Arguments, Number
 from pfdist.densities import DENSITIES
 from pfdist.errors import ModelError, shown
 from pfdist.models.mistakes import (
@@ -29,7 +31,8 @@ from pfdist.models.program import evaluate
 from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula
 
-NOISE_KINDS = ("normal", "uniform", "centred")
+NoiseKind = Literal["normal", "uniform", "centred"]
+NOISE_KINDS = get_args(NoiseKind)
 ARGUMENTS = {
     "initial": ("w", "p"),
     "transition": ("x", "t", "w", "p"),
@@ -47,6 +50,14 @@ MOST_SENSORS = 8  # a set of the sensors that measure at an instant is a byte
 _SENSOR_NAME = re.compile(r"[A-Za-z][\w-]{0,39}")
 OPTIONAL = ("proposal", "proposal_log_density")
 """Formulas that a model may lack."""
+MOST_COMPONENTS: Final = 1000
+T = TypeVar("T")
+_Tuple = Annotated[
+    tuple[T, ...],
+    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+    Field(max_length=MOST_COMPONENTS),
+]
+_Noise = _Tuple[NoiseKind]
 _PARTICLES = 2
 ONE_NUMBER = {
     "log_likelihood": "one number a particle",
@@ -58,17 +69,41 @@ ONE_NUMBER = {
 # --- fields ---------------------------------------------------------------------------------------
 
 
-def check_fields(model: Any) -> None:
-    """Raise a `ModelError` about the first wrong field of a model, before any formula is called.
+class _Fields(Arguments):
+    """The fields of a model that are plain data, and what they may be."""
 
-    A formula does not take its arguments, a kind of noise is unknown, or a parameter has a wrong
-    name or value.
+    error: ClassVar = ModelError
+
+    name: str
+    initial_noise: _Noise
+    process_noise: _Noise
+    measurement_noise: _Noise
+    proposal_noise: _Noise
+    parameters: Mapping[str, Any]
+    parameter_ranges: Mapping[str, Annotated[_Tuple[Number], Field(min_length=2, max_length=2)]]
+    linear_gaussian: bool
+    normalised: bool
+    missing_components: bool
+    x_names: _Tuple[str]
+    y_names: _Tuple[str]
+    z_names: _Tuple[str]
+    circular: _Tuple[str | int]
+
+
+def checked_fields(model: Any) -> dict[str, Any]:
+    """The fields of a model that are plain data, after a check of all fields.
+
+    A `ModelError` says which field is wrong, before any formula is called: a value of a wrong kind,
+    a formula that does not take its arguments, or a parameter with a wrong name or value.
     """
+    try:
+        fields = dict(_Fields(**{name: getattr(model, name) for name in _Fields.model_fields}))
+    except ModelError as error:
+        advice = _advice_on_noise(error.argument, getattr(model, error.argument))
+        raise ModelError(f"model {model.name}: {error}{advice}") from error
     _check_sensors(model)
     for name in own_formulas(model):
         _check_signature(model, name, ARGUMENTS[name])
-    for name in ("initial_noise", "process_noise", "measurement_noise", "proposal_noise"):
-        _check_noise(model, name)
     _check_proposal(model)
     for name in model.parameter_ranges:
         if name not in model.parameters:
@@ -78,6 +113,7 @@ def check_fields(model: Any) -> None:
             )
     for name, value in model.parameters.items():
         _check_parameter(model, name, value)
+    return fields
 
 
 def formula_of_each_sensor(*_: Any) -> Any:
@@ -131,18 +167,10 @@ def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
         raise ModelError(f"{expected}, got {signature}{place}") from error
 
 
-def _check_noise(model: Any, name: str) -> None:
-    kinds = getattr(model, name)
-    if not isinstance(kinds, tuple) or any(kind not in NOISE_KINDS for kind in kinds):
-        allowed = " or ".join(map(repr, NOISE_KINDS))
-        raise ModelError(
-            f"model {model.name}: {name} must be a tuple of {allowed}, an entry for each "
-            f"component, got {kinds!r}{_advice_on_noise(name, kinds)}"
-        )
-
-
 def _advice_on_noise(name: str, kinds: Any) -> str:
     """Advice how to draw noise of another kind, if a kind is the name of a density."""
+    if not name.endswith("_noise"):
+        return ""
     named = (density_named(str(kind)) for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
     densities = [DENSITIES[density] for density in named if density not in ("", "normal")]
     if not densities:

@@ -15,7 +15,7 @@ import numpy as np
 from pfdist.common.parsing import MOST_BYTES_OF_MODELS
 from pfdist.errors import ModelError
 from pfdist.models.base import Sensor, StateSpaceModel
-from pfdist.models.checks import MEASURING, own_formulas
+from pfdist.models.checks import MEASURING, MOST_COMPONENTS, own_formulas
 from pfdist.models.program import GROUPS, MASKS, TAKES, Array, Operation, Program
 from pfdist.models.programs import Programs, Untraced
 from pfdist.models.recorded import PLAIN
@@ -25,11 +25,6 @@ from pfdist.models.twin import formula_of, results_of
 
 MOST_LISTS: Final = 4_000_000  # an operation has two, and an instant of a formula one
 MOST_INSTANTS: Final = 100_000
-MOST_COMPONENTS: Final = 1000
-_KINDS: Mapping[str, type] = {
-    "name": str, "parameter_ranges": dict,
-    **dict.fromkeys(("linear_gaussian", "normalised", "missing_components"), bool),
-}  # fmt: skip
 _WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
@@ -154,18 +149,8 @@ def _model(data: Mapping[str, Any]) -> StateSpaceModel:
         {*data} == {*PLAIN, "parameters", "formulas", "sensors"},
         "unexpected or missing keys of a model",
     )
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in data.items()
-        if name in PLAIN
-    }
+    fields: dict[str, Any] = {name: data[name] for name in PLAIN}
     name = fields["name"]
-    for key, value in fields.items():
-        kind = _KINDS.get(key, tuple)
-        _need(isinstance(value, kind), f"{key} must be of the kind {kind.__name__}")
-        if kind is tuple:
-            texts = all(isinstance(each, str | int) for each in value)
-            _need(texts and len(value) <= MOST_COMPONENTS, f"{key} must be short, and of texts")
     fields["parameter_ranges"] = {
         key: tuple(_read_number(each) for each in limits)
         for key, limits in data["parameter_ranges"].items()

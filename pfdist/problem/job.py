@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
-from pfdist.common.arguments import mapping_argument, path_argument, texts_argument
+from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
-from pfdist.common.section import Section, explained
+from pfdist.common.section import Section, checked, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.problem.covariates import with_columns
 from pfdist.problem.feasible import Feasible
@@ -424,16 +424,16 @@ def job_toml(identity: Mapping[str, Any]) -> str:
     return tomli_w.dumps(identity)
 
 
+@checked
 def _validated(
     data: dict[str, Any],
     origin: Origin,
     overrides: Iterable[str],
-    sections: Mapping[str, Any],
-    settings: Mapping[str, Any],
+    sections: Annotated[Mapping[str, Any], Field()],
+    settings: Annotated[Mapping[str, Any], Field()],
 ) -> Job:
     changes_as_text = texts_argument("changes", overrides)
-    data = deepcopy(data | mapping_argument("sections", sections))
-    settings = mapping_argument("settings", settings)
+    data = deepcopy({**data, **sections})
     for change in changes_as_text:
         override(data, change)
     changes_as_text += set_values(data, settings)

@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pfdist.common.clock import Clock, Time, plain_time
 from pfdist.common.measurement_times import Times
@@ -19,57 +19,21 @@ from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.sections import is_list_of
+from pfdist.problem.sections import Moment, is_list_of
 from pfdist.problem.spacing import Spacing
-from pfdist.problem.written import RANGES, instants_of, measurements_of
+from pfdist.problem.written import instants_of, measurements_of
 
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
-_Numbers = tuple[Time, ...]
-_Cost = _Numbers | dict[str, Time]
+_Numbers = Annotated[tuple[Moment, ...], Field(strict=False)]
+_Times = Annotated[
+    tuple[Annotated[Time | str, AfterValidator(plain_time)], ...], Field(strict=False)
+]
+_Finite = int | Annotated[float, Field(allow_inf_nan=False)]
+_Price = Annotated[_Finite, AfterValidator(plain_time)]
+_Cost = Annotated[tuple[_Price, ...], Field(strict=False)] | dict[str, _Price]
 _Budget = Annotated[int, Field(ge=1, lt=2**63)]
-
-
-def _checked_times(value: Any, key: str) -> Any:
-    if value is not None and not isinstance(value, (list, tuple)):
-        raise ValueError(
-            f"{key} must be a list of times and of ranges as {RANGES}, got {shown(value)}"
-        )
-    for entry in value or ():
-        if type(entry) not in (int, float, str):
-            raise ValueError(
-                f"{key} must name times, as 20, and ranges, as {RANGES}, got {shown(entry)}"
-            )
-    return None if value is None else tuple(map(plain_time, value))
-
-
-def _checked_costs(value: Any, key: str) -> Any:
-    if value is not None and not isinstance(value, (list, tuple, dict)):
-        raise ValueError(
-            f"{key} must be a list with a number for each instant, or a section of "
-            f'ranges as "20:30" = 2, got {shown(value)}'
-        )
-    for cost in value.values() if isinstance(value, dict) else value or ():
-        if type(cost) not in (int, float) or not abs(cost) < np.inf:
-            raise ValueError(f"{key} must be finite numbers, got {shown(cost)}")
-    if isinstance(value, dict):
-        return {key: plain_time(cost) for key, cost in value.items()}
-    return None if value is None else tuple(map(plain_time, value))
-
-
-def _sensor(name: str, section: Any) -> Any:
-    """The section of a sensor, with checked times and costs."""
-    if not isinstance(section, dict):
-        return section
-    times: Any = section.get("forbidden")
-    cost: Any = section.get("cost")
-    if type(cost) in (int, float) and abs(cost) < np.inf:
-        cost = plain_time(cost)
-    else:
-        cost = _checked_costs(cost, f"problem.sensors.{name}.cost")
-    times = _checked_times(times, f"problem.sensors.{name}.forbidden")
-    return {**section, "forbidden": times, "cost": cost}
 
 
 class SensorSection(Section):
@@ -89,8 +53,8 @@ class SensorSection(Section):
         Smallest difference of two times of this sensor.
     """
 
-    cost: Time | _Cost | None = None
-    forbidden: tuple[Time | str, ...] | None = None
+    cost: Annotated[_Finite | _Cost, AfterValidator(plain_time)] | None = None
+    forbidden: _Times | None = None
     most: _Budget | None = None
     minimum_spacing: Time | None = None
 
@@ -129,46 +93,18 @@ class ProblemSection(Section):
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     """
 
-    horizon: Time | None = None
+    horizon: Moment | None = None
     time_step: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=False)] | None = None
     time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
     times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
     instant_weights: _Numbers | None = None
     measurement_budget: _Budget | None = None
-    forbidden: tuple[Time | str, ...] | None = None
-    required: tuple[Time | str, ...] | None = None
-    minimum_spacing: Time | None = None
+    forbidden: _Times | None = None
+    required: _Times | None = None
+    minimum_spacing: Moment | None = None
     cost: _Cost | None = None
-    total_cost: Annotated[Time, Field(gt=0, lt=2**63)] | None = None
+    total_cost: Annotated[Moment, Field(gt=0, lt=2**63)] | None = None
     sensors: dict[str, SensorSection] | None = None
-
-    @field_validator("horizon", "minimum_spacing", "total_cost", mode="before")
-    @classmethod
-    def _is_number(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None and type(value) not in (int, float):
-            raise ValueError(f"problem.{info.field_name} must be a number, got {shown(value)}")
-        return value if value is None else plain_time(value)
-
-    @field_validator("times", "instant_weights", mode="before")
-    @classmethod
-    def _are_numbers(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is None:
-            return None
-        if not is_list_of(value, int, float):
-            raise ValueError(
-                f"problem.{info.field_name} must be a list of numbers, got {shown(value)}"
-            )
-        return tuple(map(plain_time, value))
-
-    @field_validator("forbidden", "required", mode="before")
-    @classmethod
-    def _are_times(cls, value: Any, info: ValidationInfo) -> Any:
-        return _checked_times(value, f"problem.{info.field_name}")
-
-    @field_validator("cost", mode="before")
-    @classmethod
-    def _are_costs(cls, value: Any) -> Any:
-        return _checked_costs(value, "problem.cost")
 
     @field_validator("sensors", mode="before")
     @classmethod
@@ -180,7 +116,7 @@ class ProblemSection(Section):
                 "problem.sensors must be the names of two sensors or more, or a section for each "
                 f"of them, got {shown(value)}"
             )
-        return None if value is None else {name: _sensor(name, value[name]) for name in value}
+        return value
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:

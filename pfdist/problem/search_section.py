@@ -1,24 +1,17 @@
 """A section [[search]] of a job file: the method, its settings, and how it evaluates sets."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
 from pfdist.common.section import Section
-from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.schemes import SCHEMES
+from pfdist.kernels.estimators import EstimatorName
+from pfdist.kernels.schemes import Resampling
 
 AUTO: Final = "auto"
 _FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's particles, at least 100
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
-if TYPE_CHECKING:
-    Resampling = str
-    Estimator = str
-else:
-    Resampling = Literal[tuple(SCHEMES)]
-    Estimator = Literal[tuple(ESTIMATORS)]
-
 Degenerate = Literal["continue", "kill"]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Even = Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)]
@@ -52,7 +45,7 @@ class EvaluationSettings(Section):
     noise: Literal["fresh", "common"] | None = None
     particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     resampling: Resampling | None = None
-    estimator: Estimator | Literal["auto"] | None = None
+    estimator: EstimatorName | Literal["auto"] | None = None
     degenerate_draws: Degenerate | None = None
 
     def particles_of(self, job_particles: int) -> int:
@@ -70,7 +63,7 @@ class CommonNoiseSettings(EvaluationSettings):
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
     noise: Literal["fresh", "common"] = "common"
     resampling: Resampling = "systematic"
-    estimator: Estimator | Literal["auto"] = AUTO
+    estimator: EstimatorName | Literal["auto"] = AUTO
     degenerate_draws: Degenerate = "continue"
 
     def particles_of(self, job_particles: int) -> int:

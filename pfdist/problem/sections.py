@@ -5,26 +5,18 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    PlainSerializer,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pfdist.common.clock import Time, plain_time
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Section
 from pfdist.errors import shown
-from pfdist.filters.engines import AUTO, ENGINES
-from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.kernels.schemes import ALWAYS, threshold_of
+from pfdist.filters.engines import AUTO, EngineName
+from pfdist.kernels.estimators import SQUARED_ERROR, EstimatorName
+from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
-from pfdist.problem.search_section import Degenerate, Estimator, Resampling
+from pfdist.problem.search_section import Degenerate
 
 REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
 MOST_SETS: Final = 100
@@ -35,10 +27,10 @@ RESERVED: Final = (REGULAR, REFERENCE, "comparison")
 """Names that no search may have, and no given set; only regular times may be called "regular"."""
 _LONGEST_TEXT = 4096  # characters of a path
 if TYPE_CHECKING:
-    EngineName = str
+    Particles = int  # where something is computed
     PoolName = str
 else:
-    EngineName = Literal[(AUTO, *ENGINES)]
+    Particles = Annotated[int, Field(ge=1, le=10_000_000)] | Literal[AUTO]
     PoolName = Literal[(AUTO_POOL, *POOLS)]
 
 
@@ -100,12 +92,8 @@ def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
     return tuple(map(plain_time, written))
 
 
-def _number_or_auto(value: Any, number: ValidatorFunctionWrapHandler) -> Any:
-    if isinstance(value, str) and value != AUTO:
-        raise ValueError(f"filter.particles must be an integer or {AUTO!r}, got {shown(value)}")
-    return value if value == AUTO else number(value)
-
-
+Moment = Annotated[Time, AfterValidator(plain_time)]
+"""A number as a job stores it, such as a time."""
 Parameter = float | tuple[float, ...]
 Text = Annotated[str, AfterValidator(_checked_text)]
 
@@ -174,12 +162,7 @@ class Filter(Section):
         sums of weights are float64. It is for the engines "auto" and "compiled".
     """
 
-    particles: Annotated[
-        int,
-        Field(ge=1, le=10_000_000),
-        WrapValidator(_number_or_auto),
-        PlainSerializer(lambda value: value),
-    ] = 500
+    particles: Particles = 500
     resampling: Resampling = "multinomial"
     resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
@@ -223,7 +206,7 @@ class EvaluationSection(Section):
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
     degenerate_draws: Degenerate = "kill"
-    estimator: Estimator = SQUARED_ERROR.name
+    estimator: EstimatorName = SQUARED_ERROR.name
 
 
 class Until(Section):

@@ -3,14 +3,14 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError
 
-from pfdist.common.arguments import path_argument, texts_argument, whole_argument
+from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.clock import Time
-from pfdist.common.section import Section, explained
+from pfdist.common.section import Section, Whole, explained
 from pfdist.common.streams import stream_key
 from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.problem.job import Job, toml_of_file
@@ -21,6 +21,10 @@ from pfdist.store import folder_of_run
 
 START_SECONDS = 10.0
 """About how long a process takes on a new node until it has loaded and compiled what it needs."""
+
+
+Part = Annotated[tuple[Whole, ...], Field(strict=False, min_length=2, max_length=2)]
+"""Part K of N of a sweep, as (K, N)."""
 
 
 class SweepFile(Section):
@@ -64,7 +68,7 @@ class SweepJob:
         """How all points are computed: they share the workers."""
         return next(iter(self.jobs.values())).execution
 
-    def part(self, part: tuple[int, int] | None) -> "SweepJob":
+    def part(self, part: Part | None) -> "SweepJob":
         """Part k of n: every n-th point, from the k-th; None is the whole sweep.
 
         Raises
@@ -74,15 +78,11 @@ class SweepJob:
         """
         if part is None:
             return self
-        if not isinstance(part, tuple | list) or len(part) != 2:
-            raise ArgumentError(
-                f"part must be a pair (K, N) of numbers, got {shown(part)}", argument="part"
-            )
-        number, parts = (whole_argument("part", each, -(2**63), 2**63 - 1) for each in part)
+        number, parts = part
         if not 1 <= number <= parts <= len(self.points):
             raise ArgumentError(
                 f"part must be K/N with 1 <= K <= N <= {len(self.points)}, the number of points, "
-                f"got {shown_text(f'{number}/{parts}')}",
+                f"got {shown(number)}/{shown(parts)}",
                 argument="part",
             )
         points = self.points[number - 1 :: parts]

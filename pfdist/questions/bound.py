@@ -154,7 +154,9 @@ def bound(
         A task failed, or no worker answers. All committed sums are kept.
     """
     chosen = Chosen(**options)
-    settings = BoundSettings(draws, within, particles, window, work, memory)
+    settings = BoundSettings(
+        draws=draws, within=within, particles=particles, window=window, work=work, memory=memory
+    )
     with following(chosen.progress, chosen.say) as (show, tell):
         proved, built = run_and_job(job, results, changes, tell, chosen.execution)
         if built.evaluator.exact:  # there is nothing to compute in a pool

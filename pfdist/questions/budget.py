@@ -2,30 +2,41 @@
 
 from collections.abc import Iterable, Sequence, Set
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Annotated, Any, Unpack
 
-from pfdist.common.arguments import listed_argument, number_argument, whole_argument
+from pydantic import Field
+
+from pfdist.common.parsing import MOST_NUMBERS
+from pfdist.common.section import Arguments, Number, Whole, checked
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.problem.methods import DEFAULT_METHOD
 from pfdist.problem.source import JobSource, as_job
-from pfdist.questions.options import MOST_DRAWS, Chosen, Options, with_options
+from pfdist.questions.options import Chosen, ComparedDraws, Options, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import folder_of
 from pfdist.results import Run
-from pfdist.runner.bound_settings import LEAST_DRAWS
+from pfdist.runner.bound_settings import LEAST_DRAWS, DrawsOrNone
 
 DRAWS = 4000
 
 
+class _Numbers(Arguments):
+    measurements: Annotated[
+        list[Annotated[Whole, Field(ge=1)]],
+        Field(strict=False, min_length=1, max_length=MOST_NUMBERS),
+    ]
+
+
 @with_options
+@checked
 def budget(
     job: JobSource,
     measurements: tuple[int, int] | range | Set[int],
     results: str | Path | None = None,
-    draws: int = DRAWS,
-    target: float | None = None,
-    bound_draws: int = LEAST_DRAWS,
+    draws: ComparedDraws = DRAWS,
+    target: Number | None = None,
+    bound_draws: DrawsOrNone = LEAST_DRAWS,
     changes: Sequence[str] = (),
     reuse: str | Path | Iterable[str | Path] = (),
     **options: Unpack[Options],
@@ -72,9 +83,6 @@ def budget(
     PfdistError
         As `pfdist.run` raises.
     """
-    draws = whole_argument("draws", draws, 2, MOST_DRAWS)
-    if target is not None:
-        number_argument("target", target)
     numbers = _section(measurements)
     fixed_sections = {"budget": numbers, "comparison": {"draws": draws}}
     search = [{"method": DEFAULT_METHOD, "polish": False}]
@@ -114,17 +122,10 @@ def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]
             f"{shown(measurements)}",
             argument="measurements",
         )
-    for number in listed_argument("measurements", measurements):
-        whole_argument("measurements", number, -(2**63), 2**63 - 1)
+    numbers = _Numbers(measurements=measurements).measurements  # type: ignore[arg-type]
     if is_pair:
-        least, most = measurements
-        return {"least": int(least), "most": int(most)}
-    numbers = sorted(map(int, measurements))
-    if not numbers or numbers[0] < 1:
-        got = numbers[0] if numbers else "none"
-        raise JobError(
-            f"numbers of measurements must be at least 1, got {got}", argument="measurements"
-        )
+        return {"least": numbers[0], "most": numbers[1]}
+    numbers = sorted(numbers)
     least, most = numbers[0], numbers[-1]
     gaps = {} if len(numbers) == most - least + 1 else {"numbers": numbers}
     return {"least": least, "most": most, **gaps}

@@ -4,11 +4,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeGuard
+from typing import Annotated, TypeGuard
 
 import pandas as pd
+from pydantic import Field
 
-from pfdist.common.arguments import whole_argument
+from pfdist.common.section import Whole, checked
 from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.models import StateSpaceModel
 from pfdist.problem.job import Job
@@ -20,7 +21,6 @@ from pfdist.runner.build import evaluator_of, models_of
 from pfdist.runner.searches import comparing_of
 
 HORIZON, PARTICLES = 60, 500
-MOST_INSTANTS, MOST_PARTICLES = 32_000, 10_000_000
 
 
 def check_model(
@@ -58,10 +58,11 @@ def check_model(
     return pd.DataFrame(rows)
 
 
+@checked
 def checks_of(
     model: StateSpaceModel | JobSource,
-    horizon: int | None = None,
-    particles: int | None = None,
+    horizon: Annotated[Whole, Field(ge=1, le=32_000)] | None = None,
+    particles: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None,
     times: Sequence[float] = (),
 ) -> Iterator[Check]:
     """Check a model, or the models of a job, and yield the result of each check as it ends.
@@ -84,16 +85,14 @@ def checks_of(
         horizon = job.problem.feasible.horizon if job else HORIZON
     if particles is None:
         particles = job.filter.particles if job and not job.filter.is_automatic else PARTICLES
-    instants = whole_argument("horizon", horizon, 1, MOST_INSTANTS)
-    count = whole_argument("particles", particles, 1, MOST_PARTICLES)
     if job is not None:
         if times:
             raise ArgumentError("a job has a clock of its own, got times, too", argument="times")
-        return _checks_of_job(job, instants, count)
+        return _checks_of_job(job, horizon, particles)
     if isinstance(model, str):
-        return check_named(model, instants, count, times=times)
+        return check_named(model, horizon, particles, times=times)
     if isinstance(model, StateSpaceModel):
-        return check_loaded(lambda: model, instants, count)
+        return check_loaded(lambda: model, horizon, particles)
     raise ArgumentError(
         "a model must be a StateSpaceModel, the name of a model, a problem or a job, got "
         f"{shown(model)}",

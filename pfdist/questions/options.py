@@ -4,17 +4,19 @@ import contextlib
 import inspect
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
 from functools import wraps
 from textwrap import indent
-from typing import Any, ParamSpec, TypedDict, TypeVar
+from typing import Annotated, Any, ParamSpec, TypedDict, TypeVar
 
-from pfdist.common.arguments import called_argument
+from pydantic import Field
+
 from pfdist.common.nearest import did_you_mean
+from pfdist.common.section import Arguments, Whole
 from pfdist.errors import ArgumentError
 from pfdist.runner.progress import Say, Show, silent
 
-MOST_DRAWS = 100_000_000  # as many as a comparison may have
+ComparedDraws = Annotated[Whole, Field(ge=2, le=100_000_000)]
+"""A number of draws, at most as many as a comparison may have."""
 
 
 @contextlib.contextmanager
@@ -31,11 +33,9 @@ def following(progress: Show | bool | None, say: Say) -> Iterator[tuple[Show, Sa
     say : callable
         Receives the messages, line by line.
     """
-    called_argument("say", say)
     # A process without a terminal and a notebook loads no rich.
     wanted = (sys.stderr.isatty() or "IPython" in sys.modules) if progress is None else progress
     if not isinstance(wanted, bool):
-        called_argument("progress", wanted)
         yield wanted, say
     elif not wanted:
         yield lambda state: None, say
@@ -93,14 +93,13 @@ class Options(TypedDict, total=False):
     say: Say
 
 
-@dataclass(frozen=True)
-class Chosen:
+class Chosen(Arguments):
     """The options that a caller chose, and the defaults of the others; see `Options`."""
 
     pool: str | None = None
-    workers: int | None = None
+    workers: Whole | None = None
     address: str | None = None
-    wait_for_cores: int | None = None
+    wait_for_cores: Whole | None = None
     figures: bool = True
     report: bool | None = None
     progress: Show | bool | None = None
@@ -129,9 +128,12 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
     own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
     added = [
         inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=Chosen.model_fields[name].default,
+            annotation=kind,
         )
-        for field in fields(Chosen)
+        for name, kind in Options.__annotations__.items()
     ]
     names = [each.name for each in (*own, *added)]
 

@@ -2,13 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
 
 import pandas as pd
+from pydantic import Field
 
-from pfdist.common.arguments import whole_argument
 from pfdist.common.clock import Time
 from pfdist.common.measurement_times import REGULAR
-from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.common.section import Whole, checked
+from pfdist.errors import JobError
 from pfdist.problem.source import JobSource, as_job
 from pfdist.questions.evaluate import UNNAMED, instants_of
 from pfdist.runner.build import build
@@ -19,14 +21,20 @@ from pfdist.runner.particles import (
     work_of_loss,
 )
 
-_MOST_PARTICLES, _MOST_DRAWS = 10_000_000, 1_000_000
+if TYPE_CHECKING:
+    _Numbers = Iterable[int]
+else:
+    _Numbers = Annotated[
+        tuple[Annotated[Whole, Field(ge=1, le=10_000_000)], ...], Field(strict=False)
+    ]
 
 
+@checked
 def particle_losses(
     job: JobSource,
-    particles: Iterable[int] = (50, 100, 200, 500, 1000, 2000, 5000),
+    particles: _Numbers = (50, 100, 200, 500, 1000, 2000, 5000),
     measurement_times: Iterable[Time] | str = REGULAR,
-    draws: int = 1000,
+    draws: Annotated[Whole, Field(ge=2, le=1_000_000)] = 1000,
     seed: int | None = None,
 ) -> pd.DataFrame:
     """The loss by each of some numbers of particles, on the same draws, in this process.
@@ -68,12 +76,6 @@ def particle_losses(
     Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods", Journal of the Royal
     Statistical Society B 72, 2010 (the variance of particles beside the truth).
     """
-    if not isinstance(particles, Iterable):
-        raise ArgumentError(
-            f"particles must be a list of numbers, got {shown(particles)}", argument="particles"
-        )
-    numbers = [whole_argument("particles", each, 1, _MOST_PARTICLES) for each in particles]
-    draws = whole_argument("draws", draws, 2, _MOST_DRAWS)
     job = as_job(job, settings={"seed": seed, "filter": {"particles": 1}})
     times, built = instants_of(job, UNNAMED, measurement_times), build(job)
     evaluator, rows = built.evaluator.self_consistent, []
@@ -82,7 +84,7 @@ def particle_losses(
             "the loss by the number of particles needs an engine with particles, and the squared "
             f"error, got the engine {evaluator.engine!r} and the model {evaluator.model.name}"
         )
-    for number in numbers:
+    for number in particles:
         estimation = replace(built.comparing, particles=number)
         work = work_of_loss(evaluator, times, job.seed, estimation, draws)
         loss, mse = measured_loss(evaluator, work)

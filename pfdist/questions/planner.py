@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.common.arguments import whole_argument
 from pfdist.common.clock import Clock, Time
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
+from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.cloud import Prior
@@ -23,7 +23,7 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
 from pfdist.problem.source import JobSource, as_job
 from pfdist.problem.written import validated_instants
-from pfdist.questions.options import MOST_DRAWS
+from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.planning import Now, Replanner
@@ -190,7 +190,10 @@ class Planner:
         now = self._filter.now
         return self._on_clock(now if t is None else self._filter.predict(instant_on(self.clock, t)))
 
-    def expected(self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS) -> list[Evaluation]:
+    @checked
+    def expected(
+        self, *plans: Iterable[Time], draws: ComparedDraws = EXPECTED_DRAWS
+    ) -> list[Evaluation]:
         """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
 
         Parameters
@@ -207,7 +210,6 @@ class Planner:
         ArgumentError
             The number of draws is below 2.
         """
-        draws = whole_argument("draws", draws, 2, MOST_DRAWS)
         first = self._now.first
         wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
         for plan in wanted:

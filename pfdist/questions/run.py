@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Unpack
 
 from pfdist.common.arguments import paths_argument
+from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.problem.source import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
@@ -16,7 +17,7 @@ from pfdist.questions.report import remove_report, try_report
 from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.run_page import answer_in_a_line
 from pfdist.results import Run, open_run, read_recorded
-from pfdist.runner.bound_settings import BoundSettings
+from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
@@ -33,13 +34,14 @@ _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked fo
 
 
 @with_options
+@checked
 def run(
     job: JobSource,
     results: str | Path | None = None,
     *,
     reuse: str | Path | Iterable[str | Path] = (),
     changes: Iterable[str] = (),
-    bound_draws: int = 0,
+    bound_draws: DrawsOrNone = 0,
     **options: Unpack[Options],
 ) -> Run:
     """Run the searches of a job and compare the found times with regular times.
@@ -72,7 +74,8 @@ def run(
     PfdistError
         Anything went wrong. All committed results are kept, and the same call resumes the run.
     """
-    chosen, settings = Chosen(**options), bound_settings(bound_draws)
+    chosen = Chosen(**options)
+    settings = BoundSettings(draws=bound_draws) if bound_draws else None
     job = as_job(job, changes, settings={"execution": chosen.execution})
     check_pool(job.execution)
     path = folder_of(job, results)
@@ -198,14 +201,6 @@ def compute(
                 _unproved(session, str(error))
     session.reporter.finish()
     return True
-
-
-def bound_settings(draws: int) -> BoundSettings | None:
-    """Settings of the run's lower bound; None if no bound is wanted."""
-    try:
-        return None if draws == 0 else BoundSettings(draws)
-    except JobError as error:
-        raise JobError(f"bound_{error} (0 for no bound)", argument="bound_draws") from error
 
 
 def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:

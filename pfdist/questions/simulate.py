@@ -1,10 +1,13 @@
 """Realisations of a problem's model as a table."""
 
+from typing import Annotated
+
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
-from pfdist.common.arguments import whole_argument
 from pfdist.common.clock import Clock
+from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError
 from pfdist.filters.draws import Draws
@@ -18,7 +21,12 @@ DRAWS = 100
 MOST_NUMBERS = 50_000_000  # of a table
 
 
-def simulate(problem: JobSource, draws: int = DRAWS, seed: int | None = None) -> pd.DataFrame:
+@checked
+def simulate(
+    problem: JobSource,
+    draws: Annotated[Whole, Field(ge=1, le=10_000_000)] = DRAWS,
+    seed: int | None = None,
+) -> pd.DataFrame:
     """Simulate the model of a problem: its states, measurements and quantities of interest.
 
     Parameters
@@ -46,21 +54,20 @@ def simulate(problem: JobSource, draws: int = DRAWS, seed: int | None = None) ->
     ArgumentError
         There are fewer than 1 draws, or more than fit into a table.
     """
-    count = whole_argument("draws", draws, 1, 10_000_000)
     # Draws depend on no filter, so no number of particles need be found.
     job = as_job(problem, settings={"seed": seed, "filter": {"particles": 1}})
     built = build(job)
     model, horizon = built.evaluator.model, built.evaluator.horizon
-    numbers = count * (horizon + 1) * (2 + sum(model.components))
+    numbers = draws * (horizon + 1) * (2 + sum(model.components))
     if numbers > MOST_NUMBERS:
-        most = MOST_NUMBERS * count // numbers
+        most = MOST_NUMBERS * draws // numbers
         raise ArgumentError(
             f"draws must be at most {most:,} for a table of {MOST_NUMBERS:,} numbers, got "
-            f"{count:,}",
+            f"{draws:,}",
             argument="draws",
         )
     engine = ENGINES[built.evaluator.engine]
-    simulated = engine.simulate(model, horizon, range(count), stream_of("simulate", job.seed))
+    simulated = engine.simulate(model, horizon, range(draws), stream_of("simulate", job.seed))
     return _table(simulated, model, job.problem.clock)
 
 

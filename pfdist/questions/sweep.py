@@ -9,21 +9,22 @@ import pandas as pd
 
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page
+from pfdist.common.section import checked
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.problem.job import Job
 from pfdist.problem.points import Values
 from pfdist.problem.source import JobSource
-from pfdist.problem.sweep import SweepJob, check_comparable, judging, read_sweep
+from pfdist.problem.sweep import Part, SweepJob, check_comparable, judging, read_sweep
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.points_at_work import Points, PointsAtWork
 from pfdist.questions.report import try_report
-from pfdist.questions.run import bound_settings
 from pfdist.questions.runs import records, table_page
 from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.judged import JUDGED, judged_table, times_by_search
+from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import Driver, Loop
@@ -100,6 +101,7 @@ class Sweep:
 
 
 @with_options
+@checked
 def sweep(
     job: JobSource,
     over: Values = _NOTHING,
@@ -108,9 +110,9 @@ def sweep(
     points: Sequence[Values] = (),
     results: str | Path | None = None,
     changes: Iterable[str] = (),
-    bound_draws: int = 0,
+    bound_draws: DrawsOrNone = 0,
     judge: bool | None = None,
-    part: tuple[int, int] | None = None,
+    part: Part | None = None,
     **options: Unpack[Options],
 ) -> Sweep:
     """Run a job at every point of a sweep, or resume the sweep where it stopped.
@@ -163,7 +165,7 @@ def sweep(
     sweep_job = read_sweep(job, over, parallel, points, changes, execution)
     path, judges_points = checked_folder(sweep_job, results, judge)
     check_pool(sweep_job.execution)
-    bound = bound_settings(bound_draws)
+    bound = BoundSettings(draws=bound_draws) if bound_draws else None
     own = sweep_job.part(part)
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files(own.jobs.values(), tell)

@@ -11,15 +11,15 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from pfdist.common.arguments import whole_argument
 from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parts import Page
+from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError
 from pfdist.problem.sections import Execution
 from pfdist.problem.source import JobSource
-from pfdist.questions.options import MOST_DRAWS, following
+from pfdist.questions.options import Chosen, ComparedDraws, following
 from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import own_store, run_and_job
 from pfdist.questions.sampling_windows import sampling_windows
@@ -105,9 +105,10 @@ class Why(Shown):
         return why_page(self.as_json())
 
 
+@checked
 def why(
     job: JobSource | Run,
-    draws: int = DRAWS,
+    draws: ComparedDraws = DRAWS,
     *,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
@@ -153,8 +154,8 @@ def why(
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
-    draws = whole_argument("draws", draws, 2, MOST_DRAWS)
-    with following(progress, say) as (show, tell):
+    chosen = Chosen(figures=figures, progress=progress, say=say)
+    with following(chosen.progress, chosen.say) as (show, tell):
         opened, built = run_and_job(job, results, changes, tell)
         check_one_number(opened)
         sets = opened.sets
@@ -166,7 +167,7 @@ def why(
             driver = _examine(session, opened, sets, draws)
             # The threads are done before the workers of another pool would have started.
             answer: Why = complete(driver, make_pool(Execution(pool="threads")))
-        files = _draw(opened) if figures else []
+        files = _draw(opened) if chosen.figures else []
         renew_report(opened.path, tell)
     return replace(answer, figures=files)
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from pfdist.common.arguments import path_argument, whole_argument
+from pfdist.common.arguments import path_argument
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.parts import Page, Section
+from pfdist.common.section import Arguments, Whole
 from pfdist.common.shown import Shown
 from pfdist.errors import ArgumentError, PfdistError, StoreError, shown
 from pfdist.results.columns import Row, finite, records_of, rows_of, sets_table
@@ -34,7 +36,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-_MOST_DRAWS = 2**62  # more than any table has
+
+class _Rows(Arguments):
+    draws: Annotated[Whole, Field(ge=1, le=2**62)]  # more than any table has
 
 
 class Run(StoredRun, Shown):
@@ -93,7 +97,7 @@ class Run(StoredRun, Shown):
                 argument="name",
             )
         if draws is not None:
-            draws = whole_argument("draws", draws, 1, _MOST_DRAWS)
+            draws = _Rows(draws=draws).draws
             if name != "gains" and "draw" not in KEYS.get(name, []):
                 raise ArgumentError(f"the table {name} has no rows of draws", argument="draws")
         if name not in COMPUTED:

@@ -1,26 +1,28 @@
 """Settings of the proof of a lower bound."""
 
-from dataclasses import dataclass
-from numbers import Integral, Real
+from typing import Annotated, ClassVar, Literal
 
-from pfdist.errors import JobError, shown
+from pydantic import Field
+
+from pfdist.common.section import Arguments, Number, Whole
+from pfdist.errors import JobError
 from pfdist.filters.work import BLOCK
 from pfdist.runner.block_sums import GROUPS
 from pfdist.search.relaxation import WINDOW
 
-LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
+LEAST_DRAWS, DRAWS = GROUPS * BLOCK, 1920
 WITHIN_DRAWS = 30_720
 """Default of `BoundSettings.draws` if `within` is given."""
-MOST_WINDOW, MOST_PARTICLES = 6, 32_000
-MEMORY, MOST_MEMORY = 1024, 1_000_000  # MiB
-MOST_WORK = 10**15  # particle-steps
-_OPTIONAL = ("draws", "particles", "work")  # None stands for a default
+MEMORY = 1024  # MiB
 _BYTES = 400  # memory of one error of a window at an instant, with all groups of draws
 _BYTES_A_WINDOW = 50_000  # memory of an added window: its moves, its programmes, and its times
 
+Draws = Annotated[Whole, Field(ge=LEAST_DRAWS, le=100_000)]
+DrawsOrNone = Literal[0] | Draws
+"""Number of draws of the bound of a run; 0 for no bound."""
 
-@dataclass(frozen=True)
-class BoundSettings:
+
+class BoundSettings(Arguments):
     """How a lower bound is proved.
 
     Parameters
@@ -34,35 +36,14 @@ class BoundSettings:
         A value is out of its range.
     """
 
-    draws: int | None = None
-    within: float | None = None
-    particles: int | None = None
-    window: int = WINDOW
-    work: float | None = None
-    memory: int = MEMORY
+    error: ClassVar = JobError
 
-    def __post_init__(self) -> None:
-        for name, value, least, most in (
-            ("draws", self.draws, LEAST_DRAWS, MOST_DRAWS),
-            ("particles", self.particles, 1, MOST_PARTICLES),
-            ("window", self.window, 1, MOST_WINDOW),
-            ("memory", self.memory, 1, MOST_MEMORY),
-            ("work", self.work, 0, MOST_WORK),
-        ):
-            if value is None and name in _OPTIONAL:
-                continue
-            if name != "work" and (isinstance(value, bool) or not isinstance(value, Integral)):
-                raise JobError(f"{name} must be an integer, got {shown(value)}", argument=name)
-            if not isinstance(value, Real) or not least <= value <= most:
-                raise JobError(
-                    f"{name} must be {least:,} to {most:,}, got {shown(value)}", argument=name
-                )
-        within = self.within
-        if within is not None and not (isinstance(within, Real) and 0 < within < 1):
-            raise JobError(
-                f"within must be a fraction above 0 and below 1, got {shown(self.within)}",
-                argument="within",
-            )
+    draws: Draws | None = None
+    within: Annotated[Number, Field(gt=0, lt=1)] | None = None
+    particles: Annotated[Whole, Field(ge=1, le=32_000)] | None = None
+    window: Annotated[Whole, Field(ge=1, le=6)] = WINDOW
+    work: Annotated[Number, Field(ge=0, le=10**15)] | None = None  # particle-steps
+    memory: Annotated[Whole, Field(ge=1, le=1_000_000)] = MEMORY
 
     @property
     def most_draws(self) -> int:

@@ -76,7 +76,7 @@ def refused(call: Callable[..., Any]) -> Refused:
         (f"evaluate {{job}} --times=0:{HUGE}", 1, "at most 1,000,000"),
         ("evaluate {job} --times 1 --draws 1", 1, "evaluation.draws .* got 1"),
         ("evaluate {job} --times 1 --draws 1_0", 2, "digits 0-9"),
-        (f"evaluate {{job}} --times 1 --draws {HUGE}", 1, "must be .* 10000000, got 10{30} "),
+        (f"evaluate {{job}} --times 1 --draws {HUGE}", 1, "must be .* 10,000,000, got 10{30} "),
         ("evaluate {job} --times 1 --particles 0", 1, "filter.particles .* got 0"),
         ("evaluate {job} --times 1 --seed=-1", 1, "seed must"),
         (f"evaluate {{job}} --times 1 --{LONG}", 2, "unknown option --xxx"),

@@ -3,15 +3,18 @@
 A misspelt name is followed by the name that was meant, or by nothing.
 """
 
+import inspect
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
-from pfdist.common.section import explained
+from pfdist.common.section import Arguments, Whole, checked, explained
+from pfdist.errors import ArgumentError, JobError
 
 METHODS = ["corridor", "random", "relaxation", "survivors"]
 
@@ -33,6 +36,9 @@ class Section(BaseModel):
     several: Annotated[list[int], Field(min_length=1, max_length=2)] = [1]
     parameters: dict[str, float] = {}
     inner: Inner = Inner()
+    either: Annotated[int, Field(ge=1)] | Literal["auto"] = 1
+    entries: tuple[int | str, ...] = ()
+    prices: tuple[float, ...] | dict[str, float] = ()
 
 
 def sentence(data: dict[str, Any]) -> str:
@@ -45,7 +51,7 @@ def sentence(data: dict[str, Any]) -> str:
     ("key", "value", "said"),
     [
         ("whole", 0, "whole must be at least 1, got 0"),
-        ("whole", 2**63, f"whole must be less than {2**63}, got {2**63}"),
+        ("whole", 2**63, f"whole must be less than {2**63:,}, got {2**63}"),
         ("whole", 1.0, "whole must be an integer, got 1.0"),
         ("whole", "1", "whole must be an integer, got '1'"),
         ("even", 7, "even must be a multiple of 2, got 7"),
@@ -75,6 +81,11 @@ def sentence(data: dict[str, Any]) -> str:
             f"unknown key 'count', allowed: {', '.join(Section.model_fields)}; "
             "did you mean 'inner.count'?",
         ),
+        ("either", 0, "either must be at least 1 or 'auto', got 0"),
+        ("either", "atuo", "either must be an integer or 'auto', got 'atuo'; did you mean 'auto'?"),
+        ("entries", (1, 2.5), "each entry of entries must be an integer or a string, got 2.5"),
+        ("prices", 3, "prices must be a list or a section, got 3"),
+        ("prices", {"a": "x"}, "prices must be a number, got 'x'"),
         ("zzz", 3, f"unknown key 'zzz', allowed: {', '.join(Section.model_fields)}"),
     ],
 )
@@ -86,6 +97,44 @@ def test_an_unknown_type_of_error_is_named() -> None:
     details = [{"type": PydanticCustomError("strange", "prose"), "loc": ("a",), "input": 3}]
     error = ValidationError.from_exception_data("Section", details)  # type: ignore[arg-type]
     assert explained(error, Section) == "a must be valid (strange), got 3"
+
+
+@checked
+def squared(
+    first: object,
+    draws: Annotated[Whole, Field(ge=1)] | None = None,
+    *others: object,
+    label: Annotated[Literal["a", "b"], Field()] = "a",
+    **more: object,
+) -> tuple[object, ...]:
+    return first, draws, others, label, more
+
+
+def test_arguments_are_checked_by_the_types_that_declare_limits() -> None:
+    assert squared([1]) == ([1], None, (), "a", {})
+    first, draws, *others = squared("x", np.int32(3), 4, label="b", extra=5)
+    assert (first, draws, *others) == ("x", 3, (4,), "b", {"extra": 5})
+    assert type(draws) is int
+    for wrong in (0, np.int64(0), True, 1.0, "1"):
+        with pytest.raises(ArgumentError, match=r"^draws must be ") as caught:
+            squared(1, wrong)  # type: ignore[arg-type]
+        assert caught.value.argument == "draws"
+    with pytest.raises(ArgumentError, match=r"^label must be 'a' or 'b', got 'c'$"):
+        squared(1, label="c")  # type: ignore[arg-type]
+    label = inspect.signature(squared).parameters["label"]
+    assert label.annotation == Literal["a", "b"]  # without the limits
+
+
+def test_settings_raise_the_error_that_their_class_names() -> None:
+    class Settings(Arguments):
+        error: ClassVar = JobError
+        draws: Annotated[Whole, Field(ge=1)] = 1
+
+    assert Settings(draws=np.int64(2)).draws == 2  # type: ignore[arg-type]
+    for wrong, said in (({"draws": 0}, "at least 1, got 0"), ({"drws": 1}, "did you mean 'draws'")):
+        with pytest.raises(JobError, match=said) as caught:
+            Settings(**wrong)
+        assert caught.value.argument in wrong
 
 
 @pytest.mark.parametrize(

@@ -536,7 +536,7 @@ def test_a_run_of_another_version_is_proved_and_not_written_to(
 @pytest.mark.parametrize("work", [1e6, 3e6])
 def test_the_growth_of_windows_is_foreseen(walk: Path, work: float) -> None:
     built = build(load_job(walk / "job.toml"))
-    steps = [Prover(built, BoundSettings(LEAST_DRAWS, work=each)).steps for each in (0, work)]
+    steps = [Prover(built, BoundSettings(draws=LEAST_DRAWS, work=each)).steps for each in (0, work)]
     assert steps[1] - steps[0] == work
     seen = list[Progress]()
     bound(walk, LEAST_DRAWS, work=work, progress=seen.append)
