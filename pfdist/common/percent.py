@@ -92,7 +92,7 @@ def gap_sentence(
     >>> gap_sentence(gap, 4)
     'Proved: no other 4 times have a lower expected error.'
     >>> gap_sentence(gap, 3)
-    'Proved: no other times that cost no more have a lower expected error.'
+    'Proved: no other times that are no more expensive have a lower expected error.'
     >>> gap_sentence({**gap, "budget": 1}, 1, is_constrained=True)
     'Proved: no other time that the constraints allow has a lower expected error.'
     >>> gap_sentence({**gap, "gap": 0.5}, 4, has_scenarios=True).partition(", ")[2]
@@ -105,7 +105,7 @@ def gap_sentence(
     times = "time" if measurements == 1 else f"{measurements} times"
     conditions = ["that the constraints allow"] if is_constrained else []
     if gap["budget"] != measurements:  # the budget counts money
-        times, conditions = "times", ["that cost no more", *conditions]
+        times, conditions = "times", ["that are no more expensive", *conditions]
     have, lower = ("has", "lowers") if times == "time" else ("have", "lower")
     times = " ".join([times, " and ".join(conditions)]).rstrip()
     if not gap["bound_error"] and gap["gap"] < _ROUNDING:

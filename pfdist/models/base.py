@@ -84,14 +84,14 @@ class Sensor:
         As of `StateSpaceModel`. y and v are those of this sensor alone.
     measurement_noise : tuple of {"normal", "uniform", "centred"}
         Distribution of each component of v.
-    cost : float, optional
+    price : float, optional
         Price of a measurement. A `Problem` takes it, unless the problem has a price of its own.
     """
 
     measurement: Callable[..., Any]
     log_likelihood: Callable[..., Any]
     measurement_noise: tuple[str, ...]
-    cost: float | None = None
+    price: float | None = None
 
 
 class SensorPart(NamedTuple):

@@ -27,7 +27,7 @@ class Affordable:
     # usable times that every set must contain; no other usable time lies within their spacing
     required: Times
     spacing: Spacing
-    price: Sequence[int]  # (T+1,): price of each time, at least 1
+    units: Sequence[int]  # (T+1,): price of each time in units, at least 1
     total: int  # the sum to spend; it pays for the required times, and for at least one time
 
     def nearest(self, wanted: Callable[[int], Times]) -> Times:
@@ -48,7 +48,7 @@ class Affordable:
     @property
     def _count(self) -> int:
         """The value of a time in a key: more than the sum of all distances of a set."""
-        return (len(self.price) + 1) ** 2
+        return (len(self.units) + 1) ** 2
 
     @property
     def _last_required(self) -> int:
@@ -75,7 +75,7 @@ class Affordable:
             while self.usable[following] <= self.spacing.before(time):
                 np.maximum(before, keys[following], out=before)
                 following += 1
-            price = self.price[time]
+            price = self.units[time]
             row = before[: max(0, self.total + 1 - price)] + self._count
             if wanted:
                 number = np.clip(-(-row // self._count), 1, len(wanted))
@@ -92,7 +92,7 @@ class Affordable:
             index = first + int((keys[first:stop, spent] == key).argmax())
             time = self.usable[index]
             times.append(time)
-            spent, key = spent - self.price[time], key - self._count + abs(time - target)
+            spent, key = spent - self.units[time], key - self._count + abs(time - target)
             before = [self.usable.index(other) for other in self.required if other < time]
             first = max(before, default=0)
             stop = bisect_right(self.usable, self.spacing.before(time))
@@ -102,16 +102,16 @@ class Affordable:
 def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> Times:
     """The set of N usable times that is nearest to a set of N wanted times; all are sorted.
 
-    It is the set of `Affordable.nearest` where each time has the price 1. The set contains the
-    required times, and no other usable time lies within their spacing. A `MeasurementTimesError`
-    says that fewer than N usable times are far enough apart.
+    It is the set of `Affordable.nearest` where each time has a price of one unit. The set contains
+    the required times, and no other usable time lies within their spacing. A
+    `MeasurementTimesError` says that fewer than N usable times are far enough apart.
 
     >>> spacing = Spacing.constant(3, horizon=10)
     >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=spacing)
     (1, 4, 9)
     """
-    price = (1,) * len(spacing.successors)
-    affordable = Affordable(usable, required, spacing, price, len(wanted))
+    units = (1,) * len(spacing.successors)
+    affordable = Affordable(usable, required, spacing, units, len(wanted))
     times = affordable.nearest(lambda number: wanted[:number])
     if len(times) < len(wanted):
         raise MeasurementTimesError(

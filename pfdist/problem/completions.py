@@ -33,7 +33,7 @@ class Completions:
     # times that a set must contain unless another of its times lies within the spacing
     cheap: tuple[int, ...]
     spacing: Spacing
-    cost: tuple[int, ...]  # (T+1,): cost of each time, at least 1
+    units: tuple[int, ...]  # (T+1,): price of each time in units, at least 1
     total: int  # the sum to spend
     # money that may be left at the end: it pays for the cheap times and for no others
     left_over: range
@@ -50,7 +50,7 @@ class Completions:
             if time not in self._window(last):
                 return []
             last = time
-        left = self.total - sum(self.cost[time] for time in times)
+        left = self.total - sum(self.units[time] for time in times)
         return [time for time in self._following(last) if self._can_be_completed(time, left)]
 
     def every(self) -> Iterator[tuple[int, ...]]:
@@ -62,7 +62,7 @@ class Completions:
             if self._is_complete(last, left):
                 yield times
             unfinished += [
-                ((*times, time), left - self.cost[time])
+                ((*times, time), left - self.units[time])
                 for time in reversed(self._following(last))
                 if self._can_be_completed(time, left)
             ]
@@ -76,12 +76,12 @@ class Completions:
             for time in self._following(last):
                 if not self._can_be_completed(time, left):
                     continue
-                ways = self._ways[time, left - self.cost[time]]
+                ways = self._ways[time, left - self.units[time]]
                 if index < ways:
                     break
                 index -= ways
             times.append(time)
-            last, left = time, left - self.cost[time]
+            last, left = time, left - self.units[time]
         return tuple(times)
 
     def _next(self, times: tuple[int, ...], first: int) -> int:
@@ -103,7 +103,7 @@ class Completions:
 
     def _can_be_completed(self, time: int, left: int) -> bool:
         """Whether the money left pays for a time and for some completion after it."""
-        after = left - self.cost[time]
+        after = left - self.units[time]
         return after >= 0 and bool(self._completable[time, after])
 
     def _is_complete(self, last: int, left: int) -> bool:
@@ -146,6 +146,6 @@ class Completions:
                 break
             from_here_on[last] = from_here_on[last + 1]
             if last in usable:
-                paid_for = max(0, self.total + 1 - self.cost[last])
-                from_here_on[last, self.cost[last] :] += ways[last, :paid_for]
+                paid_for = max(0, self.total + 1 - self.units[last])
+                from_here_on[last, self.units[last] :] += ways[last, :paid_for]
         return ways

@@ -1,4 +1,4 @@
-"""Constraints on a set of measurement times: which times, how many or at what cost, how far apart.
+"""Constraints on a set of measurement times: which times, how many or at what price, how far apart.
 
 Every error and every sentence begins with the name of the value that is wrong, so that a caller can
 add where the value came from: ``forbidden must lie in 0..60, got 61``.
@@ -52,10 +52,10 @@ class Constraints:
     required: Times = ()  # times that every set must contain, sorted
     # smallest difference of two times of a set: instants, or time on the clock
     minimum_spacing: int | float = 1
-    # (S (T+1),): cost of a measurement at each time, above 0
-    cost: tuple[Money, ...] | None = None
-    # largest cost of all measurements together; given with `cost`, in place of N
-    total_cost: Money | None = None
+    # (S (T+1),): price of a measurement at each time, above 0
+    price: tuple[Money, ...] | None = None
+    # largest price of all measurements together; given with `price`, in place of N
+    total_price: Money | None = None
     clock: Clock | None = None  # by default instants are counted
     # Constraints on each sensor alone; none if no sensor has any. The bound leaves them out.
     limits: tuple[Limit, ...] = ()
@@ -63,7 +63,7 @@ class Constraints:
 
     @property
     def counted(self) -> bool:
-        """Whether the number of measurements is given, and not their total cost."""
+        """Whether the number of measurements is given, and not their total price."""
         return self.measurement_budget is not None
 
     @cached_property
@@ -102,25 +102,25 @@ class Constraints:
         return tuple(time for time in self.allowed if time not in self.required)
 
     @cached_property
-    def price(self) -> tuple[int, ...]:
+    def units(self) -> tuple[int, ...]:
         """Price of each possible measurement, in units of `total`; 1 if times are counted."""
-        costs = self.cost or (1,) * self.possible
-        return tuple(int(Fraction(cost) / self.unit) for cost in costs)
+        prices = self.price or (1,) * self.possible
+        return tuple(int(Fraction(price) / self.unit) for price in prices)
 
     @cached_property
     def total(self) -> int:
-        """The sum to spend: N, or money in the largest unit in which all costs are whole.
+        """The sum to spend: N, or money in the largest unit in which all prices are whole.
 
-        Money is at most what all allowed times cost together.
+        Money is at most the price of all allowed times together.
         """
         if self.measurement_budget is not None:
             return self.measurement_budget
-        affordable = Fraction(self.total_cost or 0) // self.unit
+        affordable = Fraction(self.total_price or 0) // self.unit
         return min(affordable, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
         """The sum of the prices of some times."""
-        return sum(self.price[time] for time in times)
+        return sum(self.units[time] for time in times)
 
     def with_required(self, times: Iterable[int]) -> Times:
         """These times and the required times, sorted."""
@@ -185,13 +185,13 @@ class Constraints:
         ['measurement_budget is 2, got 3 times', 'forbidden: 4 is measured']
         """
         chosen = sorted({*times})
-        sentences, cost = list[str](), self.cost_of(chosen)
+        sentences, price = list[str](), self.price_of(chosen)
         if self.measurement_budget not in (None, len(chosen)):
             sentences.append(
                 f"measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
             )
-        if self.total_cost is not None and cost > self.total_cost:
-            sentences.append(f"total_cost is {self.total_cost}, got times that cost {cost}")
+        if self.total_price is not None and price > self.total_price:
+            sentences.append(f"total_price is {self.total_price}, got times with the price {price}")
         forbidden = [time for time in chosen if time in self.forbidden]
         missing = [time for time in self.required if time not in chosen]
         for name, wrong, is_ in (("forbidden", forbidden, ""), ("required", missing, "not ")):
@@ -208,9 +208,9 @@ class Constraints:
             sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
         return [*sentences, *self._beyond_limits(chosen)]
 
-    def cost_of(self, times: Iterable[int]) -> Money:
-        """The cost of a set, in the unit of `cost`; its size if times are counted."""
-        return sum(self.cost[time] if self.cost else 1 for time in times)
+    def price_of(self, times: Iterable[int]) -> Money:
+        """The price of a set, in the unit of `price`; its size if times are counted."""
+        return sum(self.price[time] if self.price else 1 for time in times)
 
     def affordable(self, times: Iterable[int]) -> list[int]:
         """The optional times that could still be added to these and the required times."""
@@ -219,7 +219,7 @@ class Constraints:
         return [
             time
             for time in (self.optional if left > 0 else ())
-            if self.price[time] <= left
+            if self.units[time] <= left
             and time not in near
             and (not self.limits or self.is_within_limits(sorted({*complete, time})))
         ]
@@ -268,10 +268,10 @@ class Constraints:
 
     @cached_property
     def unit(self) -> Fraction:
-        """The largest unit of money in which all costs are whole."""
-        costs = [Fraction(cost) for cost in self.cost or (1,)]
-        parts = lcm(*(cost.denominator for cost in costs))
-        return Fraction(gcd(*(int(cost * parts) for cost in costs)), parts)
+        """The largest unit of money in which all prices are whole."""
+        prices = [Fraction(price) for price in self.price or (1,)]
+        parts = lcm(*(price.denominator for price in prices))
+        return Fraction(gcd(*(int(price * parts) for price in prices)), parts)
 
     @cached_property
     def _capacities(self) -> dict[tuple[int, int], int]:

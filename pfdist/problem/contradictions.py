@@ -15,7 +15,7 @@ def check(constraints: Constraints) -> None:
     """
     _check_times(constraints)
     _check_limits(constraints)
-    _check_budget_or_cost(constraints)
+    _check_budget_or_price(constraints)
     (_check_number if constraints.counted else _check_money)(constraints)
 
 
@@ -49,37 +49,37 @@ def _check_limits(constraints: Constraints) -> None:
     if constraints.limits and constraints.counted and not constraints.spacing.is_free:
         raise MeasurementTimesError(
             "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
-            f"total_cost is given, got {constraints.minimum_spacing}"
+            f"total_price is given, got {constraints.minimum_spacing}"
         )
     if not constraints.is_within_limits(constraints.required):
         raise MeasurementTimesError("required must keep the limits of each sensor")
 
 
-def _check_budget_or_cost(constraints: Constraints) -> None:
-    """Refuse a budget with costs, and costs without a sum, not above 0 or of a wrong number."""
-    given = (constraints.measurement_budget, constraints.cost, constraints.total_cost)
+def _check_budget_or_price(constraints: Constraints) -> None:
+    """Refuse a budget with prices, and prices without a sum, not above 0 or of a wrong number."""
+    given = (constraints.measurement_budget, constraints.price, constraints.total_price)
     if given == (None, None, None):
         raise MeasurementTimesError(
-            "measurement_budget must be given, or cost and total_cost in its place"
+            "measurement_budget must be given, or price and total_price in its place"
         )
     if constraints.counted and given[1:] != (None, None):
-        name = "cost" if constraints.total_cost is None else "total_cost"
+        name = "price" if constraints.total_price is None else "total_price"
         raise MeasurementTimesError(
-            "measurement_budget must be given without cost and total_cost, "
+            "measurement_budget must be given without price and total_price, "
             f"got measurement_budget and {name}"
         )
     if None in given[1:] and not constraints.counted:
         got, lacks = (
-            ("cost", "total_cost") if constraints.cost is not None else ("total_cost", "cost")
+            ("price", "total_price") if constraints.price is not None else ("total_price", "price")
         )
         raise MeasurementTimesError(f"{lacks} must be given with {got}")
-    cost, instants = constraints.cost, constraints.possible
-    if cost is not None and len(cost) != instants:
+    price, instants = constraints.price, constraints.possible
+    if price is not None and len(price) != instants:
         raise MeasurementTimesError(
-            f"cost needs {instants} values, one for each instant, got {len(cost)}"
+            f"price needs {instants} values, one for each instant, got {len(price)}"
         )
-    if cost is not None and min(cost) <= 0:
-        raise MeasurementTimesError(f"cost must be above 0, got {min(cost)}")
+    if price is not None and min(price) <= 0:
+        raise MeasurementTimesError(f"price must be above 0, got {min(price)}")
 
 
 def _check_number(constraints: Constraints) -> None:
@@ -106,20 +106,21 @@ def _check_number(constraints: Constraints) -> None:
 
 def _check_money(constraints: Constraints) -> None:
     """Refuse money that pays for no set, or that has too many units."""
-    money, required = constraints.total_cost or 0, constraints.cost_of(constraints.required)
+    money, required = constraints.total_price or 0, constraints.price_of(constraints.required)
     if money < required:
         raise MeasurementTimesError(
-            f"total_cost must pay for the required times, which cost {required}, got {money}"
+            f"total_price must pay for the required times, whose price is {required}, got {money}"
         )
     if not constraints.allowed:
         raise MeasurementTimesError("forbidden must leave a time, got all times")
-    least = min(constraints.cost_of((time,)) for time in constraints.allowed)
+    least = min(constraints.price_of((time,)) for time in constraints.allowed)
     if money < least:
         raise MeasurementTimesError(
-            f"total_cost must pay for a measurement, and the cheapest costs {least}, got {money}"
+            f"total_price must pay for a measurement, and the cheapest has the price {least}, "
+            f"got {money}"
         )
     if constraints.total > _MOST_UNITS:
         raise MeasurementTimesError(
-            f"total_cost must be at most {_MOST_UNITS:,} times the largest unit in which every "
-            f"cost is whole, {float(constraints.unit):.15g}, got {money}: give rounder costs"
+            f"total_price must be at most {_MOST_UNITS:,} times the largest unit in which every "
+            f"price is whole, {float(constraints.unit):.15g}, got {money}: give rounder prices"
         )

@@ -158,7 +158,7 @@ class Feasible(Constraints):
         """The feasible sets in which one time is exchanged for another.
 
         `reach` is the largest distance between the two; by default it is not limited. With money, a
-        new time may cost too much or lie too near to others. Then the times nearest to it are
+        new time may be too expensive or lie too near to others. Then the times nearest to it are
         removed. In every case the money left buys other times, each as far from the rest as can be.
         The exchanged time may come back. If smaller sets are feasible, nothing is bought, and the
         sets with one time more or less follow, however far that time lies.
@@ -241,16 +241,16 @@ class Feasible(Constraints):
         A time is cheap if a set must not leave over the money for it. In one range the same times
         are cheap. If smaller sets are feasible, no time is cheap.
         """
-        prices = () if self.smaller else sorted({self.price[time] for time in self.optional})
+        prices = () if self.smaller else sorted({self.units[time] for time in self.optional})
         bounds = [0, 1] if self.counted else [0, *prices, self.total + 1]
         return [
             Completions(
                 horizon=self.possible - 1,
                 usable=usable,
                 required=self.required,
-                cheap=tuple(time for time in self.optional if self.price[time] <= least),
+                cheap=tuple(time for time in self.optional if self.units[time] <= least),
                 spacing=self.spacing,
-                cost=self.price,
+                units=self.units,
                 total=self.total,
                 left_over=range(least, min(more, self.total + 1)),
             )
@@ -313,7 +313,7 @@ class Feasible(Constraints):
         """Some sensors in turn at regular times, or a compatible set like that; None if none is."""
         own = (t for t in self.allowed if t % self.sensors in sensors)
         usable = tuple(sorted({*self.required, *own}))
-        cheap = min((self.price[t] for t in usable), default=1)
+        cheap = min((self.units[t] for t in usable), default=1)
         most = min(self.total // cheap, self.horizon + 1, len(usable))
         if self.counted and most < self.total:
             return None
@@ -336,7 +336,7 @@ class Feasible(Constraints):
             wanted = self._regular_times(self.total)
             if self.accepts(wanted):
                 return wanted
-        affordable = Affordable(self.allowed, self.required, self.spacing, self.price, self.total)
+        affordable = Affordable(self.allowed, self.required, self.spacing, self.units, self.total)
         return affordable.nearest(self._regular_times)
 
     def _near(self, time: int, reach: int | None) -> Times:

@@ -246,7 +246,7 @@ class Job(Section):
             got = "comparison.sets" if self.comparison.named else "a single set of times"
             raise ValueError(f"budget needs comparison.reference = {REGULAR!r}, got {got}")
         if not self.problem.feasible.counted:
-            raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
+            raise ValueError("budget needs problem.measurement_budget, got problem.total_price")
         methods = [search.method for search in self.search]
         if methods != [DEFAULT_METHOD]:
             raise ValueError(

@@ -62,14 +62,14 @@ class Problem(Shown):
         Python lists whole numbers; a text means all instants from the first to the last.
     minimum_spacing : int or float, optional
         Smallest difference of two measurement times.
-    cost : sequence of float, or mapping of str to float, optional
-        Cost of a measurement at each instant, or in each range, as in ``{"0:30": 1, "31:60": 2}``.
+    price : sequence of float, or mapping of str to float, optional
+        Price of a measurement at each instant, or in each range, as in ``{"0:30": 1, "31:60": 2}``.
         Decimals are exact.
-    total_cost : float, optional
-        Largest sum of costs, in the place of the measurement budget.
+    total_price : float, optional
+        Largest sum of prices, in the place of the measurement budget.
     sensors : mapping of str to mapping, optional
-        For each sensor of the model its cost, forbidden times, the largest number of its
-        measurements (most) and their minimum_spacing. By default the costs that the model gives.
+        For each sensor of the model its price, forbidden times, the largest number of its
+        measurements (most) and their minimum_spacing. By default the prices that the model gives.
     particles : int or "auto"
         "auto": a number that is enough is found when something is computed.
     resampling, resample, engine, dtype : str
@@ -114,7 +114,7 @@ class Problem(Shown):
         self._filter_model = None if believed is self._model else believed
         if keys.get("sensors") is None and isinstance(model, StateSpaceModel) and model.sensors:
             keys["sensors"] = {
-                name: {} if sensor.cost is None else {"cost": sensor.cost}
+                name: {} if sensor.price is None else {"price": sensor.price}
                 for name, sensor in model.sensors.items()
             }
         self._arguments = {
@@ -188,7 +188,7 @@ class Problem(Shown):
 
     def _page(self) -> parts.Page:
         keys = {**self._keys["problem"], **self._keys["filter"], **self._scenarios}
-        first = ("horizon", "measurement_budget", "total_cost")
+        first = ("horizon", "measurement_budget", "total_price")
         about = ", ".join(f"{key} {keys[key]}" for key in first if key in keys)
         models = {"model": self._model, "filter_model": self._filter_model}
         rows = {key: _name_of(each) for key, each in models.items() if each} | keys

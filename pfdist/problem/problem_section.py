@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, AliasChoices, Field, field_validator, model_validator
 
 from pfdist.common.clock import Clock, Time, plain_time
 from pfdist.common.measurement_times import Times
@@ -32,8 +32,13 @@ _Times = Annotated[
 ]
 _Finite = int | Annotated[float, Field(allow_inf_nan=False)]
 _Price = Annotated[_Finite, AfterValidator(plain_time)]
-_Cost = Annotated[tuple[_Price, ...], Field(strict=False)] | dict[str, _Price]
+_Prices = Annotated[tuple[_Price, ...], Field(strict=False)] | dict[str, _Price]
 _Budget = Annotated[int, Field(ge=1, lt=2**63)]
+
+
+def _priced(name: str, former: str) -> Any:
+    """A key about money; its former name is still allowed."""
+    return Field(None, validation_alias=AliasChoices(name, former))
 
 
 class SensorSection(Section):
@@ -43,7 +48,7 @@ class SensorSection(Section):
 
     Parameters
     ----------
-    cost : number or list or section of ranges
+    price : number or list or section of ranges
         Price of a measurement by this sensor, or at each instant, or in each range.
     forbidden : list of times and ranges, clock
         Times at which this sensor does not measure.
@@ -53,14 +58,16 @@ class SensorSection(Section):
         Smallest difference of two times of this sensor.
     """
 
-    cost: Annotated[_Finite | _Cost, AfterValidator(plain_time)] | None = None
+    price: Annotated[_Finite | _Prices, AfterValidator(plain_time)] | None = _priced(
+        "price", "cost"
+    )
     forbidden: _Times | None = None
     most: _Budget | None = None
     minimum_spacing: Time | None = None
 
 
 class ProblemSection(Section):
-    """The horizon, and constraints on the measurement times: how many, at what cost, and when.
+    """The horizon, and constraints on the measurement times: how many, at what price, and when.
 
     Without a clock, the horizon and all times count instants. With `time_step`, `time_unit` or
     `times` there is a clock, and all times are times on the clock.
@@ -85,10 +92,10 @@ class ProblemSection(Section):
         Times that every set contains.
     minimum_spacing : number, clock
         Smallest difference of two measurement times.
-    cost : list or section of ranges
-        Cost of a measurement at each instant, or in each range: numbers, at least 0.
-    total_cost : number, that of cost
-        Largest sum of the costs of a set, in the place of ``measurement_budget``.
+    price : list or section of ranges
+        Price of a measurement at each instant, or in each range: numbers, at least 0.
+    total_price : number, that of price
+        Largest sum of the prices of a set, in the place of ``measurement_budget``.
     sensors : section of sections
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     """
@@ -102,8 +109,10 @@ class ProblemSection(Section):
     forbidden: _Times | None = None
     required: _Times | None = None
     minimum_spacing: Moment | None = None
-    cost: _Cost | None = None
-    total_cost: Annotated[Moment, Field(gt=0, lt=2**63)] | None = None
+    price: _Prices | None = _priced("price", "cost")
+    total_price: Annotated[Moment, Field(gt=0, lt=2**63)] | None = _priced(
+        "total_price", "total_cost"
+    )
     sensors: dict[str, SensorSection] | None = None
 
     @field_validator("sensors", mode="before")
@@ -175,20 +184,20 @@ class ProblemSection(Section):
         if not self.has_clock and not (spacing is None and self.sensors):
             spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
         limits = self._limits
-        costs = [sum(costs or (0,)) for costs in self._costs_of_sensors] or [0]
+        prices = [sum(prices or (0,)) for prices in self._prices_of_sensors] or [0]
         return Feasible(
             horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
             forbidden=self._forbidden,
             required=tuple(sorted({*measurements_of(self.required or (), clock, "required")})),
             minimum_spacing=spacing or 0.0,
-            cost=self._costs_of_instants,
-            total_cost=None if self.total_cost is None else money(self.total_cost),
+            price=self._prices_of_instants,
+            total_price=None if self.total_price is None else money(self.total_price),
             clock=clock if self.has_clock or self.sensors else None,
             # To sets within limits, money left over may buy nothing.
-            smaller=bool(limits) and self.total_cost is not None,
+            smaller=bool(limits) and self.total_price is not None,
             limits=limits,
-            cheapest=costs.index(min(costs)),  # the first sensor if none has a cost
+            cheapest=prices.index(min(prices)),  # the first sensor if none has a price
         )
 
     @property
@@ -213,10 +222,10 @@ class ProblemSection(Section):
         return tuple(limits) if any(limit != Limit() for limit in limits) else ()
 
     @property
-    def _costs_of_sensors(self) -> list[tuple[Money, ...]]:
-        """The cost of each sensor at each instant; empty for a sensor without a cost."""
+    def _prices_of_sensors(self) -> list[tuple[Money, ...]]:
+        """The price of each sensor at each instant; empty for a sensor without a price."""
         sensors = (self.sensors or {}).items()
-        return [self._costs(f"sensors.{name}.cost", sensor.cost) for name, sensor in sensors]
+        return [self._prices(f"sensors.{name}.price", sensor.price) for name, sensor in sensors]
 
     @cached_property
     def weights(self) -> tuple[float, ...] | None:
@@ -243,7 +252,7 @@ class ProblemSection(Section):
 
     @property
     def is_constrained(self) -> bool:
-        """Whether a constraint excludes sets that have as many measurements, or cost no more."""
+        """Whether a constraint excludes sets of the same number of measurements or price."""
         sets = self.feasible
         return bool(sets.forbidden or sets.required or sets.limits) or not sets.spacing.is_free
 
@@ -257,25 +266,27 @@ class ProblemSection(Section):
         return [f"problem.{sentence}" for sentence in self.feasible.broken(measured)]
 
     @property
-    def _costs_of_instants(self) -> tuple[Money, ...] | None:
-        """The cost of each possible measurement; None if measurements are counted."""
+    def _prices_of_instants(self) -> tuple[Money, ...] | None:
+        """The price of each possible measurement; None if measurements are counted."""
         if not self.sensors:
-            return None if self.cost is None else self._costs("cost", self.cost)
-        if self.cost is not None:
+            return None if self.price is None else self._prices("price", self.price)
+        if self.price is not None:
             raise MeasurementTimesError(
-                "cost must be left out with sensors: each has a cost of its own, "
-                f"sensors.{next(iter(self.sensors))}.cost"
+                "price must be left out with sensors: each has a price of its own, "
+                f"sensors.{next(iter(self.sensors))}.price"
             )
-        if self.total_cost is None:
+        if self.total_price is None:
             return None
-        lacking = [name for name, sensor in self.sensors.items() if sensor.cost is None]
+        lacking = [name for name, sensor in self.sensors.items() if sensor.price is None]
         if lacking:
-            raise MeasurementTimesError(f"sensors.{lacking[0]}.cost must be given with total_cost")
-        return tuple(chain.from_iterable(zip(*self._costs_of_sensors, strict=True)))
+            raise MeasurementTimesError(
+                f"sensors.{lacking[0]}.price must be given with total_price"
+            )
+        return tuple(chain.from_iterable(zip(*self._prices_of_sensors, strict=True)))
 
-    def _costs(self, name: str, given: Time | _Cost | None) -> tuple[Money, ...]:
-        """The cost of each instant; empty if no cost is given."""
-        clock, costs = self.clock, dict[int, Money]()
+    def _prices(self, name: str, given: Time | _Prices | None) -> tuple[Money, ...]:
+        """The price of each instant; empty if no price is given."""
+        clock, prices = self.clock, dict[int, Money]()
         if given is None:
             return ()
         if isinstance(given, int | float):
@@ -288,23 +299,23 @@ class ProblemSection(Section):
                 )
             return tuple(map(money, given))
         ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
-        for key, cost in given.items():
+        for key, price in given.items():
             for t in instants_of(key, clock, name):
                 is_instant = 0 <= t <= clock.horizon
-                if t in costs or not is_instant:
-                    what = "twice" if t in costs else f"for a horizon of {clock.horizon}"
+                if t in prices or not is_instant:
+                    what = "twice" if t in prices else f"for a horizon of {clock.horizon}"
                     time = f"{clock.times[t]:.10g}" if is_instant else t
                     raise MeasurementTimesError(
                         f"{name} must name every time in {ends} once, got {time} {what}"
                     )
-                costs[t] = money(cost)
-        lacking = [t for t in range(clock.horizon + 1) if t not in costs]
+                prices[t] = money(price)
+        lacking = [t for t in range(clock.horizon + 1) if t not in prices]
         if lacking:
             raise MeasurementTimesError(
                 f"{name} must name every time in {ends} once, got none for "
                 f"{clock.times[lacking[0]]:.10g}"
             )
-        return tuple(costs[t] for t in range(clock.horizon + 1))
+        return tuple(prices[t] for t in range(clock.horizon + 1))
 
     def _whole(self, name: str, value: Time) -> int:
         """A number of instants; the error about another number names the keys of a clock."""

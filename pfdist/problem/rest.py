@@ -43,13 +43,15 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         clock=None if feasible.clock is None else feasible.clock.since(first),
         limits=tuple(limits),
     )
-    if feasible.cost is not None and feasible.total_cost is not None:
-        money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[start:]
-        required = required if feasible.cost_of(required) <= money else []
-        least = min((feasible.cost[time] for time in left if time not in barred), default=None)
+    if feasible.price is not None and feasible.total_price is not None:
+        money, price = feasible.total_price - feasible.price_of(taken), feasible.price[start:]
+        required = required if feasible.price_of(required) <= money else []
+        least = min((feasible.price[time] for time in left if time not in barred), default=None)
         if least is None or least > money:
             return None
-        return make(required=tuple(time - start for time in required), cost=cost, total_cost=money)
+        return make(
+            required=tuple(time - start for time in required), price=price, total_price=money
+        )
     number = max(0, feasible.total - len(taken))
     times = tuple(time - start for time in required[:number])
     capacity = make(required=times, measurement_budget=len(times)).capacity(())

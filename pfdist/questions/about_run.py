@@ -99,8 +99,8 @@ def _measurements(job: Mapping[str, Any]) -> str:
         return ", ".join(map(str, budget["numbers"]))
     if budget:
         return f"every number from {budget['least']} to {budget['most']}"
-    if problem.get("total_cost"):
-        return f"as many as a total cost of {problem['total_cost']:,} allows"
+    if problem.get("total_price"):
+        return f"as many as a total price of {problem['total_price']:,} allows"
     return str(problem["measurement_budget"])
 
 

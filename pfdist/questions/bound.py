@@ -46,7 +46,7 @@ class Bound(Shown):
         The loss by the number of particles of the job's own filter, for each compared set; empty
         where it is not known.
     is_constrained : bool
-        Whether the job excludes some times, beside their number or cost.
+        Whether the job excludes some times, beside their number or price.
     leaves_out_limits : bool
         Whether sensors have limits of their own, which the bound leaves out.
     has_scenarios : bool

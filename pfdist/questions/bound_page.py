@@ -10,7 +10,7 @@ from pfdist.questions.subject import ERROR_HEAD, Subject
 from pfdist.results.stored_run import last_bounds
 
 _MEANING = (
-    "No allowed times of the same number, or of the same cost, have a lower expected error than "
+    "No allowed times of the same number, or of the same price, have a lower expected error than "
     "the lower bound, with any filter of the same model. It follows from a problem that is easier "
     "to solve: now and then the filter gets more measurements than it has paid for. The gap is how "
     "much lower the error can be at most: the parts of the gap come from the easier problem and "

@@ -196,8 +196,8 @@ def _differences(run: Run, first: ProblemSection) -> list[str]:
         differences.append(f"its horizon is {ends[0]}, not {ends[1]}")
     if _weights(own) != _weights(first):
         differences.append("its errors have other weights of instants")
-    if any(getattr(own, key) != getattr(first, key) for key in ("cost", "total_cost")):
-        differences.append("its measurements have other costs")
+    if any(getattr(own, key) != getattr(first, key) for key in ("price", "total_price")):
+        differences.append("its measurements have other prices")
     return [f"{run.path} has another problem than the first: {each}" for each in differences]
 
 

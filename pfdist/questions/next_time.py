@@ -47,7 +47,7 @@ class NextTime(Shown):
     plan : tuple of int or float
         Times that are left to be measured, the next first; empty if the budget is spent.
     left : int or None
-        Number of measurements that are left of the budget; None if they have costs.
+        Number of measurements that are left of the budget; None if they have prices.
     planned_before : tuple of int or float
         Times of the first plan that are left.
     expected, expected_before : Evaluation
@@ -204,9 +204,9 @@ def next_time(
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
     """Whether times may still be measured: at a distance from each other, and not too dear."""
-    apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_cost
+    apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_price
     apart = apart and feasible.is_within_limits((*measured, *left))
-    return apart and (money is None or feasible.cost_of((*measured, *left)) <= money)
+    return apart and (money is None or feasible.price_of((*measured, *left)) <= money)
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:

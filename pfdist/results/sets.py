@@ -77,8 +77,8 @@ def _given(run: StoredRun) -> Iterable[Results]:
             "broken_constraints": [],
             "warnings": [],
         }
-        if problem.total_cost is not None:
-            row["price"] = float(problem.feasible.cost_of(problem.clock.measurements(times)))
+        if problem.total_price is not None:
+            row["price"] = float(problem.feasible.price_of(problem.clock.measurements(times)))
         if is_found:
             row["search_mse"] = float(entry["search_mse"])
             row["search_standard_error"] = float(entry["search_standard_error"])
@@ -110,7 +110,7 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
     feasible, instants = problem.feasible, problem.clock.measurements(times)
     number = f"N = {len(times)}"
     if not feasible.counted:
-        number += f", spends {feasible.cost_of(instants)} of {feasible.total_cost}"
+        number += f", spends {feasible.price_of(instants)} of {feasible.total_price}"
     if name in (job.get("comparison", {}).get("sets") or {}) and name != REGULAR:
         phrase = f"the set that comparison.sets.{name} gives ({number})"
     elif name != REGULAR:

@@ -83,7 +83,7 @@ class Corridor(Survivors):
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
         """Yield the times in the corridor that may follow a prefix."""
         feasible = self.feasible
-        spent_in_middle = accumulate((feasible.price[time] for time in state.middle), initial=0)
+        spent_in_middle = accumulate((feasible.units[time] for time in state.middle), initial=0)
         number = bisect_left(list(spent_in_middle), feasible.spent(times))
         middle = feasible.index[state.middle[min(number, len(state.middle) - 1)]]
         for time in feasible.extensions(times):

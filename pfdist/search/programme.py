@@ -49,7 +49,7 @@ class Programme:
         return start / (self.relaxation.horizon + 1)
 
     def path(self, spent: int) -> Times:
-        """The times that reach the least error for a sum; empty if no set costs so much."""
+        """The times that reach the least error for a sum; empty if no set has this price."""
         start = self.relaxation.index[START]
         return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
 

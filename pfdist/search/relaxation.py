@@ -93,7 +93,7 @@ class Relaxation:
     @cached_property
     def prices(self) -> tuple[int, ...]:
         """Price of a measurement at each time, in units, (T+1,); 1 if measurements are counted."""
-        return tuple(price // self.unit for price in self.constraints.price)
+        return tuple(price // self.unit for price in self.constraints.units)
 
     @property
     def total(self) -> int:

@@ -246,7 +246,7 @@ class StateSpaceRelaxation:
 
         Paths ignore the limits of sensors, so those that break them are repaired.
 
-        Where prices are rounded down, all paths may cost too much. Then paths of smaller and
+        Where prices are rounded down, all paths may be too expensive. Then paths of smaller and
         smaller sums are tried, until one can be paid for.
         """
         if self.feasible.limits:

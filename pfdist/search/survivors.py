@@ -168,11 +168,11 @@ class Survivors:
         gaps = [index - before for before, index in zip((-1, *indices), indices, strict=False)]
         if max(gaps or [0]) >= state.largest_gap and state.largest_gap < len(self.feasible.allowed):
             return True
-        highest, dearest = len(self.feasible.allowed) - 1, max(self.feasible.price)
+        highest, dearest = len(self.feasible.allowed) - 1, max(self.feasible.units)
         for number, (time, index) in enumerate(zip(times, indices, strict=True)):
             spent = self.feasible.spent(times[:number])
             first, last = self._corridor(state, spent, time)
-            left = self.feasible.total - spent - self.feasible.price[time]
+            left = self.feasible.total - spent - self.feasible.units[time]
             # At the edges of the horizon the other measurements limit a time, not the corridor.
             if number < index <= first or last <= index < highest - left // dearest:
                 return True
@@ -184,7 +184,7 @@ class Survivors:
         If smaller sets are feasible, money may be left over, so no index is too late.
         """
         mean_gap = len(self.feasible.allowed) / self.feasible.total  # for a price of 1
-        proportional = (spent + self.feasible.price[time] / 2) * mean_gap - 0.5
+        proportional = (spent + self.feasible.units[time] / 2) * mean_gap - 0.5
         late = self.feasible.possible - 1 if self.feasible.smaller else state.corridor
         return math.floor(proportional - state.corridor), math.ceil(proportional + late)
 

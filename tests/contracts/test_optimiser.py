@@ -28,21 +28,21 @@ PROBLEMS = {
     "forbidden": Feasible(HORIZON, 4, forbidden=(0, 3, 4, 5, 9)),
     "required": Feasible(HORIZON, 4, required=(6, 7)),
     "spacing": Feasible(HORIZON, 4, minimum_spacing=3),
-    "cost": Feasible(HORIZON, cost=PRICES, total_cost=8),
+    "price": Feasible(HORIZON, price=PRICES, total_price=8),
     "together": Feasible(
-        HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
+        HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, price=PRICES, total_price=7
     ),
     "one measurement": Feasible(HORIZON, 1),
     # The next three allow one set alone:
     "all times": Feasible(HORIZON, HORIZON + 1),
     "all required": Feasible(HORIZON, 3, required=(2, 5, 9)),
-    "all paid for": Feasible(HORIZON, cost=PRICES, total_cost=100),
+    "all paid for": Feasible(HORIZON, price=PRICES, total_price=100),
     # The filter of the next three trusts its sensor too much:
-    "smaller": Feasible(HORIZON, cost=PRICES, total_cost=8, smaller=True),
+    "smaller": Feasible(HORIZON, price=PRICES, total_price=8, smaller=True),
     "smaller with required": Feasible(
-        HORIZON, required=(8,), minimum_spacing=2, cost=PRICES, total_cost=8, smaller=True
+        HORIZON, required=(8,), minimum_spacing=2, price=PRICES, total_price=8, smaller=True
     ),
-    "best without": Feasible(HORIZON, cost=PRICES, total_cost=8, smaller=True),
+    "best without": Feasible(HORIZON, price=PRICES, total_price=8, smaller=True),
 }
 SMALL = {
     "evaluations": 60, "population": 20, "generations": 12, "mutation_probability": 0.1,

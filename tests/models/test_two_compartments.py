@@ -89,8 +89,8 @@ def test_a_plan_with_both_assays_is_the_optimum_of_brute_force(tmp_path: Path) -
     problem = pfdist.Problem(
         "two_compartments",
         times=hours,
-        total_cost=6,
-        sensors={"immunoassay": {"cost": 1}, "chromatography": {"cost": 2}},
+        total_price=6,
+        sensors={"immunoassay": {"price": 1}, "chromatography": {"price": 2}},
         scenarios={"parameters": [{"clearance": each} for each in clearances], "filter": "told"},
         engine="kalman",
     )

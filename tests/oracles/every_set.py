@@ -10,8 +10,8 @@ def every_set(
     forbidden: Sequence[int] = (),
     required: Sequence[int] = (),
     minimum_spacing: int = 1,
-    cost: Sequence[int] | None = None,
-    total_cost: int | None = None,
+    price: Sequence[int] | None = None,
+    total_price: int | None = None,
     smaller: bool = False,
 ) -> list[tuple[int, ...]]:
     """All feasible sets, in the order of words in a dictionary."""
@@ -24,9 +24,9 @@ def every_set(
         and {*required} <= {*times}
         and all(b - a >= minimum_spacing for a, b in pairwise(times))
     ]
-    if cost is None or total_cost is None:
+    if price is None or total_price is None:
         return sorted(times for times in fitting if len(times) == measurement_budget)
-    paid = {frozenset(times) for times in fitting if sum(cost[t] for t in times) <= total_cost}
+    paid = {frozenset(times) for times in fitting if sum(price[t] for t in times) <= total_price}
     if smaller:  # the empty set is one of them, but money must pay for a measurement
         return sorted(tuple(sorted(times)) for times in paid) if any(paid) else []
     maximal = [s for s in paid if s and not any(s | {t} in paid for t in instants if t not in s)]

@@ -27,8 +27,8 @@ COUNTED: dict[str, dict[str, Any]] = {
     "all": {"forbidden": (3,), "required": (6,), "minimum_spacing": 2},
 }
 MONEY: dict[str, dict[str, Any]] = {
-    "money": {"cost": PRICES, "total_cost": 11},
-    "money and all": {"cost": PRICES, "total_cost": 13, **COUNTED["all"]},
+    "money": {"price": PRICES, "total_price": 11},
+    "money and all": {"price": PRICES, "total_price": 13, **COUNTED["all"]},
 }
 FEASIBLE = {name: Feasible(HORIZON, BUDGET, **given) for name, given in COUNTED.items()} | {
     name: Feasible(HORIZON, **given) for name, given in MONEY.items()

@@ -30,11 +30,11 @@ quick = settings(
 LARGE = [
     {"horizon": 11, "measurement_budget": 4, "minimum_spacing": 2, "forbidden": (3, 4)},
     {"horizon": 11, "measurement_budget": 4, "forbidden": (0, 7), "required": (5,)},
-    {"horizon": 9, "cost": (1, 2, 3, 1, 2, 3, 1, 2, 3, 1), "total_cost": 7},
-    {"horizon": 9, "cost": (2, 2, 2, 4, 4, 4, 6, 6, 2, 2), "total_cost": 15, "required": (7,)},
-    {"horizon": 10, "cost": (1,) * 5 + (3,) * 6, "total_cost": 8, "minimum_spacing": 2},
-    {"horizon": 7, "cost": (1, 2, 3, 1) * 2, "total_cost": 7, "smaller": True},
-    {"horizon": 8, "cost": (1, 2, 3) * 3, "total_cost": 6, "smaller": True, "required": (4,)},
+    {"horizon": 9, "price": (1, 2, 3, 1, 2, 3, 1, 2, 3, 1), "total_price": 7},
+    {"horizon": 9, "price": (2, 2, 2, 4, 4, 4, 6, 6, 2, 2), "total_price": 15, "required": (7,)},
+    {"horizon": 10, "price": (1,) * 5 + (3,) * 6, "total_price": 8, "minimum_spacing": 2},
+    {"horizon": 7, "price": (1, 2, 3, 1) * 2, "total_price": 7, "smaller": True},
+    {"horizon": 8, "price": (1, 2, 3) * 3, "total_price": 6, "smaller": True, "required": (4,)},
 ]
 
 
@@ -53,9 +53,9 @@ def constraints(draw: st.DrawFn) -> dict[str, Any]:
         return {**given_, "measurement_budget": draw(st.integers(1, horizon + 1))}
     unit = draw(st.sampled_from([1, 1, 3]))
     prices = st.integers(1, 4).map(lambda price: unit * price)
-    cost = draw(st.lists(prices, min_size=horizon + 1, max_size=horizon + 1))
+    price = draw(st.lists(prices, min_size=horizon + 1, max_size=horizon + 1))
     total = draw(st.integers(1, 4 * unit * horizon))
-    return {**given_, "cost": tuple(cost), "total_cost": total, "smaller": draw(st.booleans())}
+    return {**given_, "price": tuple(price), "total_price": total, "smaller": draw(st.booleans())}
 
 
 @st.composite
@@ -235,7 +235,7 @@ def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurem
         if len(times) > 1:
             wanted = regular(feasible.horizon, len(times))
         distance = sum(abs(a - b) for a, b in zip(times, wanted, strict=True))
-        return -sum(feasible.cost[t] for t in times), -len(times), distance, times[::-1]
+        return -sum(feasible.price[t] for t in times), -len(times), distance, times[::-1]
 
     assert feasible.regular() == min(filter(None, every), key=rank)
 
@@ -251,7 +251,7 @@ def test_where_all_times_cost_the_same_regular_ones_are_those_of_as_many(
     number: int, given_: dict[str, Any], price: int
 ) -> None:
     left_over = price - 1
-    paid = Feasible(60, cost=(price,) * 61, total_cost=number * price + left_over, **given_)
+    paid = Feasible(60, price=(price,) * 61, total_price=number * price + left_over, **given_)
     assert paid.regular() == Feasible(60, number, **given_).regular()
 
 
@@ -312,14 +312,14 @@ def test_exchanges_lead_from_every_set_to_every_other(given_: dict[str, Any]) ->
 
 def test_regular_times_for_money_are_found_at_once_among_very_many() -> None:
     rng = np.random.default_rng(1)
-    feasible = Feasible(500, cost=tuple(rng.integers(1, 50, 501).tolist()), total_cost=3000)
+    feasible = Feasible(500, price=tuple(rng.integers(1, 50, 501).tolist()), total_price=3000)
     times = feasible.regular()
     assert feasible.accepts(times)
-    assert feasible.cost_of(times) == 3000
+    assert feasible.price_of(times) == 3000
 
 
 def test_those_nearest_to_a_time_that_costs_too_much_give_way_to_it() -> None:
-    feasible = Feasible(8, cost=(1, 1, 1, 1, 2, 1, 1, 1, 1), total_cost=3)
+    feasible = Feasible(8, price=(1, 1, 1, 1, 2, 1, 1, 1, 1), total_price=3)
     assert {neighbour for neighbour in feasible.exchanges((0, 3, 8)) if 4 in neighbour} == {
         (0, 4),
         (4, 8),
@@ -336,16 +336,19 @@ def test_many_sets_are_counted_exactly_and_drawn() -> None:
 
 BUDGET = {"measurement_budget": 3}
 IMPOSSIBLE = [
-    ({}, r"measurement_budget must be given, or cost and total_cost in its place$"),
-    (BUDGET | {"total_cost": 5}, r"given without .*, got measurement_budget and total_cost$"),
-    ({"cost": ()}, r"^total_cost must be given with cost$"),
-    ({"total_cost": 5}, r"^cost must be given with total_cost$"),
-    ({"cost": (1, 2), "total_cost": 5}, r"cost needs 11 values, one for each instant, got 2$"),
-    ({"cost": (0,) + (1,) * 10, "total_cost": 5}, r"cost must be above 0, got 0$"),
-    ({"cost": (3,) * 11, "total_cost": 2}, r"and the cheapest costs 3, got 2$"),
-    ({"cost": (3,) * 11, "total_cost": 5, "required": (1, 4)}, r"which cost 6, got 5$"),
-    ({"cost": (9999, *(10_000,) * 10), "total_cost": 99_999}, r"10,000 times .* rounder costs$"),
-    ({"forbidden": tuple(range(11)), "cost": (1,) * 11, "total_cost": 3}, r"leave a time, got all"),
+    ({}, r"measurement_budget must be given, or price and total_price in its place$"),
+    (BUDGET | {"total_price": 5}, r"given without .*, got measurement_budget and total_price$"),
+    ({"price": ()}, r"^total_price must be given with price$"),
+    ({"total_price": 5}, r"^price must be given with total_price$"),
+    ({"price": (1, 2), "total_price": 5}, r"price needs 11 values, one for each instant, got 2$"),
+    ({"price": (0,) + (1,) * 10, "total_price": 5}, r"price must be above 0, got 0$"),
+    ({"price": (3,) * 11, "total_price": 2}, r"and the cheapest has the price 3, got 2$"),
+    ({"price": (3,) * 11, "total_price": 5, "required": (1, 4)}, r"whose price is 6, got 5$"),
+    ({"price": (9999, *(10_000,) * 10), "total_price": 99_999}, r"10,000 times .* rounder prices$"),
+    (
+        {"forbidden": tuple(range(11)), "price": (1,) * 11, "total_price": 3},
+        r"leave a time, got all",
+    ),
     ({"measurement_budget": 12}, r"at most the number of instants, 11, got 12$"),
     ({"measurement_budget": 5, "minimum_spacing": 3}, r"at most 4, .* minimum_spacing = 3, got 5$"),
     ({"measurement_budget": 1, "required": (1, 2)}, r"at least 2, .* required times, got 1$"),
@@ -362,7 +365,7 @@ def test_what_is_impossible_is_said_in_a_sentence(given_: dict[str, Any], messag
 
 
 COUNTED = Feasible(10, 3, forbidden=(3, 4), required=(6,), minimum_spacing=2)
-PAID = replace(COUNTED, measurement_budget=None, cost=(2,) * 11, total_cost=7)
+PAID = replace(COUNTED, measurement_budget=None, price=(2,) * 11, total_price=7)
 
 
 @pytest.mark.parametrize(
@@ -372,7 +375,7 @@ PAID = replace(COUNTED, measurement_budget=None, cost=(2,) * 11, total_cost=7)
         (PAID, (6,), []),  # money that is left over breaks nothing
         (COUNTED, (0, 3, 6), ["forbidden: 3 is measured"]),
         (COUNTED, (5, 6, 7), ["minimum_spacing is 2, got 5 and 6, 6 and 7"]),
-        (PAID, (0, 6, 8, 10), ["total_cost is 7, got times that cost 8"]),
+        (PAID, (0, 6, 8, 10), ["total_price is 7, got times with the price 8"]),
         (
             COUNTED,
             (3, 4, 0, 9),

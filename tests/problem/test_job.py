@@ -69,7 +69,7 @@ def test_the_papers_job_is_the_papers_experiment():  # Paper, sections 2.4 and 3
     assert (genetic["sigma_scaling"], trials["evaluations"]) == (1.0, 50 * 25)
 
 
-COSTS = (
+PRICES = (
     "[1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3]",
     "{0-3=1, 4-9=2, 10=3}",
     "{'0:3'=1, '4:9'=2, 10=3}",
@@ -77,13 +77,13 @@ COSTS = (
 )
 
 
-@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("price", PRICES)
 @pytest.mark.parametrize("forbidden", ["'4-6', 8", "'4:6', '8'", "'4:8:2', 5", "'4:6, 8'"])
-def test_constraints_are_spelt_as_times_or_as_ranges(write, cost, forbidden):
-    lines = [f"forbidden = [{forbidden}]", "required = [3]", f"cost = {cost}", "total_cost = 7"]
+def test_constraints_are_spelt_as_times_or_as_ranges(write, price, forbidden):
+    lines = [f"forbidden = [{forbidden}]", "required = [3]", f"price = {price}", "total_price = 7"]
     problem = load_job(write("measurement_budget = 3", "\n".join(lines))).problem
     assert problem.feasible == Feasible(
-        10, None, (4, 5, 6, 8), (3,), cost=(1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3), total_cost=7
+        10, None, (4, 5, 6, 8), (3,), price=(1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3), total_price=7
     )
 
 
@@ -93,7 +93,7 @@ def test_a_search_is_named_after_its_method_unless_it_has_a_name(write):
 
 
 ONLINE = ", ".join(repr(name) for name in METHODS if name != "relaxation")
-PRICED = "problem={{horizon=10, total_cost=3, cost={}}}"
+PRICED = "problem={{horizon=10, total_price=3, price={}}}"
 BUDGET = "budget={least=2, most=4}"
 RELAXATION = "search=[{method='relaxation', polish=false}]"
 
@@ -154,11 +154,11 @@ MISTAKES = [
     ("problem.forbidden=['3:1']", r"problem\.forbidden must have ranges .* got '3:1' "),
     ("problem.required=['3-1']", r"required must have ranges .* got '3-1' "),
     ("problem.forbidden=['8-11']", r"forbidden must .* 0\.\.10, got 11 "),
-    (PRICED.format("2"), r"problem\.cost must be a list or a section, got 2 "),
-    (PRICED.format("['2']"), r"problem\.cost must be a number, got '2' "),
+    (PRICED.format("2"), r"problem\.price must be a list or a section, got 2 "),
+    (PRICED.format("['2']"), r"problem\.price must be a number, got '2' "),
     (PRICED.format("{'0-9'=1}"), r"once, got none for 10"),
     (PRICED.format("{'0-9'=1, 9=2}"), r"once, got 9 twice"),
-    (PRICED.format("{'0-11'=1}"), r"^problem\.cost must .* once, got 11 for a horizon"),
+    (PRICED.format("{'0-11'=1}"), r"^problem\.price must .* once, got 11 for a horizon"),
     ("search.random.name=regular", r"names must not be 'regular', .* got 'regular' "),
     ("search.random.name=reference", r"names must not be 'regular', .* got 'reference' "),
     ("search.random.name=genetic", r"search names must be unique, got 'genetic' twice"),

@@ -14,8 +14,8 @@ PROBLEMS: list[dict[str, Any]] = [
     {"horizon": 10, "measurement_budget": 4, "minimum_spacing": 2, "forbidden": (3, 4)},
     {"horizon": 10, "measurement_budget": 4, "forbidden": (0, 7), "required": (5,)},
     {"horizon": 10, "measurement_budget": 3, "minimum_spacing": 3, "required": (2, 8)},
-    {"horizon": 8, "cost": (1, 2, 3, 1, 2, 3, 1, 2, 3), "total_cost": 7},
-    {"horizon": 8, "cost": (1,) * 4 + (3,) * 5, "total_cost": 8, "minimum_spacing": 2},
+    {"horizon": 8, "price": (1, 2, 3, 1, 2, 3, 1, 2, 3), "total_price": 7},
+    {"horizon": 8, "price": (1,) * 4 + (3,) * 5, "total_price": 8, "minimum_spacing": 2},
 ]
 
 
@@ -72,7 +72,7 @@ def test_a_required_time_that_was_missed_is_left_out() -> None:
 
 
 def test_without_money_nothing_is_left() -> None:
-    feasible = Feasible(3, cost=(2, 2, 3, 3), total_cost=5)
+    feasible = Feasible(3, price=(2, 2, 3, 3), total_price=5)
     assert rest_of(feasible, (0, 2), 3) is None
     rest = rest_of(feasible, (0,), 1)
     assert rest is not None
@@ -80,7 +80,7 @@ def test_without_money_nothing_is_left() -> None:
 
 
 def test_where_smaller_sets_are_feasible_nothing_more_needs_to_be_measured() -> None:
-    feasible = Feasible(3, cost=(2, 2, 3, 3), total_cost=5, smaller=True)
+    feasible = Feasible(3, price=(2, 2, 3, 3), total_price=5, smaller=True)
     assert rest_of(feasible, (), 0) == feasible
     rest = rest_of(feasible, (0,), 1)
     assert rest is not None

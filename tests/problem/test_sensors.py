@@ -19,7 +19,7 @@ LIMITED = replace(
     FREE, limits=(Limit(most=1), Limit(spacing=Spacing.constant(2, 4))), forbidden=(3,)
 )
 PRICED = Feasible(
-    4, None, minimum_spacing=0, clock=CLOCK, cost=(1, 3) * 5, total_cost=5, cheapest=0
+    4, None, minimum_spacing=0, clock=CLOCK, price=(1, 3) * 5, total_price=5, cheapest=0
 )
 LIMITED_MONEY = replace(PRICED, limits=(Limit(most=2), Limit()), smaller=True)
 
@@ -40,7 +40,7 @@ def _by_definition(feasible: Feasible, times: tuple[int, ...]) -> bool:
             return False
     if feasible.counted:
         return len(times) == feasible.total
-    return sum((1, 3)[s] for _, s in pairs) <= (feasible.total_cost or 0)
+    return sum((1, 3)[s] for _, s in pairs) <= (feasible.total_price or 0)
 
 
 ALL = [times for size in range(6) for times in combinations(range(10), size)]
@@ -52,7 +52,7 @@ EACH = {
     "limited money": LIMITED_MONEY,
     "limited money, one sensor at a time": replace(LIMITED_MONEY, minimum_spacing=1),
     "limited money, all apart": replace(
-        LIMITED_MONEY, minimum_spacing=2, limits=(Limit(most=2), Limit(most=1)), total_cost=6
+        LIMITED_MONEY, minimum_spacing=2, limits=(Limit(most=2), Limit(most=1)), total_price=6
     ),
     "spaced money, one sensor at a time": replace(
         LIMITED_MONEY, minimum_spacing=1, limits=(Limit(spacing=Spacing.constant(2, 4)), Limit())

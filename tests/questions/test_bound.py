@@ -116,7 +116,7 @@ def test_where_measurements_cost_money_it_lies_below_the_optimum(
     small_job: Job, tmp_path: Path, costs: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text, money = small_job.path.read_text(), 6 * min(costs) + 2
-    priced = text.replace("measurement_budget = 4", f"total_cost = {money}\ncost = {costs}")
+    priced = text.replace("measurement_budget = 4", f"total_price = {money}\ncost = {costs}")
     small_job.path.write_text(priced)
     job = load_job(small_job.path, [*QUICK, *EXACT])
     run, optimum = pfdist.run(job, tmp_path / "run", figures=False).path, _optimum(job)
@@ -172,7 +172,7 @@ CHANGES = {
     [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SHIPPED],
 )
 def test_every_model_that_ships_has_a_bound(name: str, tmp_path: Path) -> None:
-    budget = "total_cost" if name == "two_compartments" else "measurement_budget"
+    budget = "total_price" if name == "two_compartments" else "measurement_budget"
     few = [f"problem.{budget}=4", "comparison.draws=100", "execution.pool=serial"]
     few += CHANGES.get(name, ["problem.horizon=12"])
     job = load_job(JOBS / f"{'plan' if name == 'ungm' else name}.toml", few)

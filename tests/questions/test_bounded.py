@@ -107,11 +107,11 @@ def test_a_job_is_checked_at_its_own_regular_times() -> None:
 
 def test_the_sensors_of_a_job_are_filtered_together_and_once() -> None:
     system = ThreeSensors(0.4, 0.95, 0.5, ((1, 0), (0, 1), (1, 1)), (0.6, 0.5, 0.7))
-    costs: dict[str, Any] = {name: {"cost": cost} for name, cost in zip(
+    costs: dict[str, Any] = {name: {"price": cost} for name, cost in zip(
         ("near", "far", "both"), (1, 2, 3), strict=True
     )}  # fmt: skip
     problem = Problem(
-        system.as_model(), horizon=HORIZON, total_cost=9, sensors=costs, particles=2000
+        system.as_model(), horizon=HORIZON, total_price=9, sensors=costs, particles=2000
     )
     table = pfdist.check_model(problem)
     names = table["check"].tolist()

@@ -164,12 +164,12 @@ def test_ranges_arrays_and_mappings_may_stand_for_numbers() -> None:
     assert problem(measurement_budget=3, times=range(25)).clock.times == tuple(range(25))
     weights = problem(measurement_budget=3, horizon=3, instant_weights=range(4)).weights
     assert weights == (0.0, 2 / 3, 4 / 3, 2.0)
-    for cost, costs in (
+    for price, prices in (
         (range(1, 5), (1, 2, 3, 4)),
         (np.ones(4, int), (1, 1, 1, 1)),
         ({0: 1, "1-3": 2}, (1, 2, 2, 2)),
     ):
-        assert problem(horizon=3, total_cost=9, cost=cost).feasible.cost == costs
+        assert problem(horizon=3, total_price=9, price=price).feasible.price == prices
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_ranges_arrays_and_mappings_may_stand_for_numbers() -> None:
     [
         (lambda: Problem("ungm", **SHORT, forbidden=range(-5, 0)), r"must lie in 0\.\.10, got -5"),
         (
-            lambda: Problem("ungm", horizon=3, total_cost=4, cost={-1: 1, "0-3": 1}),
+            lambda: Problem("ungm", horizon=3, total_price=4, price={-1: 1, "0-3": 1}),
             r"name every time in 0\.\.3 once, got -1 for a horizon of 3",
         ),
         (lambda: Problem("ungm", **SHORT).job(filter={}), "got 'filter': all else is an argument"),

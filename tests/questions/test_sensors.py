@@ -123,9 +123,9 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     A clock has a unit, and the answer names it. The bound knows the spacing, and no limit.
     """
     system = SYSTEMS[3]
-    sensors = {key: {"cost": 1, "most": 1} for key in NAMES}
+    sensors = {key: {"price": 1, "most": 1} for key in NAMES}
     problem = _problem(
-        system, sensors=sensors, measurement_budget=None, total_cost=3, minimum_spacing=4,
+        system, sensors=sensors, measurement_budget=None, total_price=3, minimum_spacing=4,
         time_step=1, time_unit="h",
     )  # fmt: skip
     few = ("comparison.draws=50",)
@@ -230,10 +230,13 @@ def test_a_mistake_in_a_table_names_its_row(rows: str, said: str, tmp_path: Path
     [
         ({"sensors": ["far", "near", "both"]}, "must name the sensors of the model"),
         ({"sensors": ["near"]}, "must be the names of two sensors or more"),
-        ({"measurement_budget": None, "total_cost": 4}, "sensors.near.cost must be given"),
-        ({"cost": [1] * 13}, "cost must be left out with sensors"),
+        ({"measurement_budget": None, "total_price": 4}, "sensors.near.price must be given"),
+        ({"price": [1] * 13}, "price must be left out with sensors"),
         ({"sensors": {"near": {"most": 0}, "far": {}, "both": {}}}, "sensors.near.most must be"),
-        ({"sensors": {"near": {"cost": "dear"}, "far": {}, "both": {}}}, "sensors.near.cost must"),
+        (
+            {"sensors": {"near": {"price": "dear"}, "far": {}, "both": {}}},
+            "sensors.near.price must",
+        ),
         ({"sensors": {"near": {"forbidden": 3}, "far": {}, "both": {}}}, "near.forbidden must be"),
         ({"required": [3]}, "must name times and then their sensor"),
         ({"measurement_budget": 40}, "at most the number of possible measurements, 39"),

@@ -499,7 +499,7 @@ def test_affordable_times_have_losses_where_a_filter_is_wrong(
     small_job: Job, tmp_path: Path
 ) -> None:
     """A filter that trusts its sensor too much needs few times; the right filter needs more."""
-    problem = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    problem = {"horizon": 5, "price": [1, 2] * 3, "total_price": 5}
     model = {"name": "random_walk", "parameters": {"measurement_sd": 6.0, "initial_sd": 2.0}}
     search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
     job = small_job.with_changes(sections={"problem": problem, "model": model, "search": search})

@@ -47,7 +47,7 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("evaluate", (PROBLEM, [0, 99]), {}),
     ("evaluate", (PROBLEM, [0.5]), {}),
     ("evaluate", (PROBLEM, range(10**9)), {}),
-    ("Problem", ("ungm",), {"horizon": 12, "total_cost": 3.0, "cost": range(10**9)}),
+    ("Problem", ("ungm",), {"horizon": 12, "total_price": 3.0, "price": range(10**9)}),
     ("evaluate", (PROBLEM, [0]), {"seed": -1}),
     ("particle_losses", (PROBLEM, (50, 0)), {}),
     ("particle_losses", (PROBLEM, ("auto",)), {}),

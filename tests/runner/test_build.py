@@ -66,7 +66,7 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     small_job: Job, tmp_path: Path, believed: dict[str, float], smaller: bool
 ) -> None:
     """To a filter that trusts its sensor too much, further measurements do harm."""
-    constraints: dict[str, Any] = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    constraints: dict[str, Any] = {"horizon": 5, "price": [1, 2] * 3, "total_price": 5}
     truth = {"name": "random_walk", "parameters": {"step_sd": 1.0}, "filter": {}}
     truth["filter"] = {"parameters": believed | ({"measurement_sd": 0.2} if smaller else {})}
     truth["parameters"] |= {"measurement_sd": 6.0, "initial_sd": 2.0}

@@ -51,7 +51,7 @@ search.evaluation.particles = 20
 [execution]
 pool = "serial"
 """
-PRICES = f"problem={{horizon={HORIZON}, total_cost=7, cost={[1, 2] * 6 + [1]}}}"
+PRICES = f"problem={{horizon={HORIZON}, total_price=7, price={[1, 2] * 6 + [1]}}}"
 CONSTRAINTS = {
     "spacing": ["problem.minimum_spacing=2"],
     "forbidden": ["problem.forbidden=[3, 7]"],
@@ -121,7 +121,7 @@ def test_the_times_of_each_draw_keep_to_the_constraints(
     feasible = constrained.problem.feasible
     assert all(feasible.accepts(tuple(times)) for times in rows["measurement_times"])
     if constraint == "costs":
-        assert max(feasible.cost_of(tuple(times)) for times in rows["measurement_times"]) <= 7
+        assert max(feasible.price_of(tuple(times)) for times in rows["measurement_times"]) <= 7
 
 
 def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(

@@ -71,7 +71,7 @@ def test_one_group_holds_exact_errors(sums: Sums) -> None:
 
 def test_sets_bought_with_money_have_the_bound_of_all_of_the_money() -> None:
     """However many times they have: each of them may spend what any of them spends."""
-    constraints = Constraints(2, cost=(2, 1, 1), total_cost=2)
+    constraints = Constraints(2, price=(2, 1, 1), total_price=2)
     relaxation, rng = relaxation_with(constraints, 4, 3), np.random.default_rng(4)
     sets = [(0,), (1, 2)]
     relaxed = rng.gamma(4.0, size=(1, int(relaxation.offsets[-1])))

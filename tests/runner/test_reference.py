@@ -16,7 +16,7 @@ from pfdist.results.sets import described
 
 SHORT = ["search.genetic.generations=1", "search.random.evaluations=3", "comparison.draws=60"]
 COUNTED = {"horizon": 12, "measurement_budget": 4}
-PAID = {"horizon": 12, "cost": [1] * 6 + [2] * 7, "total_cost": 7}
+PAID = {"horizon": 12, "price": [1] * 6 + [2] * 7, "total_price": 7}
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_with_costs_it_spends_all_and_says_so(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = small_job.path
-    cost = "cost = {'0-5' = 1, '6-12' = 2}\ntotal_cost = 7"
+    cost = "price = {'0-5' = 1, '6-12' = 2}\ntotal_price = 7"
     path.write_text(path.read_text().replace("measurement_budget = 4", cost))
     pfdist.run(pfdist.load_job(path, SHORT), tmp_path / "run", figures=False)
     assert main(["status", str(tmp_path / "run"), "--verbose"]) == 0

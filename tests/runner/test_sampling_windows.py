@@ -63,7 +63,7 @@ def _brute_force(built: Built, times: Times) -> dict[tuple[int, int], float]:
 
 
 CONSTRAINED = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=2"]
-PRICED = "problem={horizon=12, cost=[1,1,2,1,1,1,1,3,1,1,1,1,1], total_cost=4}"
+PRICED = "problem={horizon=12, price=[1,1,2,1,1,1,1,3,1,1,1,1,1], total_price=4}"
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def _found(search: StateSpaceRelaxation, model: StateSpaceModel) -> float:
 
 def _priced(total: int) -> Feasible:
     cost = tuple(np.random.default_rng(1).integers(101, 997, 25).tolist())
-    return Feasible(24, cost=cost, total_cost=total)
+    return Feasible(24, price=cost, total_price=total)
 
 
 def test_money_is_counted_in_as_many_units_as_a_programme_may_have() -> None:

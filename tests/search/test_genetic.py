@@ -126,7 +126,7 @@ def test_a_pair_is_crossed_with_its_probability_and_by_default_always(
 
 def test_where_smaller_sets_are_feasible_a_gene_is_replaced_removed_or_added() -> None:
     """Each with a probability of a third, for the one gene of each individual."""
-    feasible = Feasible(20, cost=(1,) * 21, total_cost=20, smaller=True)
+    feasible = Feasible(20, price=(1,) * 21, total_price=20, smaller=True)
     genetic = _genetic(feasible=feasible, population=6000, mutation_probability=0.6)
     state = genetic.tell(genetic.init(), [_evaluation((8,), 1.0)] * 6000)
     population = [each.measurement_times for each in genetic.ask(state, _rng())]

@@ -28,9 +28,9 @@ CONSTRAINED = {
     "required": Feasible(HORIZON, BUDGET, required=(6, 7)),
     "spaced": Feasible(HORIZON, BUDGET, minimum_spacing=3),
     "together": Feasible(HORIZON, BUDGET, forbidden=(1, 2), required=(10,), minimum_spacing=2),
-    "money": Feasible(HORIZON, cost=PRICES, total_cost=8),
+    "money": Feasible(HORIZON, price=PRICES, total_price=8),
     "money together": Feasible(
-        HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
+        HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, price=PRICES, total_price=7
     ),
 }
 Tell = Callable[[list[Candidate]], Sequence[Evaluation]]
@@ -97,8 +97,8 @@ def test_with_money_it_evaluates_feasible_sets_alone(model: StateSpaceModel, uni
         feasible = Feasible(
             HORIZON,
             minimum_spacing=spacing,
-            cost=tuple(rng.integers(1, 9, HORIZON + 1).tolist()),
-            total_cost=17,
+            price=tuple(rng.integers(1, 9, HORIZON + 1).tolist()),
+            total_price=17,
         )
         start = replace(relaxation_with(feasible, 2, 6), unit=unit)
         search = StateSpaceRelaxation(feasible, DRAWS, start=start)

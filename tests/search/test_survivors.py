@@ -28,11 +28,11 @@ PROBLEMS = {
     "spacing": Feasible(12, 4, minimum_spacing=3),
     "tight": Feasible(12, 5, minimum_spacing=3),
     "together": Feasible(14, 5, forbidden=(1, 2, 8), required=(10,), minimum_spacing=2),
-    "one price": Feasible(12, cost=(2,) * 13, total_cost=9),
-    "dearer": Feasible(12, cost=EARLY_IS_CHEAP, total_cost=7),
-    "mixed": Feasible(12, cost=OFTEN_DEAR, total_cost=8),
+    "one price": Feasible(12, price=(2,) * 13, total_price=9),
+    "dearer": Feasible(12, price=EARLY_IS_CHEAP, total_price=7),
+    "mixed": Feasible(12, price=OFTEN_DEAR, total_price=8),
     "all": Feasible(
-        12, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=OFTEN_DEAR, total_cost=9
+        12, None, forbidden=(2,), required=(8,), minimum_spacing=2, price=OFTEN_DEAR, total_price=9
     ),
 }
 Cost = Callable[[Times, int], float]
@@ -109,7 +109,7 @@ def test_of_all_that_end_at_one_time_and_cost_the_same_two_are_extended(problem:
 @pytest.mark.parametrize("smaller", [True, False])
 def test_no_measurement_is_too_late_only_where_money_may_be_left_over(smaller: bool) -> None:
     """Twenty measurements fit into 41 instants, so the second should lie near t = 3."""
-    search = Survivors(Feasible(40, cost=(1,) * 41, total_cost=20, smaller=smaller))
+    search = Survivors(Feasible(40, price=(1,) * 41, total_price=20, smaller=smaller))
     steps = _steps(search, lambda times, end: float(len(times)))
     (_, state), (asked, _) = next(steps), next(steps)
     assert {times[-1] for times in state.front} == set(range(search.init().largest_gap))

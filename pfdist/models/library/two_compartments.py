@@ -71,9 +71,9 @@ model = StateSpaceModel(
     initial_noise=("normal",),
     process_noise=("normal", "normal"),
     sensors={
-        "immunoassay": Sensor(immunoassay, log_likelihood_of_immunoassay, ("normal",), cost=1),
+        "immunoassay": Sensor(immunoassay, log_likelihood_of_immunoassay, ("normal",), price=1),
         "chromatography": Sensor(
-            chromatography, log_likelihood_of_chromatography, ("normal",), cost=2
+            chromatography, log_likelihood_of_chromatography, ("normal",), price=2
         ),
     },
     parameters={
