@@ -4,8 +4,7 @@ The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
 `online_shares`, `particle_losses`, `sampling_windows`, `searches`, `shifts`, `times`,
 `uncertainty` and `worth` each draw one panel: of a run, or of tables, into ``ax``, or into a new
-figure of pyplot. They return the axes. So do `against`, `heat_map` and `found_times`, which draw a
-table of many runs.
+figure of pyplot. They return the axes. So does `against`, which draws a table of many runs.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """
@@ -18,7 +17,7 @@ from pfdist.pages.gains import gain, one_draw
 from pfdist.pages.measurements import sampling_windows, shifts, worth
 from pfdist.pages.online import online_gain, online_raster, online_shares
 from pfdist.pages.searches import comparison, searches
-from pfdist.pages.sweeps import against, found_times, heat_map
+from pfdist.pages.sweeps import against
 from pfdist.pages.times_axis import times, uncertainty
 from pfdist.pages.why import degenerate_draws, effective_sample_size, error_profile, particle_losses
 
@@ -37,9 +36,7 @@ __all__ = [
     "effective_sample_size",
     "error_profile",
     "filtered_plot",
-    "found_times",
     "gain",
-    "heat_map",
     "one_draw",
     "online_gain",
     "online_raster",

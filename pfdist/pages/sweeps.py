@@ -1,4 +1,4 @@
-"""Figures of many runs: a result against a key, a heat map over two keys, and the found times."""
+"""The figure of many runs: a result against a key of their jobs."""
 
 import math
 from dataclasses import replace
@@ -6,14 +6,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib import colormaps, rcParams
 from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
 from matplotlib.transforms import ScaledTranslation
 
 from pfdist.common.dotted_keys import short_names
-from pfdist.common.formatted_times import times_of
-from pfdist.common.rounding import with_interval
 from pfdist.errors import ArgumentError, shown
 from pfdist.pages.panel import (
     Points,
@@ -21,11 +17,8 @@ from pfdist.pages.panel import (
     chosen,
     clipped,
     cut_outliers,
-    height_of_rows,
-    label_instants,
     legend_above,
     marker,
-    minus,
     points,
     table_of,
     thin,
@@ -33,7 +26,6 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, SERIES
-from pfdist.pages.times_axis import times
 from pfdist.results.studies import (
     SEED,
     SET,
@@ -41,25 +33,21 @@ from pfdist.results.studies import (
     averages,
     columns_of,
     formatted_point,
-    in_order,
     is_numeric,
     still_varying,
     values_of,
 )
-from pfdist.results.table_cells import formatted_value, is_missing, keys_of
+from pfdist.results.table_cells import formatted_value, keys_of
 
 MOST_LINES = 20  # more could not be told apart
-ROW_OF_MAP = 0.3  # inches
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
 _PARTS = (slice(1), slice(1, None))  # values that colours tell apart, and dashes
 _BESIDE = 2.5  # points between two lines at one value
 _LONGEST_LABEL, _LONGEST_TEXT = 42, 16  # letters
 _MOST_TICKS, _CLOSEST = 8, 0.08  # ticks at the values, and their least distance over the axis
-_SHADES = colormaps["cividis"].resampled(64)  # even in lightness, so also in grey print
 _BEST = "best times"
-_DARK, _LIGHT = "#111111", "#fafafa"  # of texts on cells; a page changes black and white
-_PER_CENT = ("gain_of_means", "mean_relative_gain", "positive_fraction", "loss", "bound_gap",
+_PER_CENT = ("gain_of_means", "mean_relative_gain", "positive_fraction", "regret", "bound_gap",
              "bound_gap_at_most")  # fmt: skip
 Line = tuple[tuple[Any, ...], list[Average]]
 
@@ -69,7 +57,6 @@ def against(
     key: str | None = None,
     value: str = "expected_mse",
     *,
-    group: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw a result of many runs against a key of their jobs, with 95 % intervals.
@@ -77,22 +64,19 @@ def against(
     Runs that differ in their seeds alone are replicates: small points, and a line through their
     means, with the interval of the mean by Student's t. Where no runs differ in their seeds alone,
     the interval is that of the run. There is a line for each combination of values of the other
-    keys and sets; lines stand a little beside each other. The expected MSE of the references is
-    dashed and grey.
+    keys and sets; lines stand a little beside each other. The first of these that varies has
+    colours. The expected MSE of the references is dashed and grey.
 
     Parameters
     ----------
     table : DataFrame
-        As `pfdist.table` gives it, or an object with such a method ``table``, as what
-        `pfdist.sweep` returns.
+        As `pfdist.table` or `Sweep.judged` gives it, or an object with such a method ``table``, as
+        what `pfdist.sweep` returns.
     key : str, optional
         A column with a key in which the jobs differ; by default the first other than seed. Values
         that are no numbers are categories.
     value : str
-        A column with a result. Gains, fractions and gaps are drawn in per cent.
-    group : str, optional
-        The key, or ``set``, whose values have colours; by default the set if there are several,
-        else the next differing key.
+        A column with a result. Gains, fractions, gaps and regrets are drawn in per cent.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -107,10 +91,16 @@ def against(
     ArgumentError
         There are more than 20 lines.
     """
-    frame = _runs(table)
-    key, value = _key(frame, key, "key"), _result(frame, value)
-    first = [] if group is None else [_key(frame, group, "group", SET)]
-    names = [name for name in (*first, *still_varying(frame, [key, *first])) if name != key]
+    frame = table_of(table, "table", "table")
+    for name in ("run", SET):
+        if name not in frame.columns:
+            raise ArgumentError(
+                "table must be a table of runs as pfdist.table gives it, but lacks the column "
+                f"{name}",
+                argument="table",
+            )
+    key, value = _key(frame, key), _result(frame, value)
+    names = still_varying(frame, [key])
     lines = _lines(frame, [key, *names], value)
     if len(lines) > MOST_LINES:
         raise ArgumentError(
@@ -129,7 +119,7 @@ def against(
         colour = SERIES[shade % len(SERIES)]
         style = {
             "color": colour, "mfc": "white" if dash else colour, "ls": _DASHES[dash % len(_DASHES)],
-            "marker": _MARKERS[(shade + shade // len(SERIES)) % len(_MARKERS)],
+            "marker": _MARKERS[shade % len(_MARKERS)],
             "label": clipped(formatted_point(names, at, keys_of(frame)) or _BEST, _LONGEST_LABEL),
         }  # fmt: skip
         aside = _BESIDE * (number - (len(lines) - 1) / 2)
@@ -144,158 +134,17 @@ def against(
     return ax
 
 
-def heat_map(
-    table: pd.DataFrame | Any,
-    x: str | None = None,
-    y: str | None = None,
-    value: str = "gain_of_means",
-    *,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw a result of many runs as a heat map over two keys of their jobs, with the numbers.
-
-    Runs that differ in their seeds alone are averaged. A number has the digits that its 95 %
-    interval allows. Cells without a result are hatched.
-
-    Parameters
-    ----------
-    table : DataFrame
-        As `pfdist.table` gives it, or an object with such a method ``table``, as what
-        `pfdist.sweep` returns. It has one set, and one value of each key other than `x`, `y` and
-        the seed: select rows.
-    x, y : str, optional
-        Columns with keys in which the jobs differ; by default the first two other than seed.
-    value : str
-        A column with a result. Gains, fractions and gaps are drawn in per cent.
-    ax : matplotlib Axes, optional
-        By default those of a new figure. The bar of colours takes some of their room.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    JobError
-        The table lacks a column.
-    ArgumentError
-        The two keys are one, or rows differ in more than them and the seed.
-    """
-    frame = _runs(table)
-    x = _key(frame, x, "x")
-    y, value = _key(frame, y, "y", without=x), _result(frame, value)
-    if x == y:
-        raise ArgumentError(f"x and y must be different keys, got {shown(x)} twice", argument="y")
-    if others := still_varying(frame, [x, y]):
-        several = values_of(frame, others[0])
-        raise ArgumentError(
-            f"the table must have one value of {others[0]}, got {len(several)}: select rows, as "
-            f"table[table[{shown(others[0])}] == {shown(several[0])}]",
-            argument="table",
-        )
-    across, down, results = values_of(frame, x), values_of(frame, y), averages(frame, [x, y], value)
-    cells = np.full((len(down), len(across)), np.nan)
-    places = [(down.index(each.point[1]), across.index(each.point[0])) for each in results]
-    for place, each in zip(places, results, strict=True):
-        cells[place] = _factor(value) * each.mean
-    ax = axes_for(ax, height_of_rows(len(down), ROW_OF_MAP))
-    if not np.isfinite(cells).any():
-        return write_instead(ax, "no result is finite")
-    mesh = ax.pcolormesh(np.ma.masked_invalid(cells), cmap=_SHADES, edgecolors="face", lw=0.1)
-    bar = ax.figure.colorbar(mesh, ax=ax, label=_label(value), use_gridspec=False)
-    bar.outline.set_visible(False)
-    short = short_names(keys_of(frame))
-    for axis, name, values in ((ax.xaxis, x, across), (ax.yaxis, y, down)):
-        axis.set_label_text(verbatim(short[name]))
-        axis.set_ticks(np.arange(len(values)) + 0.5, [verbatim(_text(each)) for each in values])
-    ax.tick_params(length=0)
-    ax.spines[["left", "bottom"]].set_visible(False)
-    is_light = np.asarray(mesh.norm(np.ma.masked_invalid(cells))) > 0.5
-    intervals = np.array([(each.mean, each.low, each.high) for each in results])
-    texts = [minus(with_interval(*numbers)[0]) for numbers in _factor(value) * intervals]
-    inches = ax.get_window_extent().width / ax.figure.dpi / len(across)
-    size = min(rcParams["font.size"], 90 * inches / (1 + max(map(len, texts))))
-    for (row, column), text in zip(places, texts, strict=True):
-        if size > 0.55 * rcParams["font.size"] and np.isfinite(cells[row, column]):
-            colour = _DARK if is_light[row, column] else _LIGHT
-            ax.text(column + 0.5, row + 0.5, text, ha="center", va="center", size=size, c=colour)
-    if not np.isfinite(cells).all():
-        hatched = Rectangle((0, 0), 1, 1, transform=ax.transAxes, fill=False, hatch="////")
-        ax.add_patch(hatched).set(edgecolor=GREY, lw=0, zorder=0)
-    return ax
-
-
-def found_times(
-    table: pd.DataFrame | Any, *, horizon: float | None = None, ax: Axes | None = None
-) -> Axes:
-    """Draw the found times of many runs, a row for each run and set, on one clock.
-
-    A row is labelled with the values in which the runs differ. Where there is no room for all
-    labels, the vertical axis says which are left out.
-
-    Parameters
-    ----------
-    table : DataFrame
-        As `pfdist.table` gives it, or an object with such a method ``table``, as what
-        `pfdist.sweep` returns.
-    horizon : int or float, optional
-        The last instant T, or time of the clock; by default the last measurement time.
-    ax : matplotlib Axes, optional
-        By default those of a new figure.
-
-    Returns
-    -------
-    matplotlib Axes
-    """
-    frame = _runs(table, "measurement_times")
-    keys = keys_of(frame)
-    names = [*(key for key in keys if key != SEED), SET, *({SEED} & {*keys})]
-    names = [name for name in names if len(values_of(frame, name)) > 1] or ["run"]
-    rows = {}
-    for row in in_order(frame, names):
-        if not is_missing(row["measurement_times"]):
-            label = ", ".join(_text(row[name]) for name in names)
-            rows[f"{label}, {row['run']}" if label in rows else label] = row["measurement_times"]
-    if not rows:
-        return write_instead(axes_for(ax), "no run has found times")
-    ax = times(rows, horizon=horizon, ax=ax)
-    short, left_out = short_names(keys), ax.get_ylabel()
-    ax.set_ylabel(
-        "\n".join([verbatim(", ".join(short.get(n, n) for n in names)), left_out]).strip()
-    )
-    whole = all(t == int(t) for at in rows.values() for t in times_of(at))
-    label_instants(ax, frame.attrs.get("time_unit", ""), whole=whole)
-    return ax
-
-
-def _runs(table: pd.DataFrame | Any, *columns: str) -> pd.DataFrame:
-    """The table of runs; an error names the first of its columns that it lacks."""
-    frame = table_of(table, "table", "table")
-    for name in ("run", SET, *columns):
-        if name not in frame.columns:
-            raise ArgumentError(
-                f"table must be a table of runs as pfdist.table gives it, but lacks the column "
-                f"{name}",
-                argument="table",
-            )
-    return frame
-
-
-def _key(
-    frame: pd.DataFrame, key: str | None, argument: str, *others: str, without: str = ""
-) -> str:
-    """The column with this key; by default the first in which jobs differ, other than `without`."""
+def _key(frame: pd.DataFrame, key: str | None) -> str:
+    """The column with this key; by default the first in which the jobs differ."""
     keys = keys_of(frame)
     if key is not None:
-        return chosen(key, [*keys, *others], argument)
-    for name in columns_of(frame) if without else (*columns_of(frame), *keys):
-        if name in keys and name not in (SEED, without):
+        return chosen(key, keys, "key")
+    for name in (*columns_of(frame), *keys):
+        if name in keys and name != SEED:
             return name
-    which, but = ("a second key", f"beside {without} they") if without else ("a key", "they")
     raise ArgumentError(
-        f"{argument} must be {which} in which the jobs differ, but {but} differ in none but the "
-        "seed",
-        argument=argument,
+        "key must be a key in which the jobs differ, but they differ in none but the seed",
+        argument="key",
     )
 
 

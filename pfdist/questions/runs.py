@@ -7,12 +7,18 @@ from typing import Any
 import pandas as pd
 
 from pfdist.common.dotted_keys import short_names
-from pfdist.common.formatted_times import formatted_age, formatted_seconds, formatted_size
+from pfdist.common.formatted_times import (
+    formatted_age,
+    formatted_seconds,
+    formatted_size,
+    formatted_times,
+)
 from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.percent import times_100
-from pfdist.common.rounding import rounded
+from pfdist.common.rounding import rounded, with_interval
 from pfdist.errors import one_line
 from pfdist.problem.sweep import parts_that_pay
+from pfdist.results.judged import REGRET, least_regret
 from pfdist.results.listed_run import FINISHED
 from pfdist.results.studies import is_numeric
 from pfdist.results.table_cells import formatted_gain, formatted_mse, formatted_value, keys_of
@@ -46,6 +52,20 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
         Cell(formatted_gain(row)),
         Cell(formatted_seconds(seconds), seconds),
     ]
+
+
+def least_regret_text(judged: pd.DataFrame) -> str:
+    """Name the plan of least regret of a sweep, as `Sweep.judged` gives its table."""
+    worst = least_regret(judged)
+    if worst is None:
+        return "No plan has a regret at every point."
+    times = formatted_times(worst["measurement_times"], judged.attrs.get("time_unit", ""))
+    value, low, high = with_interval(*(times_100(worst[name]) for name in REGRET))
+    interval = f" (95 % CI {low} to {high})" if worst["regret_low"] < worst["regret_high"] else ""
+    return one_line(
+        f"Plan of least regret: {times} ({worst['set']} at {worst['found_at']}). Its largest "
+        f"regret is {value} %{interval}, at {worst['run']}."
+    )
 
 
 def value_cell(value: Any) -> Cell:

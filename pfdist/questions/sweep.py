@@ -8,7 +8,7 @@ from typing import Any, Unpack
 import pandas as pd
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.parts import Page
+from pfdist.common.parts import Page, Section, Text
 from pfdist.common.section import checked
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.problem.job import Job
@@ -20,7 +20,7 @@ from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.points_at_work import Points, PointsAtWork
 from pfdist.questions.report import try_report
-from pfdist.questions.runs import records, table_page
+from pfdist.questions.runs import least_regret_text, records, table_page
 from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.judged import JUDGED, judged_table, times_by_search
@@ -69,11 +69,17 @@ class Sweep:
         return self.path, *([self.path / REPORT] if has_report(self.path) else [])
 
     def as_json(self) -> dict[str, Any]:
-        """The table of all runs, as values for JSON."""
-        return {"rows": records(self.table()) if self.runs else []}
+        """The table of all runs, and that of the judged times, as values for JSON."""
+        return {
+            "rows": records(self.table()) if self.runs else [],
+            "judged": records(self.judged()) if self.judges else [],
+        }
 
     def _page(self) -> Page:
         page = table_page(self.table()) if self.runs else Page("", "no point is finished", [])
+        if self.judges:
+            least = Text(least_regret_text(self.judged()), prominent=True)
+            page = replace(page, sections=[*page.sections, Section("", [least])])
         busy = [f"other processes compute {', '.join(self.busy)}"] if self.busy else []
         return replace(page, warnings=busy)
 
@@ -86,9 +92,10 @@ class Sweep:
             A row for each point and each set of times found at any point. The columns are those of
             `pfdist.table`; ``run`` is the point at which the times are judged, and ``set`` the
             search that found them. Further columns are ``found_at``, the point where they were
-            found, and ``loss`` with ``loss_low`` and ``loss_high``, its 95 % interval: how much
-            higher the expected MSE is than with the times that this search found at the judging
-            point, as a fraction.
+            found, and ``regret`` with ``regret_low`` and ``regret_high``, its 95 % interval: how
+            far the expected MSE lies above that of the best times found at any point, as a
+            fraction. It is NaN for times that are not feasible at the judging point, or are not as
+            many as those found there.
 
         Raises
         ------

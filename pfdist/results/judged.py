@@ -1,9 +1,9 @@
 """How good the times found at each point of a sweep are at every point."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,20 +16,15 @@ from pfdist.results.stored_run import blocks_of, filter_is_wrong, found_sets, pr
 
 JUDGED = "judged"
 """Folder, in that of a sweep, with a folder of comparisons for each choice of judged sets."""
-LOSS = ("loss", "loss_low", "loss_high")
+PLAN = ("found_at", "set")
+"""Columns that identify a plan: the point at which a search found times, and the search."""
+REGRET = ("regret", "regret_low", "regret_high")
 UNKNOWN = (math.nan,) * 3
-NOTHING_JUDGED = pd.DataFrame(columns=["run", "found_at", *RESULTS, *LOSS])
+NOTHING_JUDGED = pd.DataFrame(columns=["run", "found_at", *RESULTS, *REGRET])
 
-Loss = tuple[float, float, float]
-"""A loss, and its 95 % interval."""
-
-
-class FoundSet(NamedTuple):
-    """Times that a search has found at a point of a sweep, on the clock of the job."""
-
-    point: str
-    search: str
-    times: Times
+Regret = tuple[float, float, float]
+"""A regret, and its 95 % interval."""
+TimesByPoint = Mapping[str, Mapping[str, Times]]
 
 
 def times_by_search(runs: Mapping[str, Run]) -> dict[str, dict[str, Times]]:
@@ -52,59 +47,70 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     -------
     DataFrame
         As `pfdist.table` gives it of the judges, but ``set`` is the name of the search. Further
-        columns are ``found_at``, the point at which the times were found, and ``loss`` with
-        ``loss_low`` and ``loss_high``, its 95 % interval: by how much the expected MSE is higher
-        than with the best times that were found at the judging point, as a fraction. It is NaN for
-        times that are not feasible there.
+        columns are ``found_at``, the point at which the times were found, and ``regret`` with
+        ``regret_low`` and ``regret_high``, its 95 % interval: how far the expected MSE lies above
+        that of the best times that were found at any point, as a fraction. It is NaN for times that
+        are not feasible at the judging point.
 
     Raises
     ------
     StoreError
         A table of a run cannot be read.
     """
-    found_sets = [
-        FoundSet(point, search, times)
-        for point, sets in times_by_search(runs).items()
-        for search, times in sets.items()
-    ]
     if not judges:
         return NOTHING_JUDGED.copy()
-    frame = runs_table(list(judges.values()))
-    points = {str(judge.path): point for point, judge in judges.items()}
+    found, frame = times_by_search(runs), runs_table(list(judges.values()))
     smaller = any(filter_is_wrong(judge) for judge in judges.values())
-    losses = {point: _losses(judge, found_sets, point, smaller) for point, judge in judges.items()}
+    regrets = {
+        str(judge.path): _regrets(judge, found, point, smaller) for point, judge in judges.items()
+    }
     rows = [
         row
-        | {"found_at": each.point, "set": each.search}
-        | dict(zip(LOSS, losses[points[row["path"]]].get(each.times, UNKNOWN), strict=True))
+        | {"found_at": point, "set": search}
+        | dict(zip(REGRET, regrets[row["path"]].get(times, UNKNOWN), strict=True))
         for row in frame.to_dict("records")
-        for each in found_sets
-        if each.times == row["measurement_times"]
+        for point, sets in found.items()
+        for search, times in sets.items()
+        if times == row["measurement_times"]
     ]
     before = list(frame.columns).index("set")
-    columns = [*frame.columns[:before], "found_at", *frame.columns[before:], *LOSS]
+    columns = [*frame.columns[:before], "found_at", *frame.columns[before:], *REGRET]
     kinds = {name: frame[name].dtype for name in frame.columns}
-    judged = pd.DataFrame(rows, columns=columns).astype(kinds | dict.fromkeys(LOSS, float))
+    judged = pd.DataFrame(rows, columns=columns).astype(kinds | dict.fromkeys(REGRET, float))
     judged.attrs.update(frame.attrs)
     return judged
 
 
-def _losses(
-    judge: Run, found_sets: Sequence[FoundSet], point: str, smaller: bool
-) -> dict[Times, Loss]:
-    """The loss with its interval of all times that can be compared at a point.
+def least_regret(judged: pd.DataFrame) -> dict[Any, Any] | None:
+    """The plan of least regret: its largest regret at any point is smaller than that of others.
+
+    Parameters
+    ----------
+    judged : DataFrame
+        As `judged_table` gives it.
+
+    Returns
+    -------
+    dict or None
+        The row in which its regret is largest. None if no plan has a regret at every point.
+    """
+    plans = [
+        max(rows.to_dict("records"), key=lambda row: row["regret"])
+        for _, rows in judged.groupby(list(PLAN), sort=False)
+        if rows["regret"].notna().all()
+    ]
+    return min(plans, key=lambda row: row["regret"], default=None)
+
+
+def _regrets(judge: Run, found: TimesByPoint, point: str, smaller: bool) -> dict[Times, Regret]:
+    """The regret with its interval of all times that can be compared at a point.
 
     With money, `smaller` says whether sets can be compared to which a measurement can be added.
     """
     names = {times: name for name, times in judge.sets.items()}
     results = judge.table("sets").set_index("name")
     mse = {times: results["expected_mse"][name] for times, name in names.items()}
-    own = {each.times for each in found_sets if each.point == point and each.times in names}
-    best = dict[Times, Times]()  # of those found at the point, for each set of times
-    for times in {each.times for each in found_sets if each.times in names}:
-        comparable = [each for each in own if _are_comparable(judge, times, each, smaller)]
-        if comparable:
-            best[times] = min(comparable, key=lambda each: (mse[each], each))
+    best = _best(judge, found, point, mse, smaller)
     if not results["standard_error"].any():  # all are exact
         exact = {times: np.array(mse[times]) for times in names}
         gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
@@ -114,17 +120,28 @@ def _losses(
         for times, gain in drawn.items():
             columns = (f"mse_{names[each]}" for each in (times, best[times]))
             gain.add(*(block[column].to_numpy() for column in columns))
-    return {times: _loss(gain) for times, gain in drawn.items()}
+    return {times: _regret(gain) for times, gain in drawn.items()}
 
 
-def _are_comparable(judge: Run, times: Times, own: Times, smaller: bool) -> bool:
-    """Whether times are feasible at a point, and as many as those that were found there."""
-    feasible = replace(problem_of(judge).feasible, smaller=smaller)
-    if feasible.counted:
-        feasible = replace(feasible, measurement_budget=len(own))
-    return feasible.accepts(problem_of(judge).clock.measurements(times))
+def _best(
+    judge: Run, found: TimesByPoint, point: str, mse: Mapping[Times, float], smaller: bool
+) -> dict[Times, Times]:  # fmt: skip
+    """For each feasible set of times the best one: of as many times, if their number is fixed.
+
+    The number must be one with which times were found at the point.
+    """
+    problem = problem_of(judge)
+    feasible, best = replace(problem.feasible, smaller=smaller), dict[Times, Times]()
+    numbers = {len(times) for times in found[point].values()}
+    judged = {times for sets in found.values() for times in sets.values() if times in mse}
+    for number in numbers if feasible.counted else {0}:
+        if feasible.counted:
+            feasible = replace(feasible, measurement_budget=number)
+        alike = [times for times in judged if feasible.accepts(problem.clock.measurements(times))]
+        best |= {times: min(alike, key=lambda each: (mse[each], each)) for times in alike}
+    return best
 
 
-def _loss(gain: Gain) -> Loss:
+def _regret(gain: Gain) -> Regret:
     low, high = gain.of_means_interval
     return 0.0 - gain.of_means, 0.0 - high, 0.0 - low  # 0, not -0, for the same times

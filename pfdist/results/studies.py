@@ -59,22 +59,6 @@ def values_of(frame: pd.DataFrame, name: str) -> list[Any]:
     return sorted(values, key=_order)
 
 
-def in_order(frame: pd.DataFrame, names: Sequence[str]) -> list[dict[Any, Any]]:
-    """The rows of a table in the order of the values of some columns, the first column first.
-
-    Parameters
-    ----------
-    frame : DataFrame
-    names : sequence of str
-        Columns of the table.
-    """
-    ranks = {
-        name: {value: rank for rank, value in enumerate(values_of(frame, name))} for name in names
-    }
-    rows: list[dict[Any, Any]] = frame.to_dict("records")
-    return sorted(rows, key=lambda row: [ranks[name][plain(row[name])] for name in names])
-
-
 def is_numeric(values: Sequence[Any]) -> bool:
     """Whether all values are numbers, so that an axis has them at their places.
 
@@ -134,33 +118,18 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
     return [_average(at, list(rows.values()), value, has_replicates) for at, rows in groups.items()]
 
 
-def formatted_point(
-    names: Sequence[str], values: Values, keys: Sequence[str], link: str = " "
-) -> str:
-    """Values of columns as text.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Columns of a table of runs.
-    values : tuple
-        A value for each column.
-    keys : sequence of str
-        All keys of the table, among which short names are clear.
-    link : str
-        Stands between a key and the value. After a blank, the set is named without ``set``.
+def formatted_point(names: Sequence[str], values: Values, keys: Sequence[str]) -> str:
+    """Values of columns as text; all keys of the table say which short names are clear.
 
     Examples
     --------
     >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"])
     'genetic, particles 20'
-    >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"], " = ")
-    'set = genetic, particles = 20'
     """
     short = short_names(keys)
     return ", ".join(
-        formatted_value(value) or "no set" if name == SET and link == " "
-        else f"{short.get(name, name)}{link}{formatted_value(value) or 'none'}"
+        formatted_value(value) or "no set" if name == SET
+        else f"{short.get(name, name)} {formatted_value(value) or 'none'}"
         for name, value in zip(names, values, strict=True)
     )  # fmt: skip
 
@@ -200,19 +169,3 @@ def _order(value: Any) -> tuple[int, float, list[tuple[float, str]]]:
     if is_numeric([value]):
         return 0, float(value), []
     return 1, 0.0, natural_key(formatted_value(value))
-
-
-def selected(frame: pd.DataFrame, held: Mapping[str, Any]) -> pd.DataFrame:
-    """The rows of a table that have some values.
-
-    Parameters
-    ----------
-    frame : DataFrame
-    held : mapping of str to object
-        A value for each column; None stands for none.
-    """
-    rows = [
-        all(plain(row[name]) == value for name, value in held.items())
-        for row in frame.to_dict("records")
-    ]
-    return frame[np.array(rows, np.bool_)]

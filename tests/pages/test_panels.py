@@ -182,7 +182,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "against": [
             call(STUDY),
             call(STUDY, "filter.particles", "gain_of_means"),
-            call(SimpleNamespace(table=lambda: MINE), group="set"),
+            call(SimpleNamespace(table=lambda: MINE)),
         ],
         "belief": [call(_filtered(), component=1), call(filtered)],
         "bound": [call(proved), call(proved.table("bound"))],
@@ -196,13 +196,11 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "degenerate_draws": [call(PROFILE), call(WHY, ["mine"])],
         "effective_sample_size": [call(WHY, particles=50), call(filtered)],
         "error_profile": [call(PROFILE), call(WHY, SETS)],
-        "found_times": [call(STUDY), call(MINE, horizon=9)],
         "gain": [
             call(plain, "survivors"),
             call(plain, beside="survivors"),
             call(plain.table("comparison"), "genetic", reference="survivors"),
         ],
-        "heat_map": [call(MINE), call(MINE.iloc[1:], value="expected_mse")],
         "one_draw": [call(plain), call(plain, "survivors", draw=4), call(_trajectory(), sets)],
         "online_gain": [call(proved)],
         "online_raster": [call(proved)],
@@ -227,7 +225,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 22
+    assert len(NAMES) == 20
 
 
 @every
@@ -484,7 +482,6 @@ def _with_costly_names() -> dict[str, Draw]:
     trajectory = _trajectory().rename(columns={"estimate_mine_0": f"estimate_{COSTLY}_0"})
     sets = {"regular": [0, 3], COSTLY: [1]}
     profile, worth, study = (table.replace("mine", COSTLY) for table in (PROFILE, WORTH, STUDY))
-    of_models = MINE.assign(**{"filter.particles": [COSTLY, "a$b"] * 2})
     calls = {
         "against": call(study),
         "bound": call(bounds),
@@ -493,8 +490,6 @@ def _with_costly_names() -> dict[str, Draw]:
         "effective_sample_size": call(profile),
         "error_profile": call(profile),
         "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
-        "found_times": call(study),
-        "heat_map": call(of_models),
         "one_draw": call(trajectory, sets),
         "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows, Clock.counting(12))),
         "shifts": call(worth),

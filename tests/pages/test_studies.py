@@ -1,4 +1,4 @@
-"""Figures of many runs: they show the numbers of the table, and never mix unlike runs."""
+"""The figure of many runs: it shows the numbers of the table, and never mixes unlike runs."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -135,9 +135,6 @@ def test_each_combination_of_the_other_keys_has_a_line_and_the_reference_is_grey
     assert list(grey[0].lines[0].get_xdata()) == [3.0, 5.0]
     assert list(grey[0].lines[0].get_ydata()) == [80.0, 80.0]
     assert grey[0].get_label() == "regular"
-    by_particles = plots.against(table, BUDGET, group=PARTICLES, ax=axes_of())
-    assert set(bars_of(by_particles)) == {f"particles {k}, {n}" for k in (20, 40)
-                                         for n in ("genetic", "random")}  # fmt: skip
     gains = plots.against(table, BUDGET, "gain_of_means", ax=axes_of())
     assert GREY not in {to_hex(line.get_color()) for line in gains.get_lines()}
 
@@ -182,71 +179,14 @@ def test_unknown_and_infinite_results_are_no_points() -> None:
     assert "no result" in axes.texts[0].get_text()
 
 
-def test_a_map_has_the_mean_over_the_seeds_in_each_cell_and_hatches_the_others() -> None:
-    table = study(particles=[20, 40], budgets=[3, 4, 5]).iloc[:-3]
-    axes = plots.heat_map(table, BUDGET, PARTICLES, ax=axes_of(figsize=(8, 4)))
-    cells = axes.collections[0].get_array()
-    assert cells is not None
-    means = 100 * table.pivot_table("gain_of_means", PARTICLES, BUDGET)
-    np.testing.assert_allclose(np.ma.filled(cells, np.nan), means.to_numpy())
-    assert [text.get_text() for text in axes.get_xticklabels()] == ["3", "4", "5"]
-    assert [text.get_text() for text in axes.get_yticklabels()] == ["20", "40"]
-    [hatched] = axes.patches  # below the cells
-    assert hatched.get_hatch()
-    assert not plots.heat_map(table.iloc[:-3], BUDGET, PARTICLES, ax=axes_of()).patches
-
-
-def test_a_number_in_a_cell_has_the_digits_that_its_error_allows() -> None:
-    table = study(seeds=[1], particles=[20, 40]).assign(expected_mse=31.23456)
-    for error, told in ((0.5, "31.23"), (3.0, "31.2"), (0.0, "31.235")):
-        axes = plots.heat_map(
-            table.assign(standard_error=error), BUDGET, PARTICLES, "expected_mse",
-            ax=axes_of(figsize=(8, 4)),
-        )  # fmt: skip
-        assert {text.get_text() for text in axes.texts} == {told}
-
-
-def test_each_run_and_set_has_a_row_with_ticks_at_its_times() -> None:
-    table = study(sets=["genetic", "random"])
-    axes = plots.found_times(table, horizon=12, ax=axes_of())
-    rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
-    labels = [text.get_text() for text in axes.get_yticklabels()]
-    assert labels[:4] == ["3, genetic, 1", "3, genetic, 2", "3, genetic, 3", "3, random, 1"]
-    assert axes.get_ylabel() == "measurement_budget, set, seed"
-    for label, line in zip(labels, rows, strict=True):
-        budget, name, seed = label.split(", ")
-        same = (table[BUDGET] == int(budget)) & (table["set"] == name)
-        [row] = table[same & (table["seed"] == int(seed))].to_dict("records")
-        assert tuple(line.get_xdata()) == row["measurement_times"]
-    assert axes.get_xlim()[1] > 12
-
-
-def test_of_many_rows_some_are_named_and_the_axis_says_so() -> None:
-    axes = plots.found_times(study(seeds=range(50)), ax=axes_of())
-    rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
-    assert len(rows) == 100
-    assert "100 sets, 1 of " in axes.get_ylabel()
-
-
-def test_runs_without_found_times_have_a_sentence() -> None:
-    table = study(seeds=[1]).assign(measurement_times=None, set=None)
-    assert "no run has found times" in plots.found_times(table, ax=axes_of()).texts[0].get_text()
-
-
 @pytest.mark.parametrize(
     ("draw", "told"),
     [
         (lambda: plots.against(study(), "particle"), "key must be one of seed, problem"),
         (lambda: plots.against(study(), BUDGET, "mse"), "value must be one of draws, ex"),
-        (lambda: plots.against(study(), BUDGET, group="x"), "group must be one of seed"),
         (lambda: plots.against(study(seeds=[1]).iloc[:, 4:]), "lacks the column run"),
         (lambda: plots.against(MIXED.drop(columns=[BUDGET, PARTICLES])), "differ in none but the"),
         (lambda: plots.against(MANY, BUDGET), r"at most 20 lines, got 22 .* select rows"),
-        (lambda: plots.heat_map(study(), "x"), "x must be one of seed, problem"),
-        (lambda: plots.heat_map(study()), "y must be a second key"),
-        (lambda: plots.heat_map(MIXED, BUDGET, BUDGET), "different keys"),
-        (lambda: plots.heat_map(MIXED), r"one value of set, got 2: select rows, as table\["),
-        (lambda: plots.found_times(pd.DataFrame({"t": [1]})), "lacks the column"),
     ],
 )
 def test_a_table_that_cannot_be_drawn_is_refused_in_one_line(

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
+import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 from scipy import stats
 
 import pfdist
@@ -17,7 +19,9 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.errors import ArgumentError, StoreError, SweepError
-from pfdist.results.judged import judged_table
+from pfdist.pages.plots import against
+from pfdist.results.judged import judged_table, least_regret
+from pfdist.results.table_cells import formatted_gain, formatted_mse
 
 EXACT = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=30")
 BUDGET = "problem.measurement_budget"
@@ -63,54 +67,28 @@ def test_every_point_has_a_row_that_leads_to_its_report(made: Path, see: See) ->
         ["linear_gaussian", "3", "2"],
         ["linear_gaussian", "5", "1"],
     ]
-    assert [row[0] for row in rows].index("model.name") == 8  # the head of the next table
-
-
-def test_it_says_what_changes_between_seeds(made: Path, see: See) -> None:
-    """Means, Student's intervals and ranges over two seeds, from the table of runs."""
-    table = pfdist.table(made)
-    page = see(made)
-    rows = page.rows[[row[0] for row in page.rows].index("model.name", 1) + 1 :][:4]
-    for model, budget, seeds, mean, spread, _ in rows:
-        chosen = table[(table["model.name"] == model) & (table[BUDGET] == int(budget))]
-        errors = chosen["expected_mse"]
-        half = stats.t.ppf(0.975, 1) * errors.std() / math.sqrt(2)
-        number, low, high = with_interval(errors.mean(), errors.mean() - half, errors.mean() + half)
-        assert seeds == "2"
-        assert mean == f"{number} ({low} to {high})"
-        assert spread == f"{rounded(errors.min(), 4)} to {rounded(errors.max(), 4)}"
 
 
 def test_it_says_which_point_is_best(made: Path, see: See) -> None:
     """The mean over the seeds is the lowest, and its interval is Student's."""
-    table = pfdist.table(made)
-    means = table.groupby(["model.name", BUDGET])["expected_mse"].mean()
+    errors = pfdist.table(made).groupby(["model.name", BUDGET])["expected_mse"]
+    (model, budget), mean = errors.mean().idxmin(), errors.mean().min()
+    half = stats.t.ppf(0.975, 1) * errors.std()[model, budget] / math.sqrt(2)
+    value, low, high = with_interval(mean, mean - half, mean + half)
     page = see(made)
-    told = re.search(
-        r"lowest expected MSE is that of model.name = (\w+), measurement_budget = (\d): (\S+) "
-        r"\(95 %: \S+ to \S+\), the mean of 2 seeds", page.text,
-    )  # fmt: skip
-    assert told is not None
-    assert means[told[1], int(told[2])] == means.min()
-    assert float(told[3]) == pytest.approx(means.min(), rel=0.05)
-    gains = table.groupby(["model.name", BUDGET])["gain_of_means"].mean()
-    told = re.search(r"highest gain of means over the reference is that of .* = (\w+), .* = (\d): ",
-                     page.text)  # fmt: skip
-    assert told is not None
-    assert gains[told[1], int(told[2])] == gains.max()
+    told = f"The lowest expected MSE is {value} (95 % CI {low} to {high}), the mean of 2 seeds: "
+    assert f"{told}model.name {model}, measurement_budget {budget}." in page.text
+    assert "Small points are the runs of single seeds." in page.text
 
 
-def test_it_has_figures_for_each_key_a_map_and_the_found_times(made: Path, see: See) -> None:
+def test_it_has_one_figure_and_one_table_of_its_points(made: Path, see: See) -> None:
     page = see(made)
-    assert page.tags.count("figure") == 4
-    for told in (
-        "From measurement_budget = 3 to 5, the lowest expected MSE goes from",
-        "The lowest expected MSE is that of model.name = linear_gaussian.",
-        "Gain of means by model.name and measurement_budget.",
-        "was found most often, in ",
-        "Small points are the runs of single seeds.",
-    ):
-        assert told in page.text
+    assert page.tags.count("figure") == 1
+    assert len(page.rows) == 1 + 8
+    for row in pfdist.table(made).to_dict("records"):
+        named = [str(row[key]) for key in ("model.name", BUDGET, "seed")]
+        [shown] = [cells for cells in page.rows if cells[:3] == named]
+        assert shown[3:] == [row["set"], formatted_mse(row), formatted_gain(row)]
     ids = re.findall(r'\bid="([^"]+)"', page.html)
     assert len(ids) == len(set(ids)) > 50
 
@@ -131,20 +109,21 @@ def test_a_sweep_of_one_point_without_keys_has_a_report(
     page = see(tmp_path / "sweep")
     result = results_of(run)["random"]
     assert page.rows[1][0] == "alone"
-    assert f"lowest expected MSE is that of alone: {rounded(result.expected_mse)}" in page.text
-    assert "known exactly" in page.text
+    assert f"The expected MSE is {rounded(result.expected_mse)} (exact)." in page.text
+    assert page.tags.count("figure") == 0
 
 
 def test_a_sweep_over_seeds_alone_gives_their_mean_and_chooses_none(
     exact: Job, tmp_path: Path, see: See
 ) -> None:
     sweep = pfdist.sweep(exact, {"seed": [1, 2, 3]}, results=tmp_path / "sweep", report=False)
-    gains = 100 * sweep.table()["gain_of_means"]
-    low, high = stats.t.interval(0.95, 2, gains.mean(), gains.std() / math.sqrt(3))
-    value, low, high = with_interval(gains.mean(), low, high)
+    errors = sweep.table()["expected_mse"]
+    low, high = stats.t.interval(0.95, 2, errors.mean(), errors.std() / math.sqrt(3))
+    value, low, high = with_interval(errors.mean(), low, high)
     page = see(sweep.path)
-    told = f"The gain of means over the reference is {value} % (95 %: {low} to {high} %)"
+    told = f"The expected MSE is {value} (95 % CI {low} to {high})"
     assert f"{told}, the mean of 3 seeds." in page.text
+    assert page.tags.count("figure") == 1
     assert "lowest" not in page.text
     assert "best of several" not in page.text
     assert "Its links lead" not in page.text
@@ -159,10 +138,8 @@ def test_a_run_without_replicates_has_the_interval_of_its_draws(
     best = sweep.table().sort_values("expected_mse").iloc[0]
     mse, half = best["expected_mse"], 1.96 * best["standard_error"]
     value, low, high = with_interval(mse, mse - half, mse + half)
-    told = f"measurement_budget = {best[BUDGET]}: {value} (95 %: {low} to {high})"
-    page = see(sweep.path)
-    assert told in page.text
-    assert "Bars are the 95 % intervals of each run." in page.text
+    told = f"The lowest expected MSE is {value} (95 % CI {low} to {high}): "
+    assert f"{told}measurement_budget {best[BUDGET]}." in see(sweep.path).text
 
 
 def test_no_name_of_a_folder_becomes_markup_or_another_address(sweep: Path, see: See) -> None:
@@ -181,7 +158,7 @@ def test_no_name_of_a_folder_becomes_markup_or_another_address(sweep: Path, see:
     assert {unquote(link).removesuffix("/report.html") for link in page.links} >= {*HOSTILE}
 
 
-def test_a_damaged_run_is_a_row_that_says_so_and_the_others_stay(sweep: Path, see: See) -> None:
+def test_a_damaged_run_is_a_warning_that_says_so_and_the_others_stay(sweep: Path, see: See) -> None:
     first, second, third, *_ = sorted(path for path in sweep.iterdir() if path.is_dir())
     (first / "run.json").write_text("{")
     for file in (second / "tables" / "timings").glob("*.parquet"):
@@ -189,20 +166,18 @@ def test_a_damaged_run_is_a_row_that_says_so_and_the_others_stay(sweep: Path, se
     hostile = third.rename(sweep / "<i>hostile")
     (hostile / "job.toml").write_text("[[[")
     page = see(sweep)
-    rows = {row[0]: row for row in page.rows}
     for name in (first.name, second.name, "<i>hostile"):
-        assert any("damaged: " in cell for cell in rows[name])
+        assert f"{name} cannot be read: " in page.text
     assert "i" not in page.tags
-    assert "Cannot be read: 3 of 8 points" in page.text
-    assert sum("damaged" in cell for row in page.rows for cell in row) == 3
-    assert len(page.rows) == (1 + 5) + (1 + 3) + (1 + 3)  # points, damaged points, means
+    assert page.text.count("cannot be read") == 3
+    assert len(page.rows) == 1 + 5
 
 
 def test_a_folder_with_damaged_runs_alone_has_a_report(tmp_path: Path, see: See) -> None:
     (tmp_path / "point").mkdir()
     (tmp_path / "point" / "run.json").write_text("{")
     page = see(tmp_path)
-    assert "Cannot be read: 1 of 1 point." in page.text
+    assert "point cannot be read: " in page.text
     assert page.tags.count("figure") == 0
 
 
@@ -284,19 +259,35 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_it_says_which_times_lose_least(judged: Path, see: See) -> None:
+def test_it_names_the_plan_of_least_regret_and_draws_the_regret_of_each(
+    judged: Path, see: See, monkeypatch: pytest.MonkeyPatch
+) -> None:
     points = ["process_sd=0.5", "process_sd=5.0"]
     runs = {name: pfdist.open_run(judged / name) for name in points}
     judges = {name: pfdist.open_run(next(judged.glob(f"judged/*/{name}"))) for name in points}
-    largest = judged_table(runs, judges).groupby("found_at")["loss"].max()
+    table, drawn = judged_table(runs, judges), list[Any]()
+    largest = table.groupby("found_at")["regret"].max()
+
+    def recorded(*given: Any, ax: Axes) -> Axes:
+        drawn.append(given)
+        return against(*given, ax=ax)
+
+    monkeypatch.setattr("pfdist.questions.sweep_page.against", recorded)
     page = see(judged)
-    told = re.search(
-        r"The safest times are those found at process_sd = (\S+): their largest loss is (\S+) ",
-        page.text,
-    )
+    words = r"Plan of least regret: [\d, ]+ \(exchange at (\S+)\)\. Its largest regret is (\S+) %"
+    told = re.search(words, page.text)
     assert told is not None
-    assert f"process_sd={told[1]}" == largest.idxmin()
+    assert told[1] == largest.idxmin()
     assert float(told[2]) == pytest.approx(100 * largest.min(), rel=0.1, abs=0.05)
+    assert page.tags.count("figure") == 1
+    [(shown, axis, value)] = drawn
+    assert (axis, value) == ("model.parameters.process_sd", "regret")
+    for row in shown.to_dict("records"):
+        same = (table["found_at"] == f"process_sd={float(row['found at'])}") & (
+            table[axis] == row[axis]
+        )
+        assert row["regret"] == table[same]["regret"].max()
+    assert len(shown) == 4
 
 
 @pytest.mark.slow
@@ -308,5 +299,21 @@ def test_judged_times_that_cannot_be_read_leave_the_points(
     damaged.write_text("<b>")
     page = see(copy)
     assert "The judged times cannot be read: " in page.text
-    assert "safest times" not in page.text
+    assert "least regret" not in page.text
     assert len(page.rows) == 3
+
+
+def test_the_plan_of_least_regret_has_the_smallest_largest_regret_at_all_points() -> None:
+    """Plan b has the smallest regret of all at one point, and c none at another."""
+    regrets = {"a": (0.02, 0.03), "b": (0.0, 0.04), "c": (0.0, math.nan)}
+    table = pd.DataFrame(
+        [
+            {"run": run, "found_at": found_at, "set": "random", "regret": regret}
+            for found_at, both in regrets.items()
+            for run, regret in zip(("first", "second"), both, strict=True)
+        ]
+    )
+    least = least_regret(table)
+    assert least is not None
+    assert (least["found_at"], least["run"], least["regret"]) == ("a", "second", 0.03)
+    assert least_regret(table[table["found_at"] == "c"]) is None

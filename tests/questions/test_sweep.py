@@ -1,7 +1,9 @@
 """A sweep is the same as its runs, started one by one."""
 
 import contextlib
+import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,8 +21,9 @@ from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
 from pfdist.problem.sweep import START_SECONDS, judged_sets, parts_that_pay
+from pfdist.questions.runs import least_regret_text
 from pfdist.questions.sweep import foreseen
-from pfdist.results.judged import times_by_search
+from pfdist.results.judged import least_regret, times_by_search
 from pfdist.runner.progress import Progress
 from pfdist.store import held
 
@@ -445,14 +448,14 @@ def test_times_found_at_each_point_are_judged_at_every_point(
         figures=False,
     )
     expected = {sets[name]: compared.table("comparison")[f"mse_{name}"].mean() for name in sets}
-    own = expected[sweep.runs[point].sets["exchange"]]
+    best = min(expected.values())
     for row in judged[judged["run"] == point].itertuples():
         assert row.measurement_times == sweep.runs[row.found_at].sets["exchange"]
         mse = expected[row.measurement_times]
         assert row.expected_mse == pytest.approx(mse, rel=1e-12)
-        assert row.loss == pytest.approx(mse / own - 1, rel=1e-9, abs=1e-12)
-        assert row.loss_low <= row.loss <= row.loss_high
-    assert (judged.loc[judged["found_at"] == judged["run"], "loss"] == 0).all()
+        assert row.regret == pytest.approx(mse / best - 1, rel=1e-9, abs=1e-12)
+        assert row.regret_low <= row.regret <= row.regret_high
+    assert (judged.groupby("run")["regret"].min() == 0).all()
 
 
 def test_times_found_at_several_points_are_judged_once(swept: Sweeping) -> None:
@@ -463,39 +466,54 @@ def test_times_found_at_several_points_are_judged_once(swept: Sweeping) -> None:
         assert judge.sets["point_1_genetic"] == sweep.runs[name].sets["genetic"]
     judged = sweep.judged()
     assert len(judged) == 18
-    best, other = sorted(judged.groupby("set")["loss"].min())
+    best, other = sorted(judged.groupby("set")["regret"].min())
     assert best == 0 < other
     with pytest.raises(PfdistError, match="judged needs a sweep that judges"):
         swept(ALIKE).judged()
 
 
-def test_losses_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
-    """Times of another number of measurements have no loss."""
+def test_regrets_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
+    """Times of another number of measurements have no regret."""
     over = {"model.parameters.step_sd": [0.2, 3.0], "problem.measurement_budget": [2, 3]}
     sweep = swept(over, changes=EXHAUSTIVE, judge=True)
     judged = sweep.judged()
     assert len(judged) == 16
-    assert judged["loss"].notna().sum() == 8
+    assert judged["regret"].notna().sum() == 8
     for row in judged.itertuples():
         own = sweep.runs[row.run]
         if len(row.measurement_times) != len(own.sets["exhaustive"]):
-            assert math.isnan(row.loss)
+            assert math.isnan(row.regret)
             continue
         exact = results_of(own)["exhaustive"].expected_mse
-        assert row.loss == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
-        assert row.loss_low == row.loss == row.loss_high
+        assert row.regret == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
+        assert row.regret_low == row.regret == row.regret_high
+    assert least_regret(judged) is None
+    assert least_regret_text(judged) == "No plan has a regret at every point."
 
 
-def test_times_of_other_methods_have_losses_too(swept: Sweeping) -> None:
-    """The best times that any search has found at a point are those that count there."""
+def test_times_of_other_methods_have_regrets_too(
+    swept: Sweeping, small_job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The best times that any search has found at any point are those that count."""
     over = {"search.exhaustive.method": ["exhaustive", "exchange"]}
     sweep = swept(over, changes=EXHAUSTIVE, judge=True)
-    losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
+    regrets = sweep.judged().set_index(["found_at", "run"])["regret"].unstack()
     best, other = sweep.runs
-    assert losses.loc[best, other] <= 0 <= losses.loc[other, best]
+    assert (regrets.loc[best] == 0).all()
+    assert (regrets.loc[other] >= 0).all()
+    words = ["sweep", str(small_job.path), "--results", str(sweep.path), "--no-report", "--judge"]
+    words += [word for change in EXHAUSTIVE for word in ("--set", change)]
+    words += ["--over", f"search.exhaustive.method={','.join(*over.values())}"]
+    assert main(words) == 0
+    told = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert "Plan of least regret: " in told
+    assert f"(exhaustive at {best}). Its largest regret is 0 %, at {best}." in told
+    assert main([*words, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["judged"]
+    assert [row["regret"] for row in rows if row["found_at"] == best] == [0.0, 0.0]
 
 
-def test_affordable_times_have_losses_where_a_filter_is_wrong(
+def test_affordable_times_have_regrets_where_a_filter_is_wrong(
     small_job: Job, tmp_path: Path
 ) -> None:
     """A filter that trusts its sensor too much needs few times; the right filter needs more."""
@@ -505,10 +523,10 @@ def test_affordable_times_have_losses_where_a_filter_is_wrong(
     job = small_job.with_changes(sections={"problem": problem, "model": model, "search": search})
     over = {"model.filter.parameters.measurement_sd": [6.0, 0.2]}
     sweep = pfdist.sweep(job, over, results=tmp_path / "sweep", judge=True, report=False)
-    losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
-    assert losses.notna().all(axis=None)
+    regrets = sweep.judged().set_index(["found_at", "run"])["regret"].unstack()
+    assert regrets.notna().all(axis=None)
     right, wrong = sweep.runs
-    assert losses.loc[right, wrong] > 0 < losses.loc[wrong, right]
+    assert regrets.loc[right, wrong] > 0 < regrets.loc[wrong, right]
 
 
 @pytest.mark.slow
