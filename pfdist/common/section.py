@@ -30,12 +30,21 @@ from pfdist.errors import ArgumentError, PfdistError, shown
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 
 
 class Section(BaseModel):
     """Base of every section of a job file: frozen, strict about types, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+Listed = Annotated[tuple[T, ...], BeforeValidator(_as_tuple)]
+"""A tuple of values of a type, or a list, as job files and JSON have it."""
 
 
 # --- arguments ------------------------------------------------------------------------------------

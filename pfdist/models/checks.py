@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from pfdist.common.section import Arguments, Number
+from pfdist.common.section import Arguments, Listed, Number
 from pfdist.densities import DENSITIES
 from pfdist.errors import ModelError, shown
 from pfdist.models.mistakes import (
@@ -52,11 +52,7 @@ OPTIONAL = ("proposal", "proposal_log_density")
 """Formulas that a model may lack."""
 MOST_COMPONENTS: Final = 1000
 T = TypeVar("T")
-_Tuple = Annotated[
-    tuple[T, ...],
-    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-    Field(max_length=MOST_COMPONENTS),
-]
+_Tuple = Annotated[Listed[T], Field(max_length=MOST_COMPONENTS)]
 _Noise = _Tuple[NoiseKind]
 _PARTICLES = 2
 ONE_NUMBER = {

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, AliasChoices, Field, field_validator, model
 
 from pfdist.common.clock import Clock, Time, plain_time
 from pfdist.common.measurement_times import Times
-from pfdist.common.section import Section
+from pfdist.common.section import Listed, Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.problem.constraints import Limit, Money, money
 from pfdist.problem.feasible import Feasible
@@ -26,13 +26,11 @@ from pfdist.problem.written import instants_of, measurements_of
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
-_Numbers = Annotated[tuple[Moment, ...], Field(strict=False)]
-_Times = Annotated[
-    tuple[Annotated[Time | str, AfterValidator(plain_time)], ...], Field(strict=False)
-]
+_Numbers = Listed[Moment]
+_Times = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
 _Finite = int | Annotated[float, Field(allow_inf_nan=False)]
 _Price = Annotated[_Finite, AfterValidator(plain_time)]
-_Prices = Annotated[tuple[_Price, ...], Field(strict=False)] | dict[str, _Price]
+_Prices = Listed[_Price] | dict[str, _Price]
 _Budget = Annotated[int, Field(ge=1, lt=2**63)]
 
 

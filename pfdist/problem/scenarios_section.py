@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from pfdist.common.scenario import Scenario
-from pfdist.common.section import Section
+from pfdist.common.section import Listed, Section
 from pfdist.common.streams import stream_key
 from pfdist.errors import shown
 from pfdist.problem.sections import Parameter, checked_parameters, is_list_of
@@ -21,7 +21,7 @@ _DISTRIBUTIONS = (
 _KINDS = ("normal", "lognormal", "uniform")
 _Pair = tuple[float, float]
 _Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_Numbers = Annotated[tuple[_Above0, ...], Field(strict=False)]
+_Numbers = Listed[_Above0]
 
 
 class Scenarios(Section):

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pfdist.common.clock import Time, plain_time
 from pfdist.common.measurement_times import REGULAR
-from pfdist.common.section import Section
+from pfdist.common.section import Listed, Section
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, EngineName
 from pfdist.kernels.estimators import SQUARED_ERROR, EstimatorName
@@ -294,7 +294,7 @@ class Budget(Section):
 
     least: Annotated[int, Field(ge=1, lt=2**63)]
     most: Annotated[int, Field(ge=1, lt=2**63)]
-    numbers: Annotated[tuple[int, ...], Field(strict=False)] | None = None
+    numbers: Listed[int] | None = None
 
     @property
     def each(self) -> Sequence[int]:

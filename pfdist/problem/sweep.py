@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.clock import Time
-from pfdist.common.section import Section, Whole, explained
+from pfdist.common.section import Listed, Section, Whole, explained
 from pfdist.common.streams import stream_key
 from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.problem.job import Job, toml_of_file
@@ -23,7 +23,7 @@ START_SECONDS = 10.0
 """About how long a process takes on a new node until it has loaded and compiled what it needs."""
 
 
-Part = Annotated[tuple[Whole, ...], Field(strict=False, min_length=2, max_length=2)]
+Part = Annotated[Listed[Whole], Field(min_length=2, max_length=2)]
 """Part K of N of a sweep, as (K, N)."""
 
 

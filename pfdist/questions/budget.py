@@ -23,7 +23,7 @@ DRAWS = 4000
 
 class _Numbers(Arguments):
     measurements: Annotated[
-        list[Annotated[Whole, Field(ge=1)]],
+        tuple[Annotated[Whole, Field(ge=1)], ...],
         Field(strict=False, min_length=1, max_length=MOST_NUMBERS),
     ]
 
@@ -125,7 +125,6 @@ def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]
     numbers = _Numbers(measurements=measurements).measurements  # type: ignore[arg-type]
     if is_pair:
         return {"least": numbers[0], "most": numbers[1]}
-    numbers = sorted(numbers)
-    least, most = numbers[0], numbers[-1]
-    gaps = {} if len(numbers) == most - least + 1 else {"numbers": numbers}
+    least, most = min(numbers), max(numbers)
+    gaps = {} if len(numbers) == most - least + 1 else {"numbers": sorted(numbers)}
     return {"least": least, "most": most, **gaps}
