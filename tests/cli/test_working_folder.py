@@ -38,7 +38,7 @@ SMALL = (
 )
 
 
-@pytest.fixture(params=["at import", "in a formula"])
+@pytest.fixture(params=["at import", pytest.param("in a formula", marks=pytest.mark.slow)])
 def start(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder where a command starts; its model moves to another one."""
     away, folder = tmp_path / "away", tmp_path / "start"

@@ -128,10 +128,10 @@ def test_a_text_that_is_no_model_is_refused(content: bytes) -> None:
 def test_many_operations_are_refused_at_once(count: int) -> None:
     head, tail = json.dumps(json.loads(text_of(MODEL, MODEL))).split('"operations": [', 1)
     content = f'{head}"operations": [{count * "[1,[],2],"}{tail}'.encode()
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(ValueError, match=r"operations|lists"):
         models_of(content)
-    assert time.monotonic() - start < SECONDS
+    assert time.process_time() - start < SECONDS
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 5e-324, -0.0, 0.1, 1e308])

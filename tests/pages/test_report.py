@@ -303,7 +303,7 @@ def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
     assert none == "Proved: no other 4 times have a lower expected error."
     assert percent(-1e-17) == "0.00 %"
     assert gap_sentence(BOUND, 3, is_constrained=True).startswith(
-        "Proved: no other times that cost no more and that the constraints allow lower"
+        "Proved: no other times that are no more expensive and that the constraints allow lower"
     )
 
 

@@ -54,6 +54,7 @@ def _lives(process: int) -> bool:
         return False
 
 
+@pytest.mark.fault
 def test_a_script_that_guards_nothing_runs_once(tmp_path: Path) -> None:
     """Functions travel by value, so no process needs the script."""
     script = tmp_path / "script.py"

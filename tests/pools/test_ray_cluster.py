@@ -45,13 +45,27 @@ def test_workers_import_no_module_from_the_working_directory(tmp_path: Path) -> 
     assert not list(home.iterdir())  # the token lies in no file
 
 
+def test_a_cluster_of_our_own_has_a_random_token() -> None:
+    """In a fresh process: Ray reads the environment when it is imported."""
+    lines = (
+        "import os\nfrom pfdist.pools.ray_cluster import load_ray\nload_ray(own=True)\n"
+        "print(os.environ['RAY_AUTH_MODE'], len(os.environ['RAY_AUTH_TOKEN']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", lines],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={name: value for name, value in os.environ.items() if "RAY" not in name},
+    )
+    assert done.stdout == "token 64\n"
+
+
 @pytest.mark.parametrize("address", ["", "local"])
-def test_without_an_existing_cluster_one_is_started_with_a_token(
+def test_without_an_existing_cluster_one_is_started(
     address: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: dict[str, Any] = {}
-    assert os.environ["RAY_AUTH_MODE"] == "token"  # of the cluster that all tests share
-    assert len(os.environ["RAY_AUTH_TOKEN"]) == 64
     ray = load_ray()
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     monkeypatch.setattr(ray, "init", lambda **options: seen.update(options))

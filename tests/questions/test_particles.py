@@ -146,6 +146,7 @@ def test_a_sensor_so_sharp_that_the_filter_collapses_is_never_ok(noise: float, s
     assert ("are still too few: they lose" in loss.text) == (state == "note")
 
 
+@pytest.mark.slow
 def test_a_filter_that_fails_rarely_is_not_enough_whatever_few_draws_say(small_job: Job) -> None:
     """x' = 1.2 x: on 1,000 draws 1,000 particles lose 0.3 %, at most 4.4 %. The truth is over half.
 

@@ -204,7 +204,7 @@ def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
         "worst", scales=scales, **({"engine": engine} if engine else {"particles": 100})
     )
     search = {"method": "exhaustive", "evaluation": {"draws": 240}}
-    job = asked.job(search=[search], comparison={"draws": 12_000})
+    job = asked.job(search=[search], comparison={"draws": 1200})
     run = pfdist.run(job, tmp_path / "run", figures=False, report=False)
     rows = run.table("scenarios").query("name == 'exhaustive'")
     fresh = rows.loc[rows["expected_mse"].idxmax()]
@@ -229,13 +229,13 @@ def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Pa
         assert rows["bound"][number] == pytest.approx(exact, rel=1e-9)
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("told", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_path: Path) -> None:
     """A Kalman filter by hand knows the mean error with a measurement, and without it."""
     asked = problem(filter="told" if told else "nominal", particles=400)
     few = ["comparison.draws=48"]
     run = pfdist.plan(asked, tmp_path / "run", changes=few, bound_draws=0, report=False)
-    answer = pfdist.why(asked, results=run.path, draws=4000, changes=few, figures=False)
+    answer = pfdist.why(asked, results=run.path, draws=1000, changes=few, figures=False)
     rows = answer.worth.query("name == 'relaxation'").set_index("t")
     times = list(run.sets["relaxation"])
     without = [[t for t in times if t != out] for out in times]
@@ -244,7 +244,7 @@ def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_pat
         assert abs(rows["removed"][out] - (other - cost)) < 4 * rows["removed_error"][out]
 
 
-@pytest.mark.parametrize("criterion", ["mean", "worst"])
+@pytest.mark.parametrize("criterion", [pytest.param("mean", marks=pytest.mark.slow), "worst"])
 def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
     criterion: str, tmp_path: Path
 ) -> None:
@@ -254,10 +254,10 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
             search=[
                 {
                     "method": "exhaustive",
-                    "evaluation": {"draws": 720, "particles": 50, "noise": "common"},
+                    "evaluation": {"draws": 480, "particles": 50, "noise": "common"},
                 }
             ],
-            comparison={"draws": 6000},
+            comparison={"draws": 3000},
         ),
         tmp_path / "run",
         figures=False,
@@ -313,7 +313,7 @@ def test_a_list_of_runs_names_the_best_set_as_the_run_does(tmp_path: Path) -> No
         best = combined(costs([*sets.values()], told=True), criterion).argmin()
         assert [*sets][best] == criterion
         asked, path = problem(criterion, engine="kalman"), tmp_path / criterion
-        run = pfdist.compare(asked, times=sets, results=path, draws=1000, figures=False)
+        run = pfdist.compare(asked, times=sets, results=path, draws=400, figures=False)
         assert run.best.measurement_times == list(sets[criterion])
         assert pfdist.list_runs(path)["best"].tolist() == [criterion]
 

@@ -112,7 +112,9 @@ def test_a_gap_that_nothing_contradicts_stands() -> None:
 
 def test_a_known_set_that_costs_less_than_the_bound_withdraws_it() -> None:
     cheap = replace(GAP, name="cheap", expected_mse=Estimate(9.0, 0.1))
-    assert _consistent(GAP, cheap)["found"].reason == "the set cheap costs less than the bound"
+    assert (
+        _consistent(GAP, cheap)["found"].reason == "the error of the set cheap lies below the bound"
+    )
     near = replace(cheap, expected_mse=Estimate(9.7, 0.1))
     assert not _consistent(GAP, near)["found"].reason
     for times in ((1,), (1, 4, 5)):  # of another number of measurements: that contradicts nothing
@@ -157,4 +159,4 @@ def test_a_set_clearly_below_the_bound_has_no_bound_and_a_chance_excess_is_no_ga
     assert gap(0.0).gap == 0.0
     assert gap(50.0).gap == gap(50.0).gap_at_most == 1.0  # no error is negative
     assert not gap(-0.4).reason
-    assert gap(-1.0).reason == "the set costs less than the bound"
+    assert gap(-1.0).reason == "the error of the set lies below the bound"
