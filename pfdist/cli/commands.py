@@ -3,6 +3,10 @@
 The options of a command are the parameters of its function, and their help is its docstring. To add
 a command, add a line here, and to `pfdist.cli.words.WORDS` the parameters whose values no other
 command reads.
+
+An answer is a DataFrame of runs, a path, a line, or an object with ``as_json()`` and ``_page()``;
+`pfdist.cli.shown` prints it. `tests/contracts/test_command.py` and `tests/cli/test_examples.py`
+test each command, and docs/commands.md is written from this table.
 """
 
 from typing import NamedTuple

@@ -1,7 +1,8 @@
 """How the words of a command line become the arguments of a function.
 
-A parameter of a function is read as `WORDS` says for its name. Files and folders stand alone, and
-every other parameter is an option of its name.
+A parameter of a function is read as `WORDS` says for its name, or for ``COMMAND.NAME`` if it is
+read differently there. Most parameters are options, whose names `WORDS` may change (``changes`` is
+``--set``). Words without an option are marked in `WORDS`, and some parameters are for Python alone.
 """
 
 import inspect

@@ -1,7 +1,8 @@
 """TOML and JSON, which somebody may have edited or damaged, as plain data within limits; numbers.
 
-Every file and every option that a user writes comes in through these functions. Whatever the text
-holds, the data is not nested deeply, or a `ValueError` of one line is raised.
+Every TOML and JSON file but model.json, and every option that a user writes, is read by these
+functions; `pfdist.store.user_tables` reads tables, and `pfdist.models.written` models. Whatever the
+text holds, the data is not nested deeply, or a `ValueError` of one line is raised.
 """
 
 import errno

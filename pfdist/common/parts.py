@@ -1,7 +1,7 @@
 """The parts of an answer: what it says, whatever it looks like.
 
-Each answer is made once, as a `Page` of parts. `documents.terminal`, `documents.html` and
-`documents.notebook` show it. A part that is a detail is for those who ask: terminals show it with
+Each answer is made once, as a `Page` of parts. `pages.terminal`, `pages.html` and `common.shown`,
+for notebooks, show it. A part that is a detail is for those who ask: terminals show it with
 ``--verbose``.
 """
 

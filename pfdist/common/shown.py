@@ -1,4 +1,7 @@
-"""Results as a prompt shows them, in a line, and as a notebook shows them."""
+"""Results as a prompt shows them, in a line, as a notebook shows them, and as a page.
+
+The terminal prints the page of a result, too, but for a run it prints the answer of its question.
+"""
 
 from collections.abc import Iterable
 from html import escape

@@ -46,7 +46,7 @@ COMPILED = Engine(
 )
 NUMPY = Engine(
     "numpy",
-    "Formulas as they stand, on NumPy arrays; for models that cannot be traced.",
+    "Formulas on NumPy arrays; for models that cannot be traced.",
     simulated_by="pfdist.filters.plain",
     filtered_by="pfdist.filters.plain",
     seconds_a_step=2e-7,

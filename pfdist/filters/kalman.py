@@ -1,9 +1,9 @@
 """The exact filter of a model that declares itself linear and Gaussian, and the exact expected MSE.
 
-The covariances do not depend on what is measured, so the expected MSE needs no draws.
+The covariances do not depend on the measured values, so the expected MSE needs no draws.
 
 The matrices of a model come from the values of its formulas at 0 and at unit vectors, so the user
-writes only formulas.
+writes only formulas. That the formulas are linear is tested at four random points.
 
 Sources: Kalman, "A new approach to linear filtering and prediction problems", Journal of Basic
 Engineering 82, 1960. Sinopoli et al., "Kalman filtering with intermittent observations", IEEE

@@ -1,6 +1,7 @@
 """Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
-They compute on arrays (draws, particles), with the noise and the resampling of the compiled filter.
+They compute on arrays (draws, particles), with the noise, the weights and the
+resampling of the compiled filter, for which other tests have references.
 They are the engine for models that cannot be traced: such formulas are called as they stand, and
 all others compute by their programs.
 """

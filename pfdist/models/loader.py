@@ -1,6 +1,6 @@
 """Find a model by its name, and import its file.
 
-A name is that of a model that ships, that of an installed entry point of the group
+A name is that of a model that ships, else that of an installed entry point of the group
 ``pfdist.models``, or ``path/file.py:object``.
 """
 

@@ -33,7 +33,7 @@ def error_line(error: BaseException) -> str:
 
 
 def text_of(error: BaseException) -> str:
-    """An error's text as a line, of 500 characters at most; empty if it has none."""
+    """An error's text as a line, cut after 500 characters; empty if it has none."""
     try:
         text = " ".join(str(error).split())
     except Exception:  # the text of a model's own exception may fail, too

@@ -1,4 +1,4 @@
-"""Pools: they apply functions to works, in this process, on its threads or on Ray workers.
+"""Pools: they apply functions to works, here, on threads, in other processes or on Ray.
 
 A pool knows nothing of models, searches or files. Only the modules whose names begin
 with ``ray_`` know Ray.

@@ -1,7 +1,7 @@
 """The work of a worker in another process.
 
-It makes a function once for all its tasks. A task has a limited time, after which the process
-ends itself, even if a formula never gives Python's lock back.
+It makes a function once for all its tasks, and keeps the last 32 functions. A task has a limited
+time, after which the process ends itself, even if a formula never gives Python's lock back.
 """
 
 import faulthandler

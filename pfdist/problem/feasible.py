@@ -1,4 +1,7 @@
-"""The feasible sets of measurement times: all of them, random ones, and neighbours of a set."""
+"""The feasible sets of measurement times: all, random and regular ones, neighbours, and repair.
+
+With prices, a set is feasible only if no measurement can be added to it.
+"""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,4 +1,7 @@
-"""The search methods that a job file can name. Each is declared where it is defined."""
+"""The search methods that a job file can name. Each is declared where it is defined.
+
+The registry imports `pfdist.search`, which stands on a higher floor, and installed entry points.
+"""
 
 import sys
 from collections.abc import Callable

@@ -91,7 +91,7 @@ class ProblemSection(Section):
     minimum_spacing : number, clock
         Smallest difference of two measurement times.
     price : list or section of ranges
-        Price of a measurement at each instant, or in each range: numbers, at least 0.
+        Price of a measurement at each instant, or in each range: numbers above 0.
     total_price : number, that of price
         Largest sum of the prices of a set, in the place of ``measurement_budget``.
     sensors : section of sections

@@ -1,4 +1,4 @@
-"""The identity of a run, and whether a folder holds the run of this identity."""
+"""The identity of a run: a folder is opened for it, recovered and checked."""
 
 import contextlib
 import json
@@ -47,6 +47,9 @@ _LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
 @contextlib.contextmanager
 def opened(path: Path, built: Built) -> Iterator[Store]:
     """Hold a run's folder for computing: make the folder, or check that it holds this run.
+
+    The folder is locked, the leavings of a killed process are removed, and the files that say what
+    the run is are written.
 
     Raises `RunMismatchError` if the folder holds another run. Raises `StoreError` if another
     process computes the run, if a file is damaged, if the folder cannot be read or written, or if

@@ -1,6 +1,7 @@
 """The files that say what a run is, job.toml, model.json and run.json, and the key of the run.
 
-Their hashes stand in files.json, so whatever is read is what pfdist wrote.
+files.json has their hashes, which are compared when a run is read. The key and the version of a run
+without files.json are read without hashes, for the error that names them.
 """
 
 import contextlib

@@ -158,7 +158,12 @@ _SCHEMAS = {
     "bound": [
         *_OF_A_SET,
         _TIMES,
-        _column("budget", pa.int32(), "", "the bound is for so many times, or for so much money"),
+        _column(
+            "budget",
+            pa.int32(),
+            "",
+            "the bound is for so many times, or for so much money, in its units",
+        ),
         _column("window", pa.int32(), "", "measurements of a window before windows grow"),
         _column("windows", pa.int32(), "", "windows that the relaxation knows"),
         _column("work", pa.float64(), "", "particle-steps after which no window grows"),

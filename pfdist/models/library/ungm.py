@@ -1,6 +1,7 @@
 """The univariate nonlinear growth model, with the paper's variances (equations 9 to 12).
 
 y = x^2/20 hides the sign of x, so the particles often form two clusters, around x and -x.
+The measurement noise varies with t, which makes some times better than others.
 
 References
 ----------
