@@ -58,7 +58,7 @@ def least_regret_text(judged: pd.DataFrame) -> str:
     """Name the plan of least regret of a sweep, as `Sweep.judged` gives its table."""
     worst = least_regret(judged)
     if worst is None:
-        return "No plan has a regret at every point."
+        return "No plan fits every point, so none has the least regret."
     times = formatted_times(worst["measurement_times"], judged.attrs.get("time_unit", ""))
     value, low, high = with_interval(*(times_100(worst[name]) for name in REGRET))
     interval = f" (95 % CI {low} to {high})" if worst["regret_low"] < worst["regret_high"] else ""

@@ -18,13 +18,13 @@ from pfdist.pages.gains import plot_of_draw, typical_draw
 from pfdist.pages.online import measured_at, with_online
 from pfdist.pages.plots import (
     budget,
-    cost,
     draw_figures,
     error_profile,
     gain,
     one_draw,
     online_raster,
     online_shares,
+    searches,
     shifts,
     uncertainty,
     worth,
@@ -70,7 +70,7 @@ def _legend(axes) -> str:
 
 def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_far() -> None:
     methods = {"genetic": "genetic", "random": "random"}
-    axes = cost(EVALUATIONS, methods, reference=("regular times", 31.2), ax=_axes())
+    axes = searches(EVALUATIONS, methods, reference=("regular times", 31.2), ax=_axes())
     lines = _lines(axes)
     above = {label: (x, [round(percent, 9) for percent in y]) for label, (x, y) in lines.items()}
     assert above["genetic, average"] == ([4, 8], [87.5, 0.0])  # 37.5 and 20, over 20
@@ -78,7 +78,7 @@ def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_
     assert above["random, average"] == ([1, 2, 3], [150.0, 100.0, 100.0])
     assert above["random, minimum"] == ([1, 2, 3], [150.0, 50.0, 50.0])
     assert above["regular times: 31.2"][1] == [56.0, 56.0]
-    axes = cost(EVALUATIONS, methods, best=("genetic", 25.0), ax=_axes())
+    axes = searches(EVALUATIONS, methods, best=("genetic", 25.0), ax=_axes())
     assert _lines(axes)["genetic, minimum"][1] == pytest.approx([20.0, -20.0])
     assert _lines(axes)["genetic: 25"][1] == [0.0, 0.0]
 
@@ -87,7 +87,7 @@ def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_
 def test_differences_of_1_percent_are_seen_beside_larger_ones(worst: float) -> None:
     rows = EVALUATIONS[EVALUATIONS["phase"] == "random"]
     rows = rows.assign(expected_mse=[20.0 * worst, 20.2, 20.0])
-    axes = cost(rows, {"random": "random"}, ax=_axes())
+    axes = searches(rows, {"random": "random"}, ax=_axes())
     bottom, near, top = axes.transData.transform([(0, 0.0), (0, 1.0), (0, 100 * (worst - 1))])[:, 1]
     assert near - bottom > 0.07 * (top - bottom)
 
@@ -108,12 +108,12 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
     }
     assert {*_lines(comparable)} == curves | on_fresh_draws
     assert {*_lines(other)} == {"survivors, best so far"}
-    assert {*_lines(cost(plain, ax=_axes()))} == {*_lines(comparable)}
-    axes = cost(plain, ["survivors"], ax=_axes())
+    assert {*_lines(searches(plain, ax=_axes()))} == {*_lines(comparable)}
+    axes = searches(plain, ["survivors"], ax=_axes())
     assert {*_lines(axes)} == {*_lines(other)}
     assert "estimated otherwise" in axes.get_legend().get_title().get_text()
     run = pfdist.open_run(finished("comparison.reference=[0, 3, 9]"))
-    assert any(label.startswith("the reference: ") for label in _lines(cost(run, ax=_axes())))
+    assert any(label.startswith("the reference: ") for label in _lines(searches(run, ax=_axes())))
 
 
 def test_a_file_is_laid_out_once_and_drawn_once(
@@ -139,7 +139,7 @@ def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> No
         ],
         columns=["generation", "individual", "copies", "end", "draws", "expected_mse"],
     ).assign(phase="mine")
-    axes = cost(rows, {"mine": "survivors"}, ax=_axes())
+    axes = searches(rows, {"mine": "survivors"}, ax=_axes())
     numbers, above = _lines(axes)["mine, best so far"]
     assert (numbers, np.round(above, 9).tolist()) == ([3, 4, 5], [20.0, 0.0, 0.0])
 
@@ -469,7 +469,7 @@ def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend(name: str) -
         figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
         axes = figure.subplots()
         methods, reference = dict.fromkeys(names, "random"), ("regular times", 31.2)
-        cost(pd.concat(rows), methods, reference=reference, ax=axes)
+        searches(pd.concat(rows), methods, reference=reference, ax=axes)
         figure.draw_without_rendering()
     texts = [text.get_window_extent() for text in axes.get_legend().get_texts()]
     assert len(axes.get_legend().get_texts()) == 41

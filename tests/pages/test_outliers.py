@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pfdist.pages.panel import shown_range
-from pfdist.pages.plots import budget, cost, error_profile, shifts, worth
+from pfdist.pages.plots import budget, error_profile, searches, shifts, worth
 
 RNG = np.random.default_rng(5)
 WORTH = pd.DataFrame(
@@ -109,7 +109,7 @@ def test_first_generations_far_off_and_infinite_costs_leave_the_search_its_room(
         {"phase": "mine", "generation": range(21), "copies": 5, "expected_mse": costs}
     )
     rows.loc[3, "expected_mse"] = np.inf
-    axes = cost(rows, {"mine": "genetic"}, reference=("regular times", 60.0), ax=_axes())
+    axes = searches(rows, {"mine": "genetic"}, reference=("regular times", 60.0), ax=_axes())
     low, high = axes.get_ylim()
     assert low <= 0
     assert high > 4.9e5  # the first generation is shown

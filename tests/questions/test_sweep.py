@@ -488,7 +488,7 @@ def test_regrets_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
         assert row.regret == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
         assert row.regret_low == row.regret == row.regret_high
     assert least_regret(judged) is None
-    assert least_regret_text(judged) == "No plan has a regret at every point."
+    assert least_regret_text(judged) == "No plan fits every point, so none has the least regret."
 
 
 def test_times_of_other_methods_have_regrets_too(
