@@ -194,7 +194,12 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
 
 
 @pytest.mark.parametrize(
-    ("engine", "scales"), [("kalman", [1.0] * 3), ("kalman", SCALES), ("", [1.0] * 3)]
+    ("engine", "scales"),
+    [
+        pytest.param("kalman", [1.0] * 3, marks=pytest.mark.slow),
+        ("kalman", SCALES),
+        ("", [1.0] * 3),
+    ],
 )
 def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
     engine: str, scales: list[float], tmp_path: Path

@@ -127,7 +127,7 @@ def test_the_limit_of_a_bound_holds_for_all_numbers(
     assert others[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
 
 
-@pytest.mark.parametrize(("sets", "numbers"), [(3, 1), (4, 4)])
+@pytest.mark.parametrize(("sets", "numbers"), [pytest.param(3, 1, marks=pytest.mark.slow), (4, 4)])
 def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> None:
     """A plan's sets, the reference among them, share one bound; a budget curve has one a number.
 
