@@ -27,7 +27,9 @@ def test_one_sentence_describes_it_and_begins_the_docstring_of_its_function(name
 @every
 def test_every_argument_is_described(name: str) -> None:
     described = dict(arguments_of(program(), name))
-    assert [words for words, text in described.items() if not text.partition("(default")[0]] == []
+    assert [
+        words for words, text in described.items() if not text.partition("(default")[0].strip()
+    ] == []
 
 
 @every

@@ -218,7 +218,7 @@ def test_why_keeps_the_exact_cost_where_instants_do_not_count(
         assert after == pytest.approx(before, rel=1e-12)
     else:  # 60 particles have their own error beside
         assert (apart < 5 * profile["standard_error"] + 0.1 * exact).all()
-        assert before is after is None
+        assert before == after
 
 
 @pytest.mark.parametrize("engine", ["numpy", pytest.param("compiled", marks=pytest.mark.slow)])
@@ -385,7 +385,7 @@ def test_errors_about_measurements_tell_times_of_the_clock(job: Path) -> None:
     planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
     with pytest.raises(MeasurementsError, match=r"must be finite.* at t = 0\.5$"):
         planner.update(np.inf)
-    with pytest.raises(MeasurementsError, match=r"no particle .* explains .* at t = 0\.5: more"):
+    with pytest.raises(MeasurementsError, match=r"no particle .* explains .* at t = 0\.5: its"):
         planner.update(1e200)
     planner.update(0.3, 1.0)
     with pytest.raises(MeasurementsError, match=r"t must not be before 1, got 0\.5$"):

@@ -82,13 +82,6 @@ MISTAKES = [
     (TERM, "", "log_likelihood", "wrong", "a term left out that depends on x"),
 ]  # fmt: skip
 SLOW_MISTAKES = [
-    ("0.9 * x[0]", ARRAY, "speed", "note",
-     r"@ in transition \(.*mine\.py:\d+\): write each component out"),
-    ("0.9 * x[0]", "TABLE[t % 3] * x[0]", "speed", "note",
-     r"TABLE in transition \(.*mine\.py:\d+\): each index is checked for each particle"),
-    ("0.9 * x[0]", "np.where(x[0] > 0, 0.5, 1)", "speed", "ok",
-     "no formula makes or indexes an array"),
-    ("0.9 * x[0]", "abs(x[0]) ** 0.9", "same bytes", "note", "call pow of the C library"),
     (LIKELIHOOD, NARROW, "log_likelihood", "wrong",
      r"come from the more likely state, where .* implies \d+,\d+ ± \d+ "),
     (QUADRATIC, f"np.log(9 - y[0]) {QUADRATIC}", "log_likelihood", "wrong",

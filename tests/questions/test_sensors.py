@@ -292,7 +292,7 @@ def test_the_plan_is_the_optimum_of_brute_force_and_its_gap_is_0(
 
 
 @pytest.mark.slow
-def test_no_other_bearings_of_two_platforms_lower_the_error_by_three_percent(
+def test_no_other_bearings_of_two_platforms_lower_the_error_by_five_percent(
     tmp_path: Path,
 ) -> None:
     """With 95 %, in two minutes; both platforms measure. Fewer particles lose more than that."""
@@ -300,11 +300,14 @@ def test_no_other_bearings_of_two_platforms_lower_the_error_by_three_percent(
     problem = pfdist.Problem(model, horizon=8, measurement_budget=3, particles=5000)
     run = pfdist.plan(
         problem, results=tmp_path / "run", changes=("comparison.draws=80000",),
-        bound_draws=10_000, figures=False, report=False,
+        bound_draws=0, figures=False, report=False,
     )  # fmt: skip
+    pfdist.bound(
+        problem, 10_000, results=run.path, report=False, changes=("comparison.draws=80000",)
+    )
     (name,) = found_sets(run)
     assert {str(each).split()[1] for each in run.sets[name]} == {"moving", "still"}
-    assert results_of(run)[name].bound_gap_at_most < 0.03
+    assert results_of(run)[name].bound_gap_at_most < 0.05
 
 
 @pytest.mark.slow

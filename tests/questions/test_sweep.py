@@ -153,7 +153,6 @@ def test_an_evaluation_that_several_points_need_is_seldom_computed_twice(
         ("stopped after the search", ['search=[{method="relaxation"}]'], 1),
         pytest.param("stopped after the search", [], 1, marks=pytest.mark.slow),
         ("of another processor", [], 2),  # whose last digits may differ
-        pytest.param("damaged", [], 2, marks=pytest.mark.slow),
     ],
 )
 def test_points_that_are_added_take_what_another_has_computed_if_its_bytes_are_sure(
@@ -179,10 +178,6 @@ def test_points_that_are_added_take_what_another_has_computed_if_its_bytes_are_s
                 swept(FIRST, changes=changes)
         else:
             swept(FIRST, changes=changes)
-    if first == "damaged":
-        tables = tmp_path / "sweep" / "comparison.draws=60" / "tables"
-        damaged = next((tables / "draws").glob("*.parquet"))
-        damaged.write_bytes(damaged.read_bytes()[:-1] + b"?")
     once = sum(filtered)
     sweep = swept(ALIKE, changes=changes)
     assert 0 < searches * once <= sum(filtered) < (searches + 1) * once

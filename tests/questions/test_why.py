@@ -17,7 +17,6 @@ from pfdist import Job, Run
 from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
-from pfdist.errors import RunMismatchError
 from pfdist.filters import kalman
 from pfdist.filters.work import Estimation, Work
 from pfdist.kernels.estimators import ESTIMATORS
@@ -232,29 +231,6 @@ def test_degenerate_draws_are_counted_up_to_each_instant(small_job: Job, tmp_pat
         counts = rows["degenerate_draws"].to_numpy()
         assert np.all(np.diff(counts) >= 0), name
         assert 0 < counts[-1] == known[name]
-
-
-@pytest.mark.slow
-def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_same(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text("from pfdist.models.library.ungm import model\n")
-    job = small_job.with_changes([*QUICK, "model.name=mine.py:model"])
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    said: list[str] = []
-    pfdist.why(run.path / "job.toml", draws=2, say=said.append, figures=False)
-    assert said == [f"runs the model file {file}, which your job names"]
-    file.write_text(
-        '"""Another word."""\nfrom pfdist.models.library.ungm import model\n# another\n'
-    )
-    why(run, draws=2)
-    file.write_text("from pfdist.models.library.ungm_gordon import model\n")
-    words = r"model\.formulas: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
-    with pytest.raises(RunMismatchError, match=words):
-        why(run, draws=2)
 
 
 def test_a_lost_answer_is_computed_when_it_is_asked_for(
