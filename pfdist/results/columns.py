@@ -18,10 +18,7 @@ from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import relative
-from pfdist.results.gains import (
-    QUANTILES,
-    quantile_name,
-)
+from pfdist.results.gains import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -261,8 +258,7 @@ def sets_table(
     caption : str
     rows : iterable of Row
     columns : sequence of str
-        Names of columns that have a head. The last that are not needed are the first that a narrow
-        terminal leaves out.
+        Names of columns that have a head.
     unit : str
         Unit of measurement times.
     how
