@@ -1,4 +1,4 @@
-"""Standard streams that may be closed, full, unread, or unable to encode all characters."""
+"""Standard streams that may be closed, full or unable to encode a text; a stream of JSON alone."""
 
 import codecs
 import contextlib

@@ -106,7 +106,9 @@ def bound(
     """Prove how much lower the expected MSE of any other times can be.
 
     The model is run on draws that neither chose the times nor compared them, and the tables
-    ``bound`` and ``error_sums`` of the run are written. The same call goes on where it was stopped.
+    ``bound`` and ``error_sums`` of the run are written. The same call resumes where it was stopped.
+    The figure of the bound, if figures are drawn, and an existing report are made again. With an
+    exact engine the pool is not used.
 
     Parameters
     ----------

@@ -44,7 +44,8 @@ def plan(
     bound_draws : int
         Number of draws of the lower bound that is proved for the found times, by default 480; 0
         for no bound. For several numbers of measurements, a bound is proved only if this number is
-        given.
+        given. A bound that would take more than about four minutes of one core is left out, and a
+        line names the command that proves it.
     reuse : str, Path or iterable of these, optional
         Folders of other runs, one each time. Every evaluation that one of them has is taken from
         there.

@@ -69,8 +69,8 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     runs : Run, str, Path, or list of these
         Folders of runs, finished or not. A folder that is no run but has runs or sweeps in
         it stands for all these runs, in the order of their names; numbers in names are ordered as
-        numbers. Runs that cannot be read are left out, with a warning. A run that is given
-        twice counts once.
+        numbers. Runs in a folder that cannot be read are left out, with a warning; a run that
+        is given itself is an error then. A run that is given twice counts once.
     out : str or Path, optional
         Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.
         An earlier table of runs is replaced; another file is not.

@@ -153,6 +153,8 @@ def why(
         sets of several numbers of measurements.
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
+    JobError
+        The error of the worst scenario decides: only means are explained.
     """
     chosen = Chosen(figures=figures, progress=progress, say=say)
     with following(chosen.progress, chosen.say) as (show, tell):
