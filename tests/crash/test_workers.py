@@ -110,10 +110,12 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
 def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
     make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
-    job, rng, kills, killed = make_job(800_000), random.Random(0), 20, set[Process]()
+    job, rng, kills, killed = make_job(800_000), random.Random(0), 12, set[Process]()
     with running(job, tmp_path / "run", *TWO) as driver:
         while len(killed) < kills:
-            commits = driver.parts("timings")  # it must come on, too
+            # It must come on, too: a task that dies four times is a failed task, and Ray hands a
+            # worker several tasks at a time.
+            commits = driver.parts("timings") + 2
             driver.wait_for(_has_come_on(driver, commits, killed))
             time.sleep(rng.uniform(0, 0.5))  # it has begun, or waits, or has ended something
             for worker in set(driver.workers()) - killed:
