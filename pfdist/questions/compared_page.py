@@ -19,7 +19,6 @@ from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
 from pfdist.questions.subject import ERROR_HEAD, Subject, effect, number_of
 from pfdist.results.columns import COLUMNS, Row, interval_cell, rows_of
-from pfdist.results.online import is_online, online_draws
 from pfdist.results.pairs import formatted_ranks
 from pfdist.results.stored_run import named_sets
 
@@ -189,9 +188,9 @@ _FIGURES = ("online_gain", "online_times", "online_draw")
 
 def online(subject: Subject) -> Section | None:
     """Compare online times with the plan and with the reference."""
-    if not is_online(subject.run):
+    result = subject.online
+    if result is None:
         return None
-    result = online_draws(subject.run).summary()
     plan = result["plan"]
     sets = [{"name": "online", **result}, plan, result["reference"]]
     rows = [Row(**_NOTHING | each) for each in sets]
@@ -210,9 +209,9 @@ def online(subject: Subject) -> Section | None:
 
 def online_sentence(subject: Subject) -> str:
     """The gain of choosing each time when the last measurement is known; empty if unknown."""
-    if not is_online(subject.run):
+    if subject.online is None:
         return ""
-    plan = online_draws(subject.run).summary()["plan"]
+    plan = subject.online["plan"]
     if not math.isfinite(gain := plan["gain_of_means"]):
         return ""
     ends = [plan["gain_of_means_low"], plan["gain_of_means_high"]]

@@ -113,7 +113,7 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
             f"for instance {list(sets)[-1]}",
             argument="planned",
         )
-    best = best_first(run, run.table("sets"))[0]
+    best = best_first(run.table("sets"))[0]
     return best, sets[best]
 
 

@@ -175,7 +175,10 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         others = len(subject.found_rows) - 1
         if others:
             best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
-            yield Text(f"{best} {_LOOKS_BETTER if row.standard_error else _BY_EXACT_ERRORS}")
+            by_chance = (
+                row.standard_error or subject.worst_decides
+            )  # of draws, if the worst decides
+            yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
     at = f"{'t = ' if times else 'no time'}{subject.listed(times)}"
     if subject.is_compared:
         yield Text(f"Measure at {at}.")

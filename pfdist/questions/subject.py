@@ -17,6 +17,7 @@ from pfdist.problem.set_key import label_of
 from pfdist.results import Run, reaching, read_recorded
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
+from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first
 from pfdist.results.stored_run import problem_of
 
@@ -82,7 +83,7 @@ class Subject:
     @cached_property
     def by_error(self) -> list[str]:
         """Names of the found sets, or of all sets of a run without a search, the best first."""
-        return best_first(self.run, self.sets) if self.rows else []
+        return best_first(self.sets) if self.rows else []
 
     @property
     def shown(self) -> list[str]:
@@ -94,6 +95,11 @@ class Subject:
         """The rows of the table ``scenarios``, if the job has scenarios."""
         is_known = "scenarios" in self.run.tables
         return rows_of(self.run.table("scenarios")) if is_known else []
+
+    @cached_property
+    def online(self) -> dict[str, Any] | None:
+        """Results of times that were chosen one after another; None if there are none."""
+        return online_draws(self.run).summary() if is_online(self.run) else None
 
     @property
     def worst_decides(self) -> bool:

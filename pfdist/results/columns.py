@@ -138,6 +138,10 @@ _DECLARED = [
         meaning="on the compared draws, or exact where the engine is exact",
     ),
     Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
+    Column(
+        name="worst_mse",
+        meaning="expected MSE on the draws of the set's worst scenario, where the job asks for it",
+    ),
     Column(name="draws", dtype="int64", meaning="compared draws"),
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),
     Column(

@@ -108,7 +108,7 @@ def _best(run: Run) -> Row | None:
         return None
     sets = run.table("sets")
     rows = {row.name: row for row in rows_of(sets) if row.reference is not None}
-    return next((rows[name] for name in best_first(run, sets) if name in rows), None)
+    return next((rows[name] for name in best_first(sets) if name in rows), None)
 
 
 def _in_few_words(error: Exception, path: Path) -> str:

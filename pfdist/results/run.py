@@ -125,7 +125,7 @@ class Run(StoredRun, Shown):
         if not self.draws_compared:
             raise StoreError(f"{self.path} has compared no draws yet: it is {self.state}")
         sets = self.table("sets")
-        name = best_first(self, sets)[0]
+        name = best_first(sets)[0]
         return next(row for row in rows_of(sets) if row.name == name)
 
     def as_json(self) -> dict[str, Any]:

@@ -170,6 +170,8 @@ def _add_beliefs(run: StoredRun, rows: dict[str, Results]) -> None:
     is_worst = run.job.get("scenarios", {}).get("criterion") == "worst"
     worst = worst_of(run) if is_worst else {}
     for name, row in rows.items():
+        if name in worst:
+            row["worst_mse"] = worst[name]["expected_mse"]
         if row["kind"] == FOUND:
             search, errors = key_of(name, run.job).origin, row | worst.get(name, {})
             row.update(belief_of(run, search, errors))
@@ -207,15 +209,13 @@ def _gain_over_itself(run: StoredRun) -> Results:
     }
 
 
-def best_first(run: StoredRun, sets: pd.DataFrame) -> list[str]:
+def best_first(sets: pd.DataFrame) -> list[str]:
     """Names of the found sets, or of all sets of a run without a search, the best first.
 
     If the worst scenario decides, the errors are those of each set's worst scenario. Sets whose
     error is unknown or infinite come last. The run has one number of measurements.
     """
-    errors = sets.set_index("name")["expected_mse"]
-    if run.job.get("scenarios", {}).get("criterion") == "worst" and "comparison" in run.tables:
-        worst = worst_of(run)
-        errors = errors.index.to_series().map(lambda name: worst[name]["expected_mse"])
-    names = sets["name"][sets["kind"] == FOUND]
-    return [*errors[names if len(names) else sets["name"]].sort_values(kind="stable").index]
+    found_sets = sets[sets["kind"] == FOUND]
+    chosen = found_sets if len(found_sets) else sets
+    error = "worst_mse" if chosen["worst_mse"].notna().any() else "expected_mse"
+    return [*chosen.sort_values(error, kind="stable")["name"]]

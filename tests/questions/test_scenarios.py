@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.results_of import results_of
 from oracles.walks import (
     HORIZON,
     NOMINAL,
@@ -25,8 +26,10 @@ from pfdist.errors import JobError, ModelError
 from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.scenarios import scenarios_of_draws
 from pfdist.filters.work import BLOCK, Estimation, Work, with_truth
+from pfdist.pages.terminal import lines_of
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.questions.compared_page import worst_effect
+from pfdist.questions.run_page import answer_of
 from pfdist.results.columns import Row
 from pfdist.runner import search_phase
 from pfdist.runner.build import build
@@ -321,6 +324,19 @@ def test_a_list_of_runs_names_the_best_set_as_the_run_does(tmp_path: Path) -> No
         run = pfdist.compare(asked, times=sets, results=path, draws=400, figures=False)
         assert run.best.measurement_times == list(sets[criterion])
         assert pfdist.list_runs(path)["best"].tolist() == [criterion]
+
+
+def test_the_best_of_several_sets_for_the_worst_is_chosen_by_draws(tmp_path: Path) -> None:
+    """An exact engine knows the mean error, but errors of worst scenarios are those of draws."""
+    searches = [{"method": "random", "name": f"s{k}", "evaluations": 2} for k in range(2)]
+    job = problem("worst", engine="kalman").job(search=searches, comparison={"draws": 96})
+    run = pfdist.run(job, tmp_path / "run", figures=False, report=False)
+    worst = run.table("scenarios").groupby("name")["expected_mse"].max()
+    assert results_of(run)["s0"].worst_mse == worst["s0"]
+    assert run.best.name == worst[["s0", "s1"]].idxmin()
+    said = " ".join(lines_of(answer_of(run)))
+    assert "The best of several sets looks better than it is" in " ".join(said.split())
+    assert "known exactly" not in said
 
 
 def test_the_best_shares_beat_every_weighting_on_a_grid() -> None:

@@ -50,3 +50,10 @@ def test_the_smallest_of_many_evaluations_lies_below_the_limit_as_rarely_as_stat
     share = np.mean(largest > largest_of(count))
     assert abs(share - rare) < 4 * math.sqrt(rare / trials)
     assert largest_of(1) == pytest.approx(2.0)
+
+
+def test_an_estimate_without_standard_error_is_not_called_exact() -> None:
+    """A search by particles may see the same error in all of its draws."""
+    result = {"search_mse": 5.0, "search_standard_error": 0.0, "expected_mse": 5.0}
+    assert cause_of_excess(result | {"standard_error": 0.08}, {}, "results/x") == CHOSE
+    assert cause_of_excess(result | {"standard_error": 0.0}, {}, "results/x") == "exact"
