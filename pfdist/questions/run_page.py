@@ -175,9 +175,8 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
         others = len(subject.found_rows) - 1
         if others:
             best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
-            by_chance = (
-                row.standard_error or subject.worst_decides
-            )  # of draws, if the worst decides
+            # The errors of worst scenarios are those of draws, whatever the engine.
+            by_chance = row.standard_error or subject.worst_decides
             yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
     at = f"{'t = ' if times else 'no time'}{subject.listed(times)}"
     if subject.is_compared:

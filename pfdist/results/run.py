@@ -56,12 +56,11 @@ class Run(StoredRun, Shown):
     def tables(self) -> tuple[str, ...]:
         """Names of the tables that the run has, those of its files first."""
         stored = super().tables
-        needs = {"sets": "compared", "scenarios": "scenarios"}
         computed = [
             name
             for name in COMPUTED
-            if needs.get(name, "comparison") in (*stored, *self.job)
-            and (name != "scenarios" or "comparison" in stored)
+            if ("compared" if name == "sets" else "comparison") in stored
+            and (name != "scenarios" or name in self.job)
         ]
         return (*stored, *computed)
 

@@ -109,13 +109,12 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
 
 def _rows(run: Run) -> Iterator[Results]:
     """Yield the rows of a run; one if nothing is known of any set but the reference."""
+    has_timings = "timings" in run.tables
     shared = {
         "state": run.state,
         "draws": run.draws_compared,
         "evaluations": evaluations_of(run),
-        "worker_seconds": run.table("timings")["seconds"].sum()
-        if "timings" in run.tables
-        else None,
+        "worker_seconds": run.table("timings")["seconds"].sum() if has_timings else None,
         "path": str(run.path),
     }
     sets = {row.name: row for row in rows_of(run.table("sets"))} if "sets" in run.tables else {}
