@@ -10,11 +10,13 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
+    coverage,
     densities,
     driver,
     estimators,
     genetic,
     growth,
+    guided,
     kernel,
     online,
     peers,
@@ -22,6 +24,7 @@ from benchmarks import (
     robust,
     scaling,
     search,
+    simulators,
     size,
     stone_soup,
     sweep,
@@ -38,7 +41,9 @@ BENCHMARKS: dict[str, Benchmark] = {
     "densities": densities,
     "prefixes": prefixes,
     "growth": growth,
+    "guided": guided,
     "estimators": estimators,
+    "coverage": coverage,
     "scaling": scaling,
     "driver": driver,
     "ways": ways,
@@ -50,6 +55,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "sweep": sweep,
     "wall": wall,
     "size": size,
+    "simulators": simulators,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"

@@ -124,7 +124,7 @@ def _known(state: RelaxationState) -> RelaxationState:
 
 
 def _gap(state: RelaxationState, last: RelaxationState, total: int) -> float:
-    return 1 - float(state.programme(total).mse[total]) / last.least(total)
+    return 1 - float(state.programmes([total])[total].mse[total]) / last.least(total)
 
 
 def _bounded(quick: bool, say: Say) -> pd.DataFrame:

@@ -20,7 +20,7 @@ from benchmarks.bare_processes import measure_rate
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_job, run
-from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, OCHRE, RED
 from pfdist.runner.comparison_phase import TRAJECTORIES
 from pfdist.runner.progress import Progress
 
@@ -161,7 +161,7 @@ def plot(tables: Tables) -> Figure:
     rows = tables["scaling"]
     figure = Figure(figsize=(2 * COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for (pool, workers), colour in zip(RUNS, (ORANGE, GREEN, BLUE, RED), strict=True):
+    for (pool, workers), colour in zip(RUNS, (OCHRE, GREEN, BLUE, RED), strict=True):
         chosen = rows[(rows["pool"] == pool) & (rows["workers"] == workers)]
         rates = chosen.groupby("draws")["rate"].agg(["median", "min", "max"]) / 1e9
         kind = "Ray, {} worker{}" if pool == "ray" else "{} thread{}"

@@ -105,7 +105,7 @@ def _submitted(folder: Path) -> tuple[float, Path, bool | None]:
     """A driver that ``ray job submit`` starts on a cluster of three nodes."""
     run = folder / "run"
     with nodes(folder, 3, takes_jobs=True) as cluster:
-        words = [*_PFDIST, "run", str(JOB), "--results", str(run), "--pool", "ray"]
+        words = [*_PFDIST, "run", str(JOB), "--verbose", "--results", str(run), "--pool", "ray"]
         submit = [sys.executable, "-m", "ray.scripts.scripts", "job", "submit", "--", *words]
         environment = {**cluster.environment, "RAY_ADDRESS": cluster.jobs}
         seconds = _until_said([*submit, "--address", "auto"], environment)
@@ -113,7 +113,7 @@ def _submitted(folder: Path) -> tuple[float, Path, bool | None]:
 
 
 def _slurm_nodes(folder: Path) -> tuple[float, Path, bool | None]:
-    words = ("run", "quick.toml", "--results", "results/quick")
+    words = ("run", "quick.toml", "--verbose", "--results", "results/quick")
     with _slurm(folder) as cluster:
         seconds = _until_done(cluster, folder, "nodes.sbatch", *words, options=("--nodes=2",))
     return seconds, folder / "results" / "quick", None
@@ -122,7 +122,7 @@ def _slurm_nodes(folder: Path) -> tuple[float, Path, bool | None]:
 def _slurm_array(folder: Path) -> tuple[float, Path, bool | None]:
     """A sweep over two seeds in two tasks; the bytes are those of the job's own seed."""
     (folder / "seeds.toml").write_text('job = "quick.toml"\n[over]\nseed = [2020, 1]\n')
-    words = ("sweep", "seeds.toml", "--results", "results/seeds")
+    words = ("sweep", "seeds.toml", "--verbose", "--results", "results/seeds")
     with _slurm(folder) as cluster:
         seconds = _until_done(cluster, folder, "array.sbatch", *words, options=("--array=1-2",))
     jobs = (folder / "results" / "seeds").glob("*/job.toml")
@@ -161,7 +161,8 @@ def _until_ready(
     environment: Mapping[str, str] | None = None,
     then: Callable[[], None] | None = None,
 ) -> float:
-    words = [*_PFDIST, command, str(job), "--results", str(run), "--no-report", *options]
+    flags = ("--verbose", "--no-report")
+    words = [*_PFDIST, command, str(job), "--results", str(run), *flags, *options]
     return _until_said(words, environment or {}, then)
 
 
