@@ -6,6 +6,7 @@ from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
 import pfdist
+from pfdist.pages.style import PALETTE
 
 project = "pfdist"
 author = "the authors of pfdist"
@@ -24,6 +25,10 @@ napoleon_numpy_docstring, napoleon_google_docstring = True, False
 default_role = "literal"  # docstrings name functions and arguments between single backticks
 
 html_theme = "furo"
+html_theme_options = {
+    f"{mode}_css_variables": {"color-brand-primary": colour, "color-brand-content": colour}
+    for mode, colour in zip(("light", "dark"), PALETTE["blue"], strict=True)
+}
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]

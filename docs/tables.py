@@ -12,6 +12,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 from pydantic.fields import FieldInfo
@@ -30,12 +31,13 @@ from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
 from pfdist.pools.kinds import POOLS
 from pfdist.problem.job import Job
-from pfdist.problem.methods import DEFAULT_METHOD, METHODS
+from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
 from pfdist.problem.problem_section import ProblemSection, SensorSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.problem.sections import (
+    DEFAULT_METHOD,
     Budget,
     Comparison,
     EvaluationSection,
@@ -97,6 +99,7 @@ _ROWS = {
     "timings": "each task; the one table that may differ between two runs of one job",
     "bound": "each set and each proof of a lower bound",
     "error_sums": "each block of 24 draws of a relaxation",
+    "evenly_spaced": "each number of evenly spaced measurements that was tried",
     "profile": "each compared set and instant, by `pfdist why`",
     "worth": "each compared set and measurement, by `pfdist why`",
     "sampling_windows": "each compared set, measurement and tried instant, by `pfdist why`",
@@ -151,7 +154,7 @@ def columns() -> str:
     schemas = {
         "compared": schema("compared", "exact_mse"),
         "bound": schema("bound", "shares"),
-        "comparison": comparison_schema(["SET"], with_scenarios=True),
+        "comparison": comparison_schema(["SET"], with_control=True, with_scenarios=True),
         "filter_distance": distance_schema(["SET"]),
         "filter_variance": variance_schema(["SET"]),
         "trajectories": trajectories_schema(["SET"], _MODEL, _MODEL),
@@ -322,6 +325,43 @@ def seconds_of_plan() -> str:
     return _table(["part", "s"], [*rows, ["all", f"{parts['seconds'].sum():.1f}"]])
 
 
+def simulators() -> str:
+    """Give the table of systems as formulas and as functions of arrays, from their benchmark."""
+    cases = pd.read_csv(BENCHMARKS / "simulators.csv", comment="#")
+    rows = [
+        [
+            row.system,
+            row.way,
+            f"{row.ns:.0f}",
+            "" if np.isnan(row.ns_of_functions) else f"{row.ns - row.ns_of_functions:.0f}",
+        ]
+        for row in cases.itertuples()
+    ]
+    head = ["system", "written as", "ns a particle-step", "without the functions' own time"]
+    return _table(head, rows)
+
+
+def guided() -> str:
+    """Give the table of plain and guided filters, from their benchmark."""
+    cases = pd.read_csv(BENCHMARKS / "guided.csv", comment="#").groupby("system", sort=False)
+    rows = []
+    for system, pair in cases:
+        plain, other = (row for _, row in pair.iterrows())
+        rows.append(
+            [
+                f"{system}, {plain['noise']}, P = {plain['particles']}",
+                *(
+                    f"{100 * row['excess']:+.1f} ± {100 * row['excess_error']:.1f} %"
+                    for row in (plain, other)
+                ),
+                *(f"{row['bound']:.3f}" for row in (plain, other)),
+                f"{other['ns'] / plain['ns']:.1f}",
+            ]
+        )
+    head = ["system, noise", "plain", "guided", "bound plain", "bound guided", "times the time"]
+    return _table(head, rows)
+
+
 def size() -> str:
     """Give the table of the time and memory of large problems, from their benchmark."""
     cases = pd.read_csv(BENCHMARKS / "size.csv", comment="#")
@@ -400,7 +440,7 @@ def robust() -> str:
 def engines() -> str:
     """Give the table of engines."""
     rows = [[f"`{engine.name}`", _sentence(engine.description)] for engine in ENGINES.values()]
-    choice = "The engine `compiled`, or `numpy` if Numba cannot compile the model"
+    choice = "The engine `compiled`, or `batched` if a formula cannot be traced"
     return _table(["engine", "what computes"], [[f"`{AUTO}` (default)", choice], *rows])
 
 
@@ -502,8 +542,8 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, wall, size, seconds_of_plan, ways, driver, searches, robust,
-        engines, estimators, schemes, commands, figures, panels, pools, densities,
+        gallery, genetic, stone_soup, wall, simulators, guided, size, seconds_of_plan, ways, driver,
+        searches, robust, engines, estimators, schemes, commands, figures, panels, pools, densities,
     )
 }  # fmt: skip
 
