@@ -8,6 +8,9 @@ from .filters.filter import Filter as Filter
 from .models import Sensor as Sensor
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
+from .models.batched import BatchedModel as BatchedModel
+from .models.continuous import ode as ode
+from .models.continuous import sde as sde
 from .models.library.linear_gaussian import linear_gaussian as linear_gaussian
 from .models.symbols import take as take
 from .pages import plots as plots

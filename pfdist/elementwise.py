@@ -1,4 +1,4 @@
-"""Functions of NumPy that formulas often need, by short names."""
+"""Functions of NumPy that formulas often need, under short names."""
 
 from typing import Any
 

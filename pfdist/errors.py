@@ -1,25 +1,25 @@
-"""All errors that pfdist raises on purpose, and how messages show values, texts and paths.
+"""All errors of pfdist, and how messages show values, texts and paths.
 
 ::
 
-    PfdistError                     one line: what, got, allowed, where
+    PfdistError                     message of one line: what, got, allowed, where
     ├── JobError                    a value in a job, or of an option, is wrong
-    ├── ArgumentError               another argument of a function is wrong; also a ValueError
+    ├── ArgumentError               an argument that is not a job key is wrong; also a ValueError
     ├── ModelError                  a model cannot be loaded, or a formula is wrong
     │   └── TraceError              a formula cannot be traced
     ├── MeasurementTimesError       measurement times or their constraints are wrong
     ├── MeasurementsError           measured values or their table are wrong
-    ├── PriorError                  particles from which a filter is to start are wrong
+    ├── PriorError                  particles from which a filter starts are wrong
     ├── StoreError                  a run's folder cannot be read or written
-    │   ├── BusyError               another process computes the run
-    │   └── RunMismatchError        the folder holds the run of another job
-    ├── SearchError                 a search ended without a result
+    │   ├── BusyError               another process is computing the run
+    │   └── RunMismatchError        the folder holds a different run
+    ├── SearchError                 a search found no usable set
     ├── SweepError                  some points of a sweep failed; the others are finished
     └── PoolError                   workers cannot be started
-        ├── SilenceError            workers do not answer any more
+        ├── SilenceError            workers no longer answer
         └── TaskError               a task failed in its worker; carries the traceback
 
-    PfdistWarning                   something that a caller must hear about the results
+    PfdistWarning                   results are incomplete, or the model may be wrong
     └── EngineWarning               NumPy computes a model, or compiled code is not kept
 """
 
@@ -47,7 +47,7 @@ _shortener.maxlevel = 3
 
 
 def shown(value: Any) -> str:
-    """A value as messages show it: as Python writes it, but a long value without its middle.
+    """A value as messages show it: its Python form, without the middle of a long value.
 
     The value comes from a file or the command line, and may have any size and depth.
 
@@ -60,7 +60,7 @@ def shown(value: Any) -> str:
 
 
 def shown_text(text: str) -> str:
-    """A text as messages show it: a long text without its middle."""
+    """A text as messages show it: without the middle of a long text."""
     return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
 
 
@@ -68,13 +68,13 @@ _started = ""  # the folder in which the program was started
 
 
 def started_in(folder: str) -> None:
-    """Show paths relative to a folder, wherever a model moves; "" for the working folder."""
+    """Show paths relative to this folder, even if a model leaves it; "" for the working folder."""
     global _started  # noqa: PLW0603  a process has one working folder, too
     _started = folder
 
 
 def relative(text: str) -> str:
-    """A text in which paths below the folder where the program was started are relative to it.
+    """A text whose paths below the folder of the program's start are relative to that folder.
 
     >>> relative(f"no run in {os.getcwd()}/results/a"), relative("no run in /elsewhere")
     ('no run in results/a', 'no run in /elsewhere')
@@ -99,7 +99,7 @@ def one_line(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """A text as outputs show it: paths as of `relative`; no control characters but line breaks."""
+    """A text as outputs show it: with relative paths, and no control characters but line breaks."""
     text = relative(text)
     return text if text.isprintable() else "".join(map(_printable, text))
 
@@ -112,14 +112,14 @@ def _printable(character: str) -> str:
 
 
 class PfdistError(Exception):
-    """Base of all errors of pfdist. The command line prints one line and exits with code 1.
+    """Base class of all errors of pfdist. The command line prints one line and exits with code 1.
 
     Parameters
     ----------
     message : str
-        The error in one line, in words that hold in Python and on the command line.
+        The error in one line, for Python and the command line.
     argument : str
-        Name of the wrong argument, if there is one. The command line names its option.
+        Name of the wrong argument, if there is one. The line then begins with its option.
     """
 
     def __init__(self, message: str = "", *, argument: str = "") -> None:
@@ -128,7 +128,7 @@ class PfdistError(Exception):
 
 
 class JobError(PfdistError):
-    """A value in a job, or of an option that replaces it, is wrong."""
+    """A value in a job, or of an option that replaces one, is wrong."""
 
 
 class ArgumentError(PfdistError, ValueError):
@@ -160,7 +160,7 @@ class MeasurementsError(PfdistError):
 
 
 class PriorError(PfdistError):
-    """Particles from which draws and filters are to start are wrong."""
+    """Particles from which draws and filters start are wrong."""
 
 
 class StoreError(PfdistError):
@@ -168,11 +168,11 @@ class StoreError(PfdistError):
 
 
 class BusyError(StoreError):
-    """Another process computes the run."""
+    """Another process is computing the run."""
 
 
 class RunMismatchError(StoreError):
-    """The folder holds the run of another job, model or version.
+    """The folder holds the run of a different job, model or version.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class RunMismatchError(StoreError):
 
 
 class SearchError(PfdistError):
-    """A search ended without a result."""
+    """A search found no usable set of times."""
 
 
 class SweepError(PfdistError):
@@ -213,7 +213,7 @@ class PoolError(PfdistError):
 
 
 class SilenceError(PoolError):
-    """Workers do not answer any more. The same command goes on from what is committed."""
+    """Workers no longer answer. Finished work is saved; the same command resumes."""
 
 
 class TaskError(PoolError):
@@ -232,7 +232,7 @@ class TaskError(PoolError):
 
 
 class PfdistWarning(UserWarning):
-    """A warning about results: they lack something, or the model may be wrong.
+    """A warning about results: they are incomplete, or the model may be wrong.
 
     Parameters
     ----------
@@ -245,4 +245,4 @@ class PfdistWarning(UserWarning):
 
 
 class EngineWarning(PfdistWarning):
-    """A warning of slow work: NumPy computes a model, or compiled code is not kept."""
+    """A warning about speed: NumPy computes a model, or compiled code is not kept."""

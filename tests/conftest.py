@@ -42,6 +42,17 @@ QUICK = ("common", "problem", "results")  # folders of tests
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_flush() -> Iterator[None]:
+    """Flush no file to the disk, which takes half of a small run: no test can cut the power.
+
+    Processes that tests start flush theirs.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def ungm() -> StateSpaceModel:
     return load_model("ungm")

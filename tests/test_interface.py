@@ -12,8 +12,6 @@ import pytest
 import pfdist
 from pfdist import Job
 
-ROOT = Path(__file__).parents[1]
-
 
 @pytest.mark.parametrize("name", pfdist.__all__)
 def test_every_exported_name_is_documented(name: str) -> None:

@@ -6,6 +6,7 @@ see `pfdist.common.stopping`.
 
 import contextlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -125,7 +126,7 @@ def _answer(line: "Line") -> Any:
         return line.function(*line.arguments, **line.options)
     from pfdist.questions.display import Display  # noqa: PLC0415  rich takes long to load
 
-    with Display() as display:
+    with Display(verbose=line.verbose) as display:
         heard: dict[str, Any] = {"say": display.say}
         if "progress" in taken:
             heard["progress"] = display.show
@@ -143,7 +144,9 @@ def _error(error: Exception, *, debug: bool) -> int:
     """Print an error as one line, after its traceback if that is wanted; return the exit code."""
     reason, hint = str(error), ""
     if isinstance(error, PfdistError) and error.argument:
-        hint = f" (--{error.argument.replace('_', '-')})"
+        option = f"--{error.argument.replace('_', '-')}"
+        reason = re.sub(rf"^(measurement_)?{error.argument}(?=[ :])", option, reason)
+        reason = reason if reason.startswith(option) else f"{option}: {reason}"
     elif isinstance(error, MemoryError):
         reason = "not enough memory; fewer draws or particles need less"
     elif isinstance(error, OSError | ImportError):

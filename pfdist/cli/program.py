@@ -18,8 +18,9 @@ from cyclopts.exceptions import (
 
 import pfdist
 from pfdist.cli.commands import COMMANDS
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.nearest import did_you_mean, must_be
 from pfdist.errors import one_line, shown, shown_text
+from pfdist.pages.terminal import line_width
 
 if TYPE_CHECKING:  # it is imported with the first command that is read
     from pfdist.cli.words import Line
@@ -34,7 +35,6 @@ _EXIT_CODES = (
     "75 ended by SIGTERM or SIGUSR1, which batch systems send, or because no worker answers."
 )
 _GOES_ON = "If it is interrupted, the same command resumes where it stopped. "
-_WIDTH = 80
 _MARGIN = 24  # columns before the meaning of an argument
 
 
@@ -112,9 +112,9 @@ def help_of(app: App, name: str) -> str:
     command = COMMANDS[name]
     docstring = inspect.getdoc(app[name].default_command) or ""
     about = docstring.partition("\nParameters\n---")[0].replace("``", "`").strip()
-    text = "\n\n".join(fill(" ".join(each.split()), _WIDTH) for each in about.split("\n\n"))
+    text = "\n\n".join(fill(" ".join(each.split()), line_width()) for each in about.split("\n\n"))
     rows = _rows([*arguments_of(app, name), ("--help, -h", "Show this help.")])
-    notes = fill((_GOES_ON if command.goes_on else "") + _EXIT_CODES, _WIDTH)
+    notes = fill((_GOES_ON if command.goes_on else "") + _EXIT_CODES, line_width())
     parts = [
         text,
         f"usage: {usage(app, name)} [options]",
@@ -128,11 +128,11 @@ def help_of(app: App, name: str) -> str:
 def help_of_all(app: App) -> str:
     """The help of the program: its commands, and the first to try."""
     rows = _rows((name, command.sentence) for name, command in COMMANDS.items())
-    notes = fill(f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}", _WIDTH)
+    notes = fill(f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}", line_width())
     commands = f"commands:\n{rows}"
     return "\n\n".join(
         [
-            fill(PROGRAM, _WIDTH),
+            fill(PROGRAM, line_width()),
             "usage: pfdist COMMAND ...",
             commands,
             notes,
@@ -149,9 +149,9 @@ def _rows(rows: Iterable[tuple[str, str]]) -> str:
     for words, meaning in listed:
         start = f"  {words}"
         if len(start) > margin - 2:
-            lines += wrap(start, _WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+            lines += wrap(start, line_width(), subsequent_indent="    ", break_on_hyphens=False)
             start = ""
-        for text in wrap(meaning, _WIDTH - margin, break_on_hyphens=False):
+        for text in wrap(meaning, line_width() - margin, break_on_hyphens=False):
             lines.append(f"{start:{margin}}{text}")
             start = ""
     return "\n".join(lines)
@@ -170,7 +170,7 @@ def _way_in() -> dict[str, str]:
 def welcome() -> str:
     """The text that ``pfdist`` alone prints."""
     begin = examples_text(_way_in(), "Three commands to try:")
-    return f"{fill(PROGRAM, _WIDTH)}\n\n{begin}\n\n`pfdist --help` lists all commands."
+    return f"{fill(PROGRAM, line_width())}\n\n{begin}\n\n`pfdist --help` lists all commands."
 
 
 # --- wrong words ----------------------------------------------------------------------------------
@@ -236,8 +236,7 @@ def _options(arguments: Iterable[Argument]) -> list[str]:
 
 
 def _not_one_of(name: str, choices: Collection[str], got: str) -> str:
-    meant = did_you_mean(got, choices)
-    return f"{name} must be one of {', '.join(choices)}, got {shown(got)}{meant}"
+    return must_be(name, f"one of {', '.join(choices)}", got, choices)
 
 
 def _unknown_option(word: str, options: Collection[str]) -> str:

@@ -11,9 +11,10 @@ import pandas as pd
 from pfdist.cli.words import Line
 from pfdist.common.parts import Page
 from pfdist.errors import one_line
-from pfdist.pages.terminal import COLUMNS, lines_of, wrapped
+from pfdist.pages.terminal import lines_of, wrapped
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
+from pfdist.results.columns import records_of
 from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in, has_report
 
 
@@ -66,12 +67,9 @@ def _as_json(answer: Any, line: Line) -> dict[str, Any]:
         case Run():
             return answer.as_json()
         case pd.DataFrame():
-            # Not above: it imports the compiler, and to show a run takes none.
-            from pfdist.questions.runs import records  # noqa: PLC0415
-
             unit = answer.attrs.get("time_unit")
             name = {"list": "runs", "sweep": "points"}.get(line.name, "rows")
-            return ({} if unit is None else {"time_unit": unit}) | {name: records(answer)}
+            return ({} if unit is None else {"time_unit": unit}) | {name: records_of(answer)}
     values: dict[str, Any] = answer.as_json()
     return values
 
@@ -89,15 +87,19 @@ def _show_text(answer: Any, line: Line) -> None:
             print(one_line(str(answer)))
         case Run():
             _print_page(answer_of(answer, line.options.get("target"), details=line.verbose), line)
-            _print_places(_places(answer))
+            for name, at in _places(answer).items():
+                print(one_line(f"{name}: {at}"))
         case pd.DataFrame() if (out := line.options.get("out")) is not None:
             print(one_line(out))
         case pd.DataFrame():
             _print_page(_page_of(answer, line), line)
         case _:
             _print_page(answer._page(), line)
-            if files := [*getattr(answer, "files", ()), *getattr(answer, "figures", ())]:
+            if files := getattr(answer, "files", ()):
                 print("\n".join(["", *(one_line(str(file)) for file in files)]))
+            if figures := getattr(answer, "figures", ()):
+                names = ", ".join(dict.fromkeys(file.stem for file in figures))
+                print("\n".join(wrapped(f"({names})", f"figures: {figures[0].parent} ")))
 
 
 def _page_of(frame: pd.DataFrame, line: Line) -> Page:
@@ -124,11 +126,3 @@ def _places(run: Run) -> dict[str, Path]:
 
 def _print_page(page: Page, line: Line) -> None:
     print("\n".join(lines_of(page, verbose=line.verbose)).strip("\n"))
-
-
-def _print_places(places: dict[str, Path]) -> None:
-    """Print where files are, by what they hold, in one line if it fits; no path is cut."""
-    texts = [one_line(f"{name}: {at}") for name, at in places.items()]
-    together = "   ".join(texts)
-    if texts:
-        print("\n" + (together if len(together) <= COLUMNS else "\n".join(texts)))

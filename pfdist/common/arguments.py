@@ -1,4 +1,4 @@
-"""Arguments that a function reads: paths, and lists of which an iterator gives each entry once."""
+"""Checked arguments of functions: paths, texts and lists; an iterator is read once."""
 
 from collections.abc import Iterable
 from itertools import islice
@@ -14,7 +14,7 @@ T = TypeVar("T")
 def path_argument(name: str, value: Any) -> Path:
     """An argument as an absolute path, because a model may change the working folder later.
 
-    An `ArgumentError` says that it is neither a text nor a path, or holds the character NUL.
+    Raises `ArgumentError` if it is neither a text nor a path, or contains the character NUL.
     """
     if not isinstance(value, str | Path) or "\0" in str(value):
         without = " without NUL" if isinstance(value, str | Path) else ""
@@ -23,7 +23,7 @@ def path_argument(name: str, value: Any) -> Path:
 
 
 def paths_argument(name: str, value: Any) -> list[Path]:
-    """An argument as a list of paths; an `ArgumentError` if it holds something else.
+    """An argument as a list of paths; raises `ArgumentError` if an entry is not a path.
 
     A single path becomes a list with one path.
     """
@@ -31,7 +31,7 @@ def paths_argument(name: str, value: Any) -> list[Path]:
 
 
 def texts_argument(name: str, value: Any) -> list[str]:
-    """An argument as a list of texts; an `ArgumentError` if it holds something else.
+    """An argument as a list of texts; raises `ArgumentError` if an entry is not a text.
 
     A single text becomes a list with one text.
     """
@@ -49,16 +49,16 @@ def _listed(name: str, value: Any, kind: Any, what: str) -> list[Any]:
 
 
 def listed_argument(name: str, values: Iterable[T]) -> list[T]:
-    """An argument as a list; an `ArgumentError` if it has more than a million entries.
+    """An argument as a list; raises `ArgumentError` if it has more than a million entries.
 
     >>> listed_argument("times", range(10**9))
     Traceback (most recent call last):
         ...
-    pfdist.errors.ArgumentError: times must be at most 1,000,000 numbers, got range(0, 1000000000)
+    pfdist.errors.ArgumentError: times must have at most 1,000,000 numbers, got range(0, 1000000000)
     """
     listed = list(islice(values, MOST_NUMBERS + 1))
     if len(listed) > MOST_NUMBERS:
         raise ArgumentError(
-            f"{name} must be at most {MOST_NUMBERS:,} numbers, got {shown(values)}", argument=name
+            f"{name} must have at most {MOST_NUMBERS:,} numbers, got {shown(values)}", argument=name
         )
     return listed

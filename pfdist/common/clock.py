@@ -1,7 +1,7 @@
 """The clock of a problem: the time of each instant, in a unit that the user names.
 
-Everything below the job counts instants, 0..T. Times become instants where a user hands them over,
-and instants become times where a user reads them.
+Everything below the job counts instants, 0..T. A user's times become instants when they are read,
+and instants become times when they are shown.
 """
 
 import math
@@ -32,7 +32,7 @@ _EXACT = 2**53
 class Clock:
     """The time of each instant 0..T.
 
-    A `MeasurementTimesError` says that the times are not finite, or not in ascending order.
+    Raises `MeasurementTimesError` if a time is not finite, or the times are not in ascending order.
     """
 
     times: tuple[Time, ...]  # (T+1,): in ascending order
@@ -55,14 +55,14 @@ class Clock:
 
     @classmethod
     def counting(cls, horizon: int) -> "Clock":
-        """The clock of a problem without a clock: the time of an instant is its number."""
+        """The default clock: the time of an instant is its number."""
         return cls(tuple(range(horizon + 1)), counts=True)
 
     @classmethod
     def regular(cls, horizon: float, step: float, unit: str = "") -> "Clock":
-        """A clock whose instants lie one step apart, from 0 to the horizon.
+        """A clock with equal steps from 0 to the horizon.
 
-        A `MeasurementTimesError` says that the horizon is no multiple of the step.
+        Raises `MeasurementTimesError` if the horizon is not a multiple of the step.
         """
         steps = round(horizon / step)
         if steps < 1 or not math.isclose(steps * step, horizon, rel_tol=1e-9):
@@ -77,7 +77,7 @@ class Clock:
 
     @property
     def horizon(self) -> int:
-        """T."""
+        """The number T of the last instant."""
         return len(self.times) - 1
 
     @property
@@ -95,9 +95,8 @@ class Clock:
     def slack(self) -> float:
         """The largest distance between a time that a user writes and the instant that it means.
 
-        It is a billionth of the shortest step, or what rounding to 12 digits changes, if this is
-        more. But it is at most a millionth of the step, unless floats cannot distinguish times so
-        near to each other.
+        It is a billionth of the shortest step, or the effect of rounding to 12 digits if that is
+        larger. It is at most a millionth of the step, unless floats cannot resolve this.
         """
         step = min((later - time for time, later in pairwise(self.times)), default=1.0)
         far = max(map(abs, self.times))
@@ -106,15 +105,15 @@ class Clock:
 
     @cached_property
     def trapezoids(self) -> tuple[float, ...]:
-        """The part of the clock's time that stands for each instant, by the trapezoidal rule."""
+        """The weight of each instant in an integral over time, by the trapezoidal rule."""
         steps = np.diff(self.times)
         parts = np.append(steps, 0.0) / 2 + np.append(0.0, steps) / 2
         return tuple(parts.tolist())
 
     def instant(self, time: Time, name: str = "measurement_times") -> int:
-        """The instant of a time; `name` is the name of the value in an error.
+        """The instant of a time; `name` is the name of the value in error messages.
 
-        If no instant has this time, a `MeasurementTimesError` names the nearest.
+        Raises `MeasurementTimesError`, which names the nearest times, if no instant has this time.
         """
         if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
             raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
@@ -138,14 +137,14 @@ class Clock:
             )
 
     def between(self, first: Time, last: Time) -> range:
-        """The instants from a time to another, both included if they are on the clock."""
+        """The instants from one time to another, both included if they are on the clock."""
         start = bisect_left(self.times, first - self.slack)
         return range(start, bisect_right(self.times, last + self.slack))
 
     def instants(self, times: Iterable[Time]) -> Times:
-        """The instants of some times, in the same order; errors as of `instant`.
+        """The instants of some times, in the same order; raises as `instant`.
 
-        Without a clock, whole numbers may lie outside 0..T: no instant is looked up.
+        Without a clock, whole numbers outside 0..T are accepted.
         """
         return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
 
@@ -169,7 +168,7 @@ class Clock:
         return [self.written(measurement) for measurement in measurements]
 
     def measurements(self, written: Iterable[Time | str]) -> Times:
-        """The possible measurements of a set as users read it; errors as of `instant`."""
+        """The possible measurements of a set that a user has written; raises as `instant`."""
         if not self.sensors:
             return self.instants(cast("Iterable[Time]", written))
         return tuple(self._measurement(entry) for entry in written)
@@ -193,18 +192,18 @@ class Clock:
     def successors(self, spacing: float) -> tuple[int, ...]:
         """For each instant, the first later instant whose time is at least `spacing` later.
 
-        T+1 stands for an instant after the last.
+        It is T+1 if there is no such instant.
         """
         after = np.array(self.times) + spacing - self.slack
         successors = np.searchsorted(self.times, after).tolist()
         return tuple(max(t + 1, later) for t, later in enumerate(successors))
 
     def regular_times(self, number: int) -> Times:
-        """N instants, 1..T+1, whose times are as evenly spaced as the clock allows.
+        """N instants whose times are as evenly spaced as the clock allows; N is 1 to T+1.
 
         These are the instants nearest to N times that are evenly spaced from the first to the last.
-        Where two of them would be the same instant, the later takes the next. A single time is the
-        instant nearest to the middle.
+        If two of them would be the same instant, the later one moves to the next. A single time is
+        the instant nearest to the middle.
         """
         first_and_last = self.times[0], self.times[-1]
         wanted = np.linspace(*first_and_last, number) if number > 1 else [np.mean(first_and_last)]
@@ -216,7 +215,7 @@ class Clock:
         return tuple(chosen)
 
     def since(self, first: int) -> "Clock":
-        """The clock of the instants from `first` on: same times, but instants count from 0."""
+        """The clock of the instants from `first` on: the same times; instants count from 0."""
         return Clock(self.times[first:], self.unit, sensors=self.sensors)
 
     @property

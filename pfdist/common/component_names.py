@@ -1,4 +1,4 @@
-"""Names and units of components of x, y and z, and the ends that they give to names of columns."""
+"""Names and units of components of x, y and z, and the suffixes of their columns."""
 
 import re
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ class Component:
 def named_component(text: str) -> Component:
     """The component that a name such as ``concentration [mg/l]`` describes.
 
-    A ValueError says that a text is no such name.
+    Raises ValueError if the text is not such a name.
     """
     match = _TEXT.fullmatch(text) if isinstance(text, str) and text.isprintable() else None
     if not match or len(match[1]) > _LONGEST_NAME or len(match[2] or "") > _LONGEST_UNIT:
@@ -48,12 +48,12 @@ def named_component(text: str) -> Component:
 def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
     """The components that these names describe; without names, numbered components.
 
-    A ValueError says that there are not so many names that give different columns.
+    Raises ValueError if the number of names is wrong, or if two names give the same column.
     """
     if not names:
         return numbered_components(count)
     if len(names) != count:
-        raise ValueError(f"must have a name for each of {count} components, got {len(names)}")
+        raise ValueError(f"must have a name for each of {count} components, got {len(names)} names")
     components = tuple(map(named_component, names))
     names_by_suffix = dict[str, str]()
     for component in components:

@@ -7,8 +7,8 @@ from typing import Any
 def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the leaves of nested mappings, and of lists of mappings, with their dotted keys.
 
-    Mappings in a list have the names that they give themselves, and the key ``order`` holds the
-    names in their order. A list without mappings is a leaf. `key` stands before each key of a leaf.
+    Mappings in a list are named by their entry ``name``, and the key ``order`` lists these names. A
+    list without mappings is a leaf. `key` is the prefix of every dotted key.
 
     >>> dict(leaves({"seed": 1, "search": [{"name": "a", "steps": 3}]}))
     {'seed': 1, 'search.order': 'a', 'search.a.name': 'a', 'search.a.steps': 3}
@@ -30,9 +30,9 @@ _VAGUE = {"name", "order", "method", "draws"}  # words that need the word before
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:
-    """The short name of each dotted key: as few of its last words as identify it.
+    """The short name of each dotted key: the fewest of its last words that identify it.
 
-    No other key ends with the same words. A vague word, such as ``name``, has the word before it.
+    No other key ends with the same words. A vague word, such as ``name``, keeps the word before it.
 
     >>> short_names(["seed", "model.name", "filter.particles"])
     {'seed': 'seed', 'model.name': 'model.name', 'filter.particles': 'particles'}

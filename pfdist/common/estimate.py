@@ -1,7 +1,7 @@
 """An estimate with its standard error, as every room of the program compares it.
 
 The error of a mean over a block of values is computed here, and over blocks that are added one by
-one in `pfdist.results.streaming_moments`, where the interval of a ratio of two means is, too.
+one in `pfdist.results.moments`, where the interval of a ratio of two means is, too.
 """
 
 import math
@@ -32,7 +32,7 @@ class Estimate:
 
     @classmethod
     def of_mean(cls, values: NDArray[Any]) -> "Estimate":
-        """The mean of independent values; the error of fewer than two is unknown."""
+        """The mean of independent values; with fewer than two, its error is unknown."""
         count = values.size
         if count < 2:
             return cls(float(values[0]) if count else math.nan, math.nan)
@@ -95,7 +95,7 @@ def student_quantile(share: float, degrees: Any) -> Any:
 
 
 def wilson_interval(successes: int, count: int) -> Interval:
-    """95 % interval of a share, Wilson's; unknown without a draw.
+    """Wilson's 95 % interval of a share; unknown if there are no draws.
 
     References
     ----------

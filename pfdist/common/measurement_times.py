@@ -16,8 +16,8 @@ REGULAR: Final = "regular"  # name of the regular times in jobs and tables
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:
     """A set of measurement times in 0..horizon, sorted, after a check.
 
-    A `MeasurementTimesError` says that a time is not an integer, lies outside, or is given twice.
-    It ends with `where` the times came from, for instance the option or the key.
+    Raises `MeasurementTimesError` if a time is not an integer, lies outside, or is given twice. Its
+    message ends with `where` the times came from, for instance the option or the key.
 
     >>> validated([5, 0, 3], horizon=10)
     (0, 3, 5)
@@ -49,8 +49,8 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
 def regular(horizon: int, measurement_budget: int) -> Times:
     """The regular times M_REG (paper, equation 13): Round[k T / (N-1)], halves rounded up.
 
-    For N = 1 the formula divides by zero. A single time is in the middle: Round[T / 2]. A
-    `MeasurementTimesError` says that N does not lie in 1..T+1.
+    For N = 1 the formula divides by zero; the single time is in the middle, Round[T / 2]. Raises
+    `MeasurementTimesError` if N does not lie in 1..T+1.
 
     >>> regular(horizon=60, measurement_budget=5)
     (0, 15, 30, 45, 60)
@@ -76,7 +76,7 @@ def random(
 ) -> NDArray[np.int64]:
     """Draw sets of N measurement times with equal probability, (sets, N); each row is sorted.
 
-    A `MeasurementTimesError` says that N does not lie in 0..T+1.
+    Raises `MeasurementTimesError` if N does not lie in 0..T+1.
     """
     if not 0 <= measurement_budget <= horizon + 1:
         raise MeasurementTimesError(

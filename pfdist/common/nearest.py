@@ -1,4 +1,4 @@
-"""The name that a user probably meant by a misspelt name."""
+"""The correct name that is most similar to a misspelt name."""
 
 import contextlib
 import difflib
@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 from pathlib import Path
 
-_LONGEST = 80  # characters of a word for which a name is sought
-_MOST_ENTRIES = 1000  # of a folder in which a name is sought
+from pfdist.errors import shown
+
+_LONGEST = 80  # characters of a misspelt word
+_MOST_ENTRIES = 1000  # of a folder that is searched
 _QUOTED = re.compile(r"'([^']*)'")
 
 
@@ -39,11 +41,27 @@ def did_you_mean(word: object, names: Iterable[str]) -> str:
     return f"; did you mean {name!r}?" if name else ""
 
 
+def allowed_names(names: Iterable[str], meant: str) -> str:
+    """The end of an error that lists the allowed names, after a suggestion of `did_you_mean`."""
+    listed = ", ".join(names) or "none"
+    return f"{meant} Allowed: {listed}" if meant else f", allowed: {listed}"
+
+
+def must_be(name: str, rule: str, got: object, names: Iterable[str]) -> str:
+    """The error about a value that breaks a rule; if it is a misspelt name, this comes first.
+
+    >>> must_be("noise", "'fresh' or 'common'", "comon", ["fresh", "common"])
+    "noise: got 'comon'; did you mean 'common'? Allowed: 'fresh' or 'common'"
+    """
+    if meant := did_you_mean(got, names):
+        return f"{name}: got {shown(got)}{meant} Allowed: {rule.removeprefix('one of ')}"
+    return f"{name} must be {rule}, got {shown(got)}"
+
+
 def did_you_mean_path(path: Path, folders: Iterable[Path], is_meant: Callable[[Path], bool]) -> str:
     """The end of an error about a file or folder that is not there; empty if no name is similar.
 
-    A similar name is sought in the folders, among paths of the kind that the user wants
-    (`is_meant`).
+    The folders are searched for paths with a similar name that `is_meant` accepts.
     """
     paths_by_name: dict[str, str] = {}
     for folder in folders:

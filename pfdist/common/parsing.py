@@ -1,8 +1,8 @@
-"""TOML and JSON, which somebody may have edited or damaged, as plain data within limits; numbers.
+"""Plain data from TOML and JSON that may be edited or damaged, within limits; numbers from text.
 
 Every TOML and JSON file but model.json, and every option that a user writes, is read by these
-functions; `pfdist.store.user_tables` reads tables, and `pfdist.models.written` models. Whatever the
-text holds, the data is not nested deeply, or a `ValueError` of one line is raised.
+functions; `pfdist.store.user_tables` reads tables, and `pfdist.models.written` models. If the text
+is wrong or the data nests too deeply, a `ValueError` with a message of one line is raised.
 """
 
 import errno
@@ -28,22 +28,22 @@ _LONGEST = 80  # characters of a key that an error shows
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file.
 
-    A ValueError says that it is no plain file or has too many bytes, and an OSError that it cannot
-    be read.
+    Raises ValueError if it is not a plain file or has too many bytes, and OSError if it cannot be
+    read.
     """
     about = path.stat()
     if stat.S_ISDIR(about.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
-        raise ValueError("a plain file is read, got a pipe, a socket or a device")
+        raise ValueError("must be a plain file, got a pipe, a socket or a device")
     if about.st_size > most:
-        raise ValueError(f"a file of at most {most:,} bytes is read, got {about.st_size:,}")
+        raise ValueError(f"must be a file of at most {most:,} bytes, got {about.st_size:,}")
     with path.open("rb") as file:
         return file.read(most)
 
 
 def read_text(path: Path) -> str:
-    """The content of a text file; raises as `read_bytes`, and a ValueError if it is not UTF-8."""
+    """The content of a text file; raises as `read_bytes`, and ValueError if it is not UTF-8."""
     content = read_bytes(path, MOST_BYTES)
     try:
         return content.decode("utf-8")
@@ -108,7 +108,7 @@ def _first_line(error: ValueError) -> str:
 
 
 def whole_number(text: str) -> int:
-    """The whole number that at most 40 ASCII digits spell, with a sign or without.
+    """The whole number in a text of at most 40 ASCII digits, with or without a sign.
 
     Any other text raises a ValueError.
 
@@ -125,7 +125,7 @@ def whole_number(text: str) -> int:
 
 
 def finite_number(text: str) -> float:
-    """The number that a text spells with digits, a decimal point and perhaps an exponent.
+    """The number in a text of digits, with or without a decimal point and an exponent.
 
     Any other text raises a ValueError.
 
@@ -133,7 +133,7 @@ def finite_number(text: str) -> float:
     (0.25, 1700000000000.0)
     """
     if not _DECIMAL.fullmatch(text):
-        raise ValueError(f"must be a number, with the digits 0-9 and a point, got {shown(text)}")
+        raise ValueError(f"must be a number in digits 0-9, such as 0.25, got {shown(text)}")
     return float(text)
 
 
@@ -144,18 +144,18 @@ _SEPARATOR = re.compile(r"\s*,\s*|\s+")
 
 
 def whole_numbers(text: str) -> list[int]:
-    """The whole numbers that a text lists, in the order in which it lists them.
+    """The whole numbers that a text lists, in the order of the text.
 
-    The text holds numbers and ranges, with commas or spaces between them. ``FIRST:LAST`` stands for
-    all numbers from FIRST to LAST, and ``FIRST:LAST:STEP`` for each STEP-th of these. A ValueError
-    says that the text is spelt otherwise, or lists more than a million numbers.
+    The text holds numbers and ranges, with commas or spaces between them. ``FIRST:LAST`` means all
+    numbers from FIRST to LAST, and ``FIRST:LAST:STEP`` every STEP-th of these. Raises ValueError
+    for any other text, or if there are more than a million numbers.
 
     >>> whole_numbers("0, 6, 12"), whole_numbers("5:8"), whole_numbers("0:12:6 20")
     ([0, 6, 12], [5, 6, 7, 8], [0, 6, 12, 20])
     >>> whole_numbers("8:5")
     Traceback (most recent call last):
         ...
-    ValueError: must have ranges from a number to a larger one in steps above 0, got '8:5'
+    ValueError: must have ranges FIRST:LAST with FIRST <= LAST and steps above 0, got '8:5'
     """
     entries = ranges(text, whole_number, by_ones=True)
     return [number for first, last, step in entries for number in range(first, last + 1, step or 1)]
@@ -164,12 +164,12 @@ def whole_numbers(text: str) -> list[int]:
 def ranges(
     text: str, number: Callable[[str], Any], *, by_ones: bool = False
 ) -> list[tuple[Any, Any, Any]]:
-    """The first and the last number, and the step, of each entry of a text as for `whole_numbers`.
+    """The first number, last number and step of each entry of a text as for `whole_numbers`.
 
     `number` reads a number, and raises ValueError for any other text. A single number is a range
-    from it to itself. The step is 0 if none is written: `by_ones` then means steps of 1. Otherwise
-    such a range stands for whatever lies between its ends, and lists no numbers itself. Errors are
-    those of `whole_numbers`.
+    from it to itself. The step is 0 if none is written. With `by_ones`, this means steps of 1;
+    otherwise such a range is everything between its ends, and its numbers are not counted. Raises
+    as `whole_numbers`.
     """
     entries = _SEPARATOR.split(text.strip().removesuffix(",").rstrip())
     ends_of_entries = [_ends(entry, text, number) for entry in entries]
@@ -178,7 +178,7 @@ def ranges(
         for first, last, step in ends_of_entries
     )
     if listed > MOST_NUMBERS:
-        raise ValueError(f"must be at most {MOST_NUMBERS:,} numbers, got more: {shown(text)}")
+        raise ValueError(f"must have at most {MOST_NUMBERS:,} numbers, got more: {shown(text)}")
     return ends_of_entries
 
 
@@ -192,6 +192,6 @@ def _ends(entry: str, text: str, number: Callable[[str], Any]) -> tuple[Any, Any
     has_step = len(others) > 1
     if last < first or (has_step and step <= 0):
         raise ValueError(
-            f"must have ranges from a number to a larger one in steps above 0, got {got}"
+            f"must have ranges FIRST:LAST with FIRST <= LAST and steps above 0, got {got}"
         )
     return first, last, step

@@ -1,8 +1,7 @@
-"""The parts of an answer: what it says, whatever it looks like.
+"""The parts of an answer: its content, without its appearance.
 
 Each answer is made once, as a `Page` of parts. `pages.terminal`, `pages.html` and `common.shown`,
-for notebooks, show it. A part that is a detail is for those who ask: terminals show it with
-``--verbose``.
+for notebooks, show it. Terminals show a part that is a detail only with ``--verbose``.
 """
 
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ class Text:
     ----------
     text : str
     prominent : bool
-        Whether it is the answer that a reader looks for.
+        Whether it is the main answer.
     detail : bool
     """
 
@@ -40,7 +39,7 @@ class Code:
     ----------
     text : str
     title : str
-        Says what it is; folded away under this title if there is one.
+        If there is a title, the text is folded away under it.
     """
 
     kind: ClassVar[str] = "code"
@@ -61,7 +60,7 @@ class Cell:
     link : str
         Address of a file beside the page, percent-encoded; empty for none.
     linked : str
-        Says what the link leads to, for those who hear links without their rows.
+        The target of the link in words, for screen readers.
     """
 
     text: str
@@ -97,7 +96,7 @@ class Table:
     detail : bool
         Pages fold the table away under its caption.
     optional : sequence of str
-        Columns that a narrow terminal leaves out, the first first.
+        Columns that a narrow terminal leaves out, in this order; pages and JSON have them.
     """
 
     kind: ClassVar[str] = "table"
@@ -117,9 +116,15 @@ def without_empty_columns(table: Table) -> Table:
     >>> without_empty_columns(table).head
     ['search']
     """
-    has_text = [any(row[column].text for row in table.rows) for column in range(len(table.head))]
-    rows = [list(compress(row, has_text)) for row in table.rows]
-    return replace(table, head=list(compress(table.head, has_text)), rows=rows)
+    empty = (not any(row[place].text for row in table.rows) for place in range(len(table.head)))
+    return without_column(table, *compress(table.head, empty))
+
+
+def without_column(table: Table, *names: str) -> Table:
+    """A table without the columns of these names."""
+    stays = [name not in names for name in table.head]
+    rows = [list(compress(row, stays)) for row in table.rows]
+    return replace(table, head=list(compress(table.head, stays)), rows=rows)
 
 
 @dataclass(frozen=True)
@@ -147,11 +152,11 @@ class Picture:
     Parameters
     ----------
     title : str
-        A sentence that says what to see.
+        A sentence about what the figure shows.
     description : str
-        A line for those who cannot see the figure.
+        A line for readers who cannot see the figure.
     svg : str
-        An element ``svg`` that names nothing outside itself.
+        An element ``svg`` without references to anything outside it.
     """
 
     kind: ClassVar[str] = "picture"
@@ -163,14 +168,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Figures:
-    """A place for figures of the run; reports put pictures there.
+    """A placeholder for figures of the run, which reports replace by pictures.
 
     Parameters
     ----------
     names : sequence of str
-        As the figures declare them.
+        Names under which the figures are declared.
     sets : sequence of str, optional
-        Where each set has a figure, the sets that are shown; by default all.
+        The sets whose figures are shown; by default all.
     """
 
     kind: ClassVar[str] = "figures"
@@ -207,13 +212,15 @@ class Page:
         The line below the title of a report; the first line in a terminal.
     sections : sequence of Section
     warnings : sequence of str
-        Sentences to be read before anything else, for instance that the run is not finished.
+        Sentences that come first, for instance that the run is not finished.
     seconds : int
-        After so many seconds the page reloads itself; 0 for never.
+        Seconds after which the page reloads itself; 0 for never.
     source : str
-        Says from what the page is made, in its last line.
+        The source of the page, for its last line.
     links : str
-        Says where links of the page lead; empty for a page without links.
+        The target of the page's links in words; empty for a page without links.
+    place : str
+        Where the answer is kept and how it was computed: the last line in a terminal.
     """
 
     title: str
@@ -223,3 +230,4 @@ class Page:
     seconds: int = 0
     source: str = "from tables alone"
     links: str = ""
+    place: str = ""

@@ -1,4 +1,4 @@
-"""Numbers of a JSON answer as text. None stands for an unknown or infinite number."""
+"""Numbers of a JSON answer as text; None is an unknown or infinite number."""
 
 import math
 from collections.abc import Mapping
@@ -10,13 +10,8 @@ HEAVY = 0.25
 """If 1 % of the draws carry more than this share of an expected MSE, its interval is too narrow."""
 
 
-def infinite_if_none(expected_mse: float | None) -> float:
-    """An expected MSE of an answer, in which None stands for an infinite value."""
-    return math.inf if expected_mse is None else expected_mse
-
-
 def times_100(fraction: float | None) -> float | None:
-    """A fraction in per cent."""
+    """A fraction times 100; None stays None."""
     return None if fraction is None else 100 * fraction
 
 
@@ -31,26 +26,26 @@ def percent(fraction: float | None, decimals: int = 2) -> str:
 
 
 def particle_loss_text(loss: float, limit: float) -> str:
-    """The loss by a finite number of particles, and its upper 95 % limit, in words.
+    """The upper 95 % limit of a particle loss, and its estimate, in words.
 
     >>> particle_loss_text(0.0056, 0.018)
-    '0.56 % of the expected MSE, at most 1.80 % (95 %)'
+    'at most 1.80 % of the expected MSE (95 % confidence; estimate 0.56 %)'
     """
     low, high = percent(max(0.0, loss)), percent(min(1.0, max(0.0, loss, limit)))
-    return f"{low} of the expected MSE, at most {high} (95 %)"
+    return f"at most {high} of the expected MSE (95 % confidence; estimate {low})"
 
 
 def percent_with_interval(fraction: float | None, interval: list[float | None]) -> str:
     """A fraction in per cent with its 95 % interval, lower and upper end, as text."""
     value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
-    return f"{value} % (95 %: {range_of(low, high)})"
+    return f"{value} % (95 % CI {range_of(low, high)} %)"
 
 
 def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:
-    """Warning that few draws carry much of an expected MSE; empty if there is no need.
+    """A warning that a few draws dominate an expected MSE; empty if they do not.
 
-    `shares` has the share of the expected MSE that 1 % of the draws carry, by the name of the set.
-    The name of a single set may be empty.
+    `shares` has, by the name of each set, the share of the expected MSE due to the largest 1 % of
+    the draws. The name of a single set may be empty.
     """
     carried = [
         f"{percent(share, 0)} of the error{f' of {name}' if name else ''}"
@@ -69,10 +64,11 @@ def range_of(low: str, high: str) -> str:
 _ROUNDING = 1e-9  # error of exact values
 
 
-NO_LIMITS = (
-    'The bound ignores "most" and "minimum_spacing" of single sensors: the gap may be smaller.'
+SPACED_IN_WINDOWS = (
+    'The bound checks "minimum_spacing" of single sensors only between the last measurements of a '
+    "set: the gap may be smaller."
 )
-"""What a bound says if sensors have such limits."""
+"""A note on bounds for sensors that have such a spacing."""
 
 
 def gap_sentence(
@@ -82,19 +78,19 @@ def gap_sentence(
     is_constrained: bool = False,
     has_scenarios: bool = False,
 ) -> str:
-    r"""The sentence about how much lower the error of other times can be, if there is a bound.
+    r"""The sentence that says how much lower the error of other times can be, given a bound.
 
     `gap` has the fields of `pfdist.runner.proof.Gap` as JSON, and ``confidence``. `measurements` is
-    the number of measurements of the set, and `is_constrained` says whether other constraints
-    exclude some times. Numbers have no-break spaces.
+    the number of measurements of the set, and `is_constrained` is whether other constraints exclude
+    some times. Numbers have no-break spaces.
 
     >>> gap = {"budget": 4, "gap": 0.0, "bound_error": 0.0}
     >>> gap_sentence(gap, 4)
-    'Proved: no other 4 times have a lower expected error.'
+    'Proved: no other 4 times have a lower expected MSE.'
     >>> gap_sentence(gap, 3)
-    'Proved: no other times that are no more expensive have a lower expected error.'
+    'Proved: no other times that are no more expensive have a lower expected MSE.'
     >>> gap_sentence({**gap, "budget": 1}, 1, is_constrained=True)
-    'Proved: no other time that the constraints allow has a lower expected error.'
+    'Proved: no other time that the constraints allow has a lower expected MSE.'
     >>> gap_sentence({**gap, "gap": 0.5}, 4, has_scenarios=True).partition(", ")[2]
     'even with a filter that is told the scenario.'
     >>> estimated = gap | {"bound_error": 1.0, "confidence": 0.95, "gap": 0.017}
@@ -109,13 +105,13 @@ def gap_sentence(
     have, lower = ("has", "lowers") if times == "time" else ("have", "lower")
     times = " ".join([times, " and ".join(conditions)]).rstrip()
     if not gap["bound_error"] and gap["gap"] < _ROUNDING:
-        return f"Proved: no other {times} {have} a lower expected error."
+        return f"Proved: no other {times} {have} a lower expected MSE."
     told = ", even with a filter that is told the scenario" if has_scenarios else ""
-    return f"Proved: no other {times} {lower} the error {at_most(gap, told)}."
+    return f"Proved: no other {times} {lower} the expected MSE {at_most(gap, told)}."
 
 
 def at_most(gap: Mapping[str, Any], told: str = "") -> str:
-    """The gap in words: what is proved first, then its confidence and the estimate."""
+    """The gap in words: first the proved limit, then its confidence and the estimate."""
     if not gap["bound_error"]:  # it is exact
         return f"by more than a further {_percent(rounded_up(gap['gap']))}{told}"
     limit = f"by more than a further {_percent(rounded_up(gap['gap_at_most']))}{told}"
@@ -124,7 +120,7 @@ def at_most(gap: Mapping[str, Any], told: str = "") -> str:
 
 
 def rounded_up(fraction: float) -> float:
-    """The next larger number of two digits: a limit must hold as it is printed.
+    """The number rounded up to two digits, so that a limit holds as it is printed.
 
     >>> rounded_up(0.0441), rounded_up(0.0)
     (0.045, 0.0)

@@ -25,7 +25,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._complete = False
 
     def declare(self, name: str, value: T) -> None:
-        """Add an object to the registry; a ValueError if something else has this name."""
+        """Add an object to the registry; raises ValueError if the name is taken."""
         if name in self._declared:
             raise ValueError(f"names in {self._package} must be unique; {name!r} is declared twice")
         self._declared[name] = value

@@ -11,9 +11,9 @@ _MOST_DIGITS = 12  # beyond them a double's own rounding begins to show
 
 
 def rounded(value: float | None, digits: int = _DIGITS, sign: bool = False) -> str:
-    """A number that has no error, as text with a few significant digits.
+    """A number without a standard error, as text with a few significant digits.
 
-    None, like NaN, is unknown. `sign` asks for a plus sign.
+    None, like NaN, is unknown. With `sign`, a positive number has a plus sign.
 
     >>> rounded(31.2), rounded(1234567.0), rounded(-0.00001), rounded(0.0)
     ('31.200', '1.2346e+06', '-1.0000e-05', '0')
@@ -25,10 +25,10 @@ def rounded(value: float | None, digits: int = _DIGITS, sign: bool = False) -> s
 
 
 def with_error(value: float | None, error: float | None, sign: bool = False) -> str:
-    """A value and its error as text, both to the second significant digit of the error.
+    """A value ± its standard error as text, both to the second significant digit of the error.
 
-    None, like NaN, is unknown. An error of 0 is that of an exact value, and is left out. `sign`
-    asks for a plus sign before the value.
+    None, like NaN, is unknown. An error of 0 belongs to an exact value, and is left out. With
+    `sign`, a positive value has a plus sign.
 
     >>> with_error(22.7345, 0.0304), with_error(1234.5, 249.0)
     ('22.735 ± 0.030', '1230 ± 250')
@@ -52,7 +52,7 @@ def with_error(value: float | None, error: float | None, sign: bool = False) -> 
 
 
 def with_interval(value: float | None, low: float | None, high: float | None) -> tuple[str, ...]:
-    """A value and the ends of its interval, to two significant digits of the half width, as texts.
+    """A value and the ends of its interval as texts, to two significant digits of the half width.
 
     None, like NaN, is unknown.
 

@@ -1,4 +1,4 @@
-"""A scenario of a job. It stands here because reading a run must not load a compiler."""
+"""A scenario of a job, in this room because reading a run must not load a compiler."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Scenario:
-    """Parameters that the truth may have, their probability, and what divides squared errors."""
+    """Possible parameters of the truth, their probability, and the divisor of squared errors."""
 
     share: float
     parameters: Mapping[str, float | Sequence[float]]

@@ -1,7 +1,7 @@
 """Sections of a job file and arguments of functions: frozen data, and what is wrong with it.
 
-Types declare what a value may be. pydantic checks the values, and `explained` says in a sentence
-what was given, what is allowed, and where.
+Types declare the allowed values. pydantic checks the values, and `explained` turns its first error
+into a sentence.
 """
 
 import inspect
@@ -25,7 +25,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, cr
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from pfdist.common.nearest import did_you_mean, quoted_names
+from pfdist.common.nearest import allowed_names, did_you_mean, must_be, quoted_names
 from pfdist.errors import ArgumentError, PfdistError, shown
 
 P = ParamSpec("P")
@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 
 class Section(BaseModel):
-    """Base of every section of a job file: frozen, strict about types, without unknown keys."""
+    """Base class of the sections of a job file: frozen, with strict types, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -44,7 +44,7 @@ def _as_tuple(value: Any) -> Any:
 
 
 Listed = Annotated[tuple[T, ...], BeforeValidator(_as_tuple)]
-"""A tuple of values of a type, or a list, as job files and JSON have it."""
+"""A tuple of values of one type; job files and JSON may give a list."""
 
 
 # --- arguments ------------------------------------------------------------------------------------
@@ -62,12 +62,12 @@ Number = Annotated[float, BeforeValidator(_plain)]
 
 
 class Arguments(Section):
-    """Base of the arguments of functions that are checked together.
+    """Base class of function arguments that are checked together.
 
     Raises
     ------
     PfdistError
-        An argument is wrong. The class says which error it is, by default an `ArgumentError`.
+        An argument is wrong. The class attribute `error` is its type, by default `ArgumentError`.
     """
 
     error: ClassVar[type[PfdistError]] = ArgumentError
@@ -81,9 +81,9 @@ class Arguments(Section):
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Check the arguments of a function whose types declare limits, as ``Annotated`` does.
+    """The function with a check of its arguments, whose limits are declared with ``Annotated``.
 
-    The signature shows the types without the limits. An `ArgumentError` names a wrong argument.
+    The signature has the types without the limits. An `ArgumentError` names the wrong argument.
 
     >>> from pydantic import Field
     >>> @checked
@@ -158,9 +158,9 @@ _RULES = {
 
 
 def explained(error: ValidationError, model: type[BaseModel]) -> str:
-    """One sentence about the first error in data that a pydantic model did not accept.
+    """One sentence about the first error that pydantic found in some data.
 
-    It says what is wrong, what was given, and what is allowed.
+    The sentence has the key, the rule, and the value that was given.
     """
     errors = _by_weight(error)
     place = _place(errors[0], model)
@@ -201,16 +201,15 @@ def _sentence(
         where = f" in [{'.'.join(section)}]" if section else ""
         keys = _allowed_keys(place[:-1], model)
         meant = did_you_mean(name, keys) or _did_you_mean_elsewhere(name, model)
-        return f"unknown key {shown(name)}{where}, allowed: {', '.join(keys)}{meant}"
+        return f"unknown key {shown(name)}{where}{allowed_names(keys, meant)}"
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         name = error["ctx"]["discriminator"].strip("'")
         value = got.get(name) if isinstance(got, dict) else got
         kinds: Any = reduce(_inner, place, model)
-        allowed = ", ".join(map(repr, kinds))
-        meant = did_you_mean(value, kinds)
-        return f"{key}.{name} must be one of {allowed}, got {shown(value)}{meant}"
+        rule = f"one of {', '.join(map(repr, kinds))}"
+        return must_be(f"{key}.{name}", rule, value, kinds)
     if key == "search":
         return f"search must be one or more [[search]] sections, got {shown(got)}"
     if kind == "value_error":
@@ -220,7 +219,7 @@ def _sentence(
         rules.pop("an integer", None)
     rule = " or ".join(rules)
     key = f"each entry of {key}" if place and isinstance(place[-1], int) else key
-    return f"{key} must be {rule}, got {shown(got)}{did_you_mean(got, quoted_names(rule))}"
+    return must_be(key, rule, got, quoted_names(rule))
 
 
 def _rule(error: ErrorDetails) -> str:

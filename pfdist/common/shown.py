@@ -1,6 +1,6 @@
-"""Results as a prompt shows them, in a line, as a notebook shows them, and as a page.
+"""Results as one line at a prompt, as HTML in a notebook, and as a page.
 
-The terminal prints the page of a result, too, but for a run it prints the answer of its question.
+The terminal also prints the page of a result; for a run, it prints the answer to the question.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from pfdist.errors import one_line, printable
 
 
 class Shown:
-    """A result that a prompt shows as a line with its warnings, and a notebook as its answer.
+    """A result: one line with its warnings at a prompt, the whole answer in a notebook.
 
     A class that inherits from this one defines `_page`.
     """
@@ -21,14 +21,16 @@ class Shown:
 
     def __repr__(self) -> str:
         page = self._page()
-        return one_line(f"<{' | '.join([page.subtitle, *page.warnings])}>")
+        blocks = [block for section in page.sections for block in section.blocks]
+        said = [block.text for block in blocks if isinstance(block, Text) and block.prominent]
+        return one_line(f"<{' | '.join([page.subtitle or ' '.join(said), *page.warnings])}>")
 
     def _repr_html_(self) -> str:
         return as_fragment(self._page())
 
 
 def as_fragment(page: Page) -> str:
-    """A page as a piece of HTML, without its details and pictures; all texts are escaped.
+    """A page as an HTML fragment, without details and pictures; all texts are escaped.
 
     Examples
     --------
@@ -39,7 +41,8 @@ def as_fragment(page: Page) -> str:
     blocks = (block for section in page.sections for block in section.blocks)
     shown = [_of_block(block) for block in blocks if not block.detail]
     warnings = (f"<p>Note: {_escaped(warning)}</p>" for warning in page.warnings)
-    return "".join([f"<p>{_escaped(page.subtitle)}</p>", *shown, *warnings])
+    first, last = (f"<p>{_escaped(text)}</p>" * bool(text) for text in (page.subtitle, page.place))
+    return "".join([first, *shown, *warnings, last])
 
 
 def _escaped(text: str) -> str:

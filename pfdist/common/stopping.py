@@ -1,12 +1,12 @@
-"""Signals as data: Ctrl-C and signals of batch systems are noted, and looked at where it is safe.
+"""Signals as data: Ctrl-C and signals of batch systems are recorded, and checked where it is safe.
 
-A handler that raises does so wherever Python happens to be, also in callbacks of Numba, ctypes and
-weak references, which swallow it. Ray replaces handlers, too. So the program has none: all its
-threads block these signals, and one thread waits for them. So the user gets an answer at once, and
-a second signal ends the process at once, also while the main thread compiles.
+A handler may raise anywhere, even in callbacks of Numba, ctypes and weak references, which swallow
+the exception. Ray replaces handlers, too. So the program has none: all its threads block these
+signals, and one thread waits for them. The user gets an answer at once, and a second signal ends
+the process at once, even while the main thread compiles.
 
-Loops call `check`. In Python and in notebooks nobody listens: `check` does nothing, and Ctrl-C is
-Python's own KeyboardInterrupt.
+Loops call `check`. In Python and in notebooks it does nothing, and Ctrl-C raises Python's own
+KeyboardInterrupt.
 """
 
 import contextlib
@@ -30,8 +30,8 @@ _received = list[int]()
 def check() -> None:
     """Raise KeyboardInterrupt in the main thread if a signal was received.
 
-    It raises at every call, so a command ends even if something swallows the exception. Before the
-    first call nothing is at stake, and a signal ends the process at once.
+    It raises at every call, so a command ends even if the exception is swallowed. Before the first
+    call there is nothing to save, so a signal ends the process at once.
     """
     _at_work.set()
     if _heard.is_set() and threading.current_thread() is threading.main_thread():
@@ -39,26 +39,26 @@ def check() -> None:
 
 
 def sleep(seconds: float) -> None:
-    """Sleep; a signal ends this at once, by a KeyboardInterrupt."""
+    """Sleep; a signal interrupts this at once with a KeyboardInterrupt."""
     _heard.wait(seconds)
     check()
 
 
 def answered() -> None:
-    """Let `check` raise no longer, because the command ends, and its last work needs loops."""
+    """Make `check` stop raising, because the command ends and its last steps call it, too."""
     _heard.clear()
 
 
 def exit_code() -> int | None:
-    """The exit code that the first signal demands; None if none was received."""
+    """The exit code for the first signal; None if none was received."""
     return _CODES[_received[0]] if _received else None
 
 
 def listen() -> None:
-    """Note signals from now on; only the program's ``main`` calls this, before other threads start.
+    """Record signals from now on; only the program's ``main`` calls this, before it starts threads.
 
-    A signal that is ignored, as SIGINT by ``nohup``, stays ignored. Threads that start later block
-    the signals, too, and so do processes that they start without a fork in Python.
+    A signal that is ignored, such as SIGINT under ``nohup``, stays ignored. Later threads also
+    block the signals, and so do processes that they start without a fork in Python.
     """
     numbers = [each for each in _CODES if signal.getsignal(each) is not signal.SIG_IGN]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)

@@ -1,13 +1,13 @@
-"""Keys of streams of noise: hashes of the purpose of the noise. No compiler is needed."""
+"""Keys of noise streams: hashes of the purpose of the noise; this loads no compiler."""
 
 import hashlib
 import json
 from typing import Any
 
-CHOOSING = ("search", "probe", "shortlist", "online", "particles")
-"""Purposes of draws that decide between sets, or between numbers of particles.
+CHOOSING = ("search", "probe", "shortlist", "online", "particles", "proposal")
+"""Purposes of draws that decide between sets, numbers of particles, or proposals.
 
-No error on such draws is reported as proof.
+Errors on such draws are never reported as proof.
 """
 PROVING = ("comparison", "budget", "bound", "why", "evaluate", "filter", "simulate")
 """Purposes of draws that choose no set.
@@ -18,20 +18,20 @@ not use the draws that chose a number.
 
 
 def stream_key(*parts: Any) -> int:
-    """A hash of 64 bits of JSON values that say what the noise is for.
+    """A 64-bit hash of JSON values that identify the noise.
 
     The values are for instance the seed, a phase's name, a generation, or measurement times. The
-    same values have the same key, always and everywhere.
+    same values give the same key on every machine.
     """
     text = json.dumps(parts, separators=(",", ":"), sort_keys=True)
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")
 
 
 def stream_of(purpose: str, seed: int, *parts: Any) -> int:
-    """The key of the noise of a purpose, of the seed, and of other parts.
+    """The key of the noise for a purpose, a seed, and further parts.
 
     The purpose is one of `CHOOSING` or `PROVING`. Different purposes have different keys, so they
-    share no draw.
+    do not share draws.
     """
     if purpose not in (*CHOOSING, *PROVING):
         raise ValueError(f"purpose must be one of {CHOOSING} or {PROVING}, got {purpose!r}")

@@ -57,9 +57,9 @@ class Density:
     support : str
         The values of y whose density is not 0.
     log_density : callable
-        ``(y, *parameters)``; a mixture has the log densities of its components in the place of y.
+        ``(y, *parameters)``; for a mixture, the log densities of its components replace y.
     draw : callable
-        ``(*noise, *parameters)``; a mixture has a tuple of draws behind the noise.
+        ``(*noise, *parameters)``; for a mixture, a tuple of draws follows the noise.
     noise : tuple of {"normal", "uniform"}
         The noise that `draw` takes. Each "uniform" may also be "centred".
     """

@@ -1,7 +1,7 @@
-"""Draws: transforms of normal or uniform noise into variables of any kind.
+"""Draws: transforms of normal or uniform noise into other distributions.
 
-Uniform noise ends 6e-8 before 0 and 1. Centred noise lies between -1/2 and 1/2. Each function takes
-a negative u for 1 + u, so that centred noise reaches 2^-53 in both tails.
+Uniform noise lies at least 6e-8 from 0 and 1. Centred noise lies between -1/2 and 1/2. Each
+function reads a negative u as 1 + u, so that centred noise reaches 2^-53 in both tails.
 
 References
 ----------
@@ -60,7 +60,7 @@ def lognormal_draw(w: Any, mean: Any, sd: Any) -> Any:
 
 
 def laplace_draw(u: Any, location: Any, scale: Any) -> Any:
-    """A Laplace variable: its quantile.
+    """A Laplace variable, by its quantile.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def student_t_draw(u: Any, v: Any, df: Any, location: Any, scale: Any) -> Any:
 
 
 def gamma_draw(u: Any, shape: Any, scale: Any) -> Any:
-    """A gamma variable: its quantile.
+    """A gamma variable, by its quantile.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def gamma_draw(u: Any, shape: Any, scale: Any) -> Any:
 
 
 def beta_draw(u: Any, v: Any, a: Any, b: Any) -> Any:
-    """A beta variable, from two variates: the share of a gamma variable in the sum of two.
+    """A beta variable, from two variates: a gamma variable over the sum of two.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def beta_draw(u: Any, v: Any, a: Any, b: Any) -> Any:
 
 
 def categorical_draw(u: Any, weights: Any) -> Any:
-    """The number 0, 1, ... of a category: the quantile.
+    """The number 0, 1, ... of a category, by its quantile.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def categorical_draw(u: Any, weights: Any) -> Any:
 
 
 def mixture_draw(u: Any, draws: Any, weights: Any) -> Any:
-    """The draw of a component of a mixture, which u chooses.
+    """A draw from a mixture: the draw of the component that u chooses.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def mixture_draw(u: Any, draws: Any, weights: Any) -> Any:
 
 
 def von_mises_draw(u: Any, mean: Any, concentration: Any) -> Any:
-    """An angle: the quantile of the angle from the mean, -pi..pi, plus the mean.
+    """A von Mises angle: the mean plus the quantile of the deviation, which is in -pi..pi.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def von_mises_draw(u: Any, mean: Any, concentration: Any) -> Any:
 
 
 def poisson_draw(u: Any, mean: Any) -> Any:
-    """A Poisson count: the quantile.
+    """A Poisson count, by its quantile.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def poisson_draw(u: Any, mean: Any) -> Any:
 
 
 def binomial_draw(u: Any, n: Any, p: Any) -> Any:
-    """The number of successes in n trials: the quantile.
+    """The number of successes in n trials, by its quantile.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Log densities of continuous variables, and log probabilities of counts and categories.
 
-They have all constants. They are made from the deviance and from the excess over Stirling's
-formula, so no large terms cancel: the error of a value L is at most 1e-12 max(1, abs(L)).
+They contain all constants. They use the deviance and the excess over Stirling's formula, so no
+large terms cancel: the error of a value L is at most 1e-12 max(1, abs(L)).
 """
 
 import math
@@ -77,7 +77,7 @@ def student_t_logpdf(y: Any, df: Any, location: Any, scale: Any) -> Any:
 
 
 def laplace_logpdf(y: Any, location: Any, scale: Any) -> Any:
-    """Log density of a Laplace variable, whose absolute deviation has the mean `scale`.
+    """Log density of a Laplace variable with mean absolute deviation `scale`.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def laplace_logpdf(y: Any, location: Any, scale: Any) -> Any:
 
 
 def gamma_logpdf(y: Any, shape: Any, scale: Any) -> Any:
-    """Log density of a gamma variable of mean shape * scale; shape 1 is the exponential.
+    """Log density of a gamma variable with mean shape * scale; shape 1 is the exponential.
 
     Parameters
     ----------
@@ -110,12 +110,12 @@ def gamma_logpdf(y: Any, shape: Any, scale: Any) -> Any:
 
 
 def beta_logpdf(y: Any, a: Any, b: Any) -> Any:
-    """Log density of a beta variable of mean a / (a + b).
+    """Log density of a beta variable with mean a / (a + b).
 
     Parameters
     ----------
     y, a, b : float or array
-        Value; exponents a > 0 of y and b > 0 of 1 - y, each less 1.
+        Value; a > 0 and b > 0: the exponents of y and 1 - y are a - 1 and b - 1.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def beta_logpdf(y: Any, a: Any, b: Any) -> Any:
 
 
 def von_mises_logpdf(y: Any, mean: Any, concentration: Any) -> Any:
-    """Log density of an angle in radians: exp(concentration cos(y - mean)), over one turn.
+    """Log density of a von Mises angle, proportional to exp(concentration cos(y - mean)).
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Quantiles of gamma, von Mises, Poisson and binomial variables.
 
-A quantile is found by its tails. A tail is the density times the integral of exp(-D(y)), where y is
-the distance beyond the quantile, for a gamma or beta variable on a logarithmic scale. D rises from
-0, so Gauss's nodes between 0 and the place where D is about 40 give 10 digits.
+A quantile is found from its tails. A tail is the density times the integral of exp(-D(y)), where y
+is the distance beyond the quantile, on a logarithmic scale for gamma and beta variables. D rises
+from 0, so Gauss's nodes between 0 and the place where D is about 40 give 10 digits.
 
 References
 ----------

@@ -93,7 +93,7 @@ def stirling_excess(x):
 
 
 def erfc(x: Any) -> Any:
-    """The complement 1 - erf(x) of the error function, also where it is tiny.
+    """The complement 1 - erf(x) of the error function, accurate even where it is tiny.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Distributions of x(s) from which draws and filters start at s, in the place of `initial`."""
+"""Distributions of x(s) from which draws and filters start at s, instead of `initial`."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,8 +47,8 @@ class Cloud:
     weight : array of float64, (M,), optional
         Weights, in any unit; by default all are equal.
     truths : Cloud, optional
-        An independent cloud of the same distribution, from which draws start. By default draws
-        start from this cloud, which then is the distribution itself.
+        An independent cloud of the same distribution, from which draws start. By default, draws
+        start from this cloud, which then is itself the distribution.
 
     Raises
     ------
@@ -131,7 +131,7 @@ class Cloud:
     def chosen_for_filters(self, particles: int, draws: range, stream: int) -> Indices:
         """Choose the particles from which each draw's filter starts, (D, P): systematic resampling.
 
-        A cloud of P particles of the same weight is taken as it is. `draws` are indices in the
+        A cloud of P particles with equal weights is used unchanged. `draws` are indices in the
         stream, and `stream` is the key of the filters' noise.
         """
         arguments = particles, draws, stream
@@ -145,7 +145,7 @@ class Cloud:
         return chosen
 
     def weight_of_filters(self, particles: int) -> Array | None:
-        """The weights, (P,), with which filters that carry weights take the cloud as it is.
+        """The weights, (P,), of filters that carry weights and use the cloud unchanged.
 
         None if they choose particles from it: it has no weights, or another number of particles.
         """

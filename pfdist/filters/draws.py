@@ -27,6 +27,7 @@ class Draws:
     y: NDArray[np.float64]
     z: NDArray[np.float64]  # (D, K, q): quantities of interest
     start: int = 0
+    stream: int = 0  # key of their noise
     # (K,): weight of each instant's error in the MSE, with mean 1 over start..T; None: all are 1
     weights: NDArray[np.float64] | None = None
 
@@ -55,7 +56,7 @@ class Draws:
 def check_prior(
     prior: Prior, model: StateSpaceModel, horizon: int, *, by_particles: bool = False
 ) -> None:
-    """Raise a `PriorError` if a prior does not fit a model, or its instant is not in 0..T.
+    """Raise `PriorError` if a prior does not fit a model, or its instant is not in 0..T.
 
     A filter with particles (`by_particles`) cannot start from a normal distribution.
     """
@@ -77,9 +78,9 @@ def check_prior(
 def begun(
     model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None
 ) -> Draws:
-    """Draws to be simulated: the values of the arrays are arbitrary, but for x(s) of a prior.
+    """Draws that are not yet simulated: arrays with arbitrary values, except x(s) of a prior.
 
-    The arguments are those of `pfdist.filters.simulation.simulate`. A `PriorError` says that the
+    The arguments are those of `pfdist.filters.simulation.simulate`. Raises `PriorError` if the
     prior does not fit the model or the horizon.
     """
     if index.step != 1:
@@ -91,14 +92,14 @@ def begun(
     x, y, z = (np.empty((*shape, count)) for count in model.components)
     if prior is not None:
         x[:, 0] = prior.starts(index, stream).T
-    return Draws(model, index, x, y, z, start)
+    return Draws(model, index, x, y, z, start, stream)
 
 
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
-    """Raise a `ModelError` if a value is not finite; it names the formula that gave the value.
+    """Raise `ModelError`, which names the formula, if a value is not finite.
 
-    States are checked first, then measurements, then quantities of interest. The first draw and
-    instant are named. `stream` is the key of the noise with which the draws were simulated.
+    States are checked first, then measurements, then quantities of interest. The error names the
+    first draw and instant. `stream` is the key of the noise with which the draws were simulated.
     """
     for name in "xyz":
         values = getattr(draws, name)

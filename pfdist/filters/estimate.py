@@ -1,4 +1,4 @@
-"""An estimate of the expected MSE of one set of times, and the difference of two."""
+"""Estimates of the expected MSE of a set of times, and the difference of two."""
 
 import math
 from dataclasses import dataclass, replace
@@ -23,24 +23,24 @@ class Evaluation(Shown):
     Parameters
     ----------
     measurement_times : tuple of int
-        Instants; times on the clock where a user reads them.
+        Instants; users see times on the clock.
     mse : array of float64, (D,)
-        Per-draw MSE. In a degenerate draw the filter leaves out the measurements that no particle
+        Per-draw MSE. In a degenerate draw the filter ignores the measurements that no particle
         explains, and the draw counts with the error of this filter.
     degenerate_policy : {"continue", "kill"}
-        ``kill``, the paper's, makes the error infinite if a draw is degenerate.
+        With ``kill``, as in the paper, a degenerate draw makes the error infinite.
     exact : float, optional
-        The expected MSE, where the engine knows it without draws.
+        The exact expected MSE, if the engine computes it without draws.
     end : int, optional
         Last instant whose error counts, if it is not T.
     errors : array of float64, (end - since + 1,), optional
-        Expected error of each instant that a search has asked for.
+        Expected error of each instant, if a search has requested it.
     purpose : str
         Purpose of the draws, one of `pfdist.common.streams.CHOOSING` or `PROVING`.
     scenarios : array of int64, (D,), optional
         The number of each draw's scenario.
     is_worst : bool
-        Whether `expected_mse` is the largest mean of a scenario, and not the mean over all draws.
+        Whether `expected_mse` is the largest mean of a scenario, not the mean over all draws.
     degenerate : array of bool, (D,), optional
         Whether each draw is degenerate; by default none is.
     """
@@ -68,7 +68,7 @@ class Evaluation(Shown):
 
     @cached_property
     def expected_mse(self) -> float:
-        """Mean of the per-draw MSE, or that of the worst scenario; infinite if it is killed."""
+        """Mean of the per-draw MSE, or that of the worst scenario; infinite for a killed set."""
         if self.exact is not None:
             return self.exact
         if self.is_worst:
@@ -110,7 +110,7 @@ class Evaluation(Shown):
 
     @cached_property
     def top_percent_share(self) -> float:
-        """Share of `expected_mse` that 1 % of the draws carry; NaN with fewer than 100 draws."""
+        """Share of `expected_mse` due to the largest 1 % of the draws; NaN with fewer than 100."""
         return top_percent_share(self.mse, self.draws, self.expected_mse)
 
     def first(self, draws: int) -> "Evaluation":
@@ -127,9 +127,9 @@ class Evaluation(Shown):
 
     @property
     def errors_of_instants(self) -> NDArray[np.float64]:
-        """`errors`, of an evaluation that has them; a ValueError otherwise."""
+        """The array `errors`; raises ValueError if it is missing."""
         if self.errors is None:
-            raise ValueError("the errors of each instant were not asked for")
+            raise ValueError("the errors of each instant were not requested")
         return self.errors
 
     def _page(self) -> Page:
@@ -146,7 +146,7 @@ class Evaluation(Shown):
 
     @property
     def degenerate_text(self) -> str:
-        """How many draws are degenerate, as a sentence; empty if none is."""
+        """A sentence with the number of degenerate draws; empty if there are none."""
         count, are = self.degenerate_draws, "draw is" if self.draws == 1 else "draws are"
         return (
             f"{count:,} of {self.draws:,} {are} degenerate: the filter leaves out measurements "
@@ -181,7 +181,7 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
 
 
 def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
-    """Share of a mean over draws that the 1 % of the draws with the largest values carry.
+    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
 
     It is a point of the Lorenz curve. It is NaN with fewer than 100 draws, or if the mean is not
     positive and finite. `largest` has at least the largest values of 1 % of the draws.

@@ -1,7 +1,7 @@
 """The Monte Carlo estimate of the expected MSE (paper, section 2.3, equation 6).
 
-The work is a pure function of its arguments. It may be cut between any two draws: the MSE of each
-draw stays the same, and so does every figure that is computed from the draws in their order.
+A result is a pure function of its arguments. A work may be cut between any two draws: the MSE of
+each draw stays the same, and so does every number computed from the draws in their order.
 """
 
 import contextlib
@@ -21,20 +21,31 @@ from pfdist.errors import ModelError
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, Engine
+from pfdist.filters.engines import COMPILED, ENGINES, KALMAN, NUMPY, Engine
 from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.kalman import cached_matrices
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_checked_draws
 from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter, check_fits
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import FLOAT64, Estimation, Result, Work, columns, cut, joined
+from pfdist.filters.work import (
+    FLOAT64,
+    GUIDED,
+    PLAIN,
+    Estimation,
+    Result,
+    Work,
+    columns,
+    control_of,
+    cut,
+    joined,
+)
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
-from pfdist.models import StateSpaceModel
+from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, made
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
-from pfdist.models.recorded import recorded
+from pfdist.models.recorded import check_same_functions, recorded, untraced
 from pfdist.models.written import key_of_model
 
 _ANY = Estimation(particles=1)
@@ -42,12 +53,12 @@ _ANY = Estimation(particles=1)
 
 @dataclass(frozen=True)
 class Evaluator:
-    """Compute the MSE of sets of measurement times for a model, a horizon and a filter's model.
+    """A function that computes the MSE of sets of times, for a model and a filter's model.
 
-    The evaluator of a job holds recorded models; see `recorded_evaluator`. It travels to the
-    workers, and each process compiles its formulas once. A `PriorError` says that the prior
-    does not fit a model or the horizon. A `ModelError` says that an estimation or the filter's
-    model does not fit, or that the engine "kalman" needs another model.
+    The evaluator of a job holds recorded models; see `recorded_evaluator`. It is sent to the
+    workers, and each process compiles its formulas once. Raises `PriorError` if the prior does not
+    fit a model or the horizon, and `ModelError` if an estimation or the filter's model does not
+    fit, or if the engine "kalman" needs another model.
     """
 
     model: StateSpaceModel  # the true model: it draws x, y and z, and defines the error
@@ -77,7 +88,7 @@ class Evaluator:
         if self.exact and not self.of_scenarios:
             if self.believed != self.model:
                 raise ModelError(
-                    f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
+                    f"filter.engine = {KALMAN.name!r} needs a filter with the true model"
                 )
             cached_matrices(self.model, self.horizon)
         for estimation in self.estimations:
@@ -124,7 +135,7 @@ class Evaluator:
 
     @cached_property
     def truth(self) -> "Evaluator":
-        """The same evaluator with a filter that knows the true model, and the draw's scenario."""
+        """The same evaluator with a filter that has the true model and the draw's scenario."""
         if self.believed == self.model and self.told == bool(self.scenarios):
             return self
         return replace(
@@ -138,7 +149,7 @@ class Evaluator:
     def of_scenarios(self) -> tuple["Evaluator", ...]:
         """The evaluator of each scenario; empty without scenarios.
 
-        All have the formulas of this evaluator, which are compiled once.
+        They share the formulas of this evaluator, which are compiled once.
         """
         evaluators = []
         for scenario in self.scenarios:
@@ -174,7 +185,7 @@ class Evaluator:
 
     @cached_property
     def self_consistent(self) -> "Evaluator":
-        """The same evaluator whose draws are those of the filter's model."""
+        """The same evaluator with draws of the filter's model."""
         if self.believed == self.model and self.told == bool(self.scenarios):
             return self
         return replace(
@@ -197,8 +208,13 @@ class Evaluator:
 
     @property
     def exact(self) -> bool:
-        """Whether the engine knows the expected MSE without draws; see `expected_mse`."""
+        """Whether the engine computes the expected MSE without draws; see `expected_mse`."""
         return self.computed_by.exact
+
+    @property
+    def has_particle_loss(self) -> bool:
+        """Whether the engine has particles, and the error is the squared norm."""
+        return not self.exact and self.model.error is squared_error
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
@@ -230,9 +246,9 @@ class Evaluator:
     def sum_errors(self, work: Work) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
 
-        All sets of the work have the same filter noise. Values after a set's end mean nothing. A
+        All sets of the work have the same filter noise. Values after a set's end are arbitrary. A
         set has NaN if a draw is infinite with it, or degenerate although the truth is among the
-        particles. A `ModelError` says that a formula failed.
+        particles. Raises `ModelError` if a formula failed.
         """
         draws = self.draws(range(*work.draws), work.draws_stream)
         stream, *_ = work.filter_streams
@@ -271,14 +287,14 @@ class Evaluator:
 
     @property
     def cheapest_estimator(self) -> str:
-        """The estimator with the least variance that the models allow."""
+        """The estimator with the smallest variance that the models allow."""
         return self._first_allowed(FILTER_VARIANCE.name)
 
     @property
     def guiding_estimator(self) -> str:
-        """The estimator with the least variance that can guide a search.
+        """The estimator with the smallest variance that can guide a search.
 
-        It may be wrong about the error itself, if the filter does not know the truth.
+        It may be biased if the filter's model is not the truth.
         """
         return self._first_allowed(FILTER_VARIANCE.name, OWN_VARIANCE.name)
 
@@ -296,7 +312,7 @@ class Evaluator:
         return SQUARED_ERROR.name
 
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
-        """A hash of the evaluator, an estimation, and other parts, which have JSON values.
+        """A hash of the evaluator, an estimation, and further parts with JSON values.
 
         With the times, the end and the stream it is the id of an evaluation: a hash of everything
         on which the MSE of a draw depends.
@@ -316,11 +332,14 @@ class Evaluator:
     def compile(self, *estimations: Estimation) -> None:
         """Compile the simulation, and the filter of each estimation, by an empty range of draws.
 
-        A `TraceError` says that a formula cannot be traced.
+        Raises `TraceError` if a formula cannot be traced.
         """
         stopping.check()
-        if not self.computed_by.compiled or not estimations:
+        if self.engine == NUMPY.name or not estimations:
             return
+        if self.computed_by.compiled:
+            for formula in (untraced(self.model) | untraced(self.believed)).values():
+                raise formula.why.with_traceback(None)  # else it grows each time
         prior = None if isinstance(self.prior, Gaussian) else self.prior
         draws = simulate(self.model, self.horizon, range(0), 0, prior)
         for estimation in estimations:
@@ -333,7 +352,7 @@ class Evaluator:
             each.compile(*estimations)
 
     def check(self, estimation: Estimation) -> None:
-        """Raise a `ModelError` if the estimator or the resampling scheme does not fit the models.
+        """Raise `ModelError` if the estimator or the resampling scheme does not fit the models.
 
         Exact engines ignore the estimator and the number of particles.
         """
@@ -345,12 +364,22 @@ class Evaluator:
                 f"filter.dtype = {estimation.dtype!r} needs the engine {COMPILED.name!r}, got "
                 f"{engine!r}: filter.dtype = {FLOAT64!r} is for every engine"
             )
+        if estimation.proposal == GUIDED:
+            for name, got, needed in (
+                ("engine", engine, COMPILED.name),
+                ("dtype", estimation.dtype, FLOAT64),
+            ):
+                if got != needed:
+                    raise ModelError(
+                        f"filter.proposal = {GUIDED!r} needs filter.{name} = {needed!r}, got "
+                        f"{got!r}: {PLAIN!r} is for every {name}"
+                    )
         if not self.exact:
             check_filter(self.believed, self.model, estimation)
 
     @property
     def seconds_a_step(self) -> float:
-        """Rough guess of the seconds of a particle-step; models differ."""
+        """A rough guess of the seconds of a particle-step; models differ."""
         return self.computed_by.seconds_a_step
 
     def __call__(self, work: Work) -> Result:
@@ -365,7 +394,7 @@ class Evaluator:
         return self.filtered(work)
 
     def draws(self, index: range, stream: int) -> Draws:
-        """Simulate some draws of a stream; a `ModelError` if a formula failed."""
+        """Simulated draws of a stream; raises `ModelError` if a formula failed."""
         draws: Draws = self.computed_by.simulate(
             self.model, self.horizon, index, stream, self.prior
         )
@@ -383,17 +412,16 @@ class Evaluator:
         """The MSE of draws with several checked sets under the same noise, (D, S).
 
         It is the sum of the errors up to each set's end, divided by the number of instants. The
-        second array, (D, S), says which draws are degenerate. A `ModelError` says that a formula
-        failed.
+        second array, (D, S), marks degenerate draws. Raises `ModelError` if a formula failed.
         """
         given = draws, sets, ends, stream, self.settings(estimation)
         mse, degenerate = self.computed_by.filters.filter_checked_sets(self.believed, *given)
         return mse, degenerate
 
     def results(self, works: Iterable[Work]) -> list[Result]:
-        """Results of works whose settings and times the caller has checked: what a task computes.
+        """Results of works, as a task computes them; the caller has checked settings and times.
 
-        A `ModelError` says that a formula failed.
+        Raises `ModelError` if a formula failed.
         """
         return [work.result(self._for(work)) for work in works]
 
@@ -403,12 +431,12 @@ class Evaluator:
         return evaluator if work.weighted else replace(evaluator, weights=None, estimations=())
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
-        """Cut a work between its draws into works of about so many seconds each."""
+        """The parts of a work, cut between draws, each of about this many seconds."""
         draws = max(1, int(seconds / self.seconds_a_step / work.steps_a_draw))
         return [replace(work, draws=piece) for piece in cut(range(*work.draws), draws)]
 
     def filtered(self, work: Work) -> Result:
-        """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
+        """Per-draw MSE as from `__call__`, for a work that the caller has checked."""
         numbers = self.scenarios_of(work.draws_stream, range(*work.draws))
         if numbers is not None:
             parts = stretches(numbers, work.draws[0])
@@ -432,13 +460,19 @@ class Evaluator:
             sizes = np.empty(0) if self.exact else np.stack([each.sizes for each in filtered])
             return Result(mse, draws.z, draws.y, estimates, sizes, degenerate=degenerate)
         values = np.empty((len(draws.index), len(work.measurement_times)))
+        control = np.zeros(values.shape if work.controlled else 0)
         degenerate = np.zeros(values.shape, np.bool_)
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
             found = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
             values[:, same_noise], degenerate[:, same_noise] = found
-        return Result(values, degenerate=degenerate)
+            if work.controlled:  # by the same noise, so that both errors have much in common
+                second = control_of(work.estimation)
+                found = self.mse_of_sets(draws, sets, ends, stream, second)
+                control[:, same_noise] = np.where(np.isfinite(found[0]), found[0], 0.0)
+                degenerate[:, same_noise] |= found[1]
+        return Result(values, degenerate=degenerate, control=control)
 
     def settings(self, estimation: Estimation) -> Estimation:
         """The estimation, with filters that start from the prior."""
@@ -467,14 +501,14 @@ def recorded_evaluator(
     others : iterable of mapping
         Further values of the truth's parameters: those of scenarios.
     told : bool
-        Whether the filter's model has these, too.
+        Whether the filter's model also has these values.
     settings
         Further fields of `Evaluator`.
 
     Raises
     ------
     ModelError
-        A model reads a clock that the job lacks, or does not fit the job; or a formula fails.
+        A model reads a clock that the job lacks, does not fit the job, or has a formula that fails.
     """
     for part, each in (("model", model), ("model.filter", filter_model)):
         if clock is None and each.reads_clock:
@@ -489,6 +523,8 @@ def recorded_evaluator(
     check_fits(filter_model, model)
     filter_model, instants = filter_model.named_as(model), range(horizon + 1)
     is_same, known = filter_model == model, [*others]
+    if is_same:
+        check_same_functions(model, filter_model, instants)
     model = recorded(model, instants, known)
     if not is_same:
         filter_model = recorded(filter_model, instants, known if told else ())

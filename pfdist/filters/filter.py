@@ -1,4 +1,4 @@
-"""A filter of real measurements, one after another."""
+"""A filter for real measurements, one after another."""
 
 import contextlib
 import warnings
@@ -24,10 +24,10 @@ from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import (
     AUTO,
+    BATCHED,
+    BATCHED_TIMES_SLOWER,
     COMPILED,
     ENGINES,
-    NUMPY,
-    NUMPY_TIMES_SLOWER,
     EngineName,
     is_exact,
 )
@@ -50,6 +50,7 @@ from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
+from pfdist.models.recorded import untraced, with_untraced
 
 Array = NDArray[np.float64]
 
@@ -61,9 +62,9 @@ MANY = 200_000
 
 
 class Filter:
-    """A particle filter of one real system, to which measurements are given in the order of time.
+    """A particle filter of one real system, which receives its measurements in the order of time.
 
-    It gives the bits of the filter that a run uses, for the same key of the noise.
+    It is bit for bit the filter of a run with the same noise key.
 
     Parameters
     ----------
@@ -71,20 +72,20 @@ class Filter:
         The model, or a name that `pfdist.load_model` takes. If formulas read ``p.time`` or
         ``p.dt``, give ``model.on_clock(times)``. The filter counts instants.
     particles : int
-        The engine "kalman" has none.
+        Number of particles; the engine "kalman" has none.
     seed : int
         Seed of the filter's noise.
     resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
     resample : str
         "always", or "below 0.5" to resample only if the effective sample size falls below this
         share of the particles.
-    engine : {"auto", "compiled", "numpy", "kalman"}
-        "auto" is the compiled engine, or NumPy for a model that cannot be traced. "kalman" is
-        exact, for models that declare themselves linear-Gaussian.
+    engine : {"auto", "compiled", "batched", "numpy", "kalman"}
+        "auto" is the compiled engine, or the batched one for a model that cannot be traced.
+        "kalman" is exact, for models that declare themselves linear-Gaussian.
     prior : Cloud, Gaussian, array or DataFrame, optional
-        The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
-        An array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud`
-        of a filter may go here.
+        The distribution of x(s), instead of the model's `initial`; the filter then starts at s. An
+        array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud` of
+        another filter is also accepted.
     draw : int
         Index of the filter in the stream of its noise.
     horizon : int
@@ -93,7 +94,7 @@ class Filter:
     Raises
     ------
     ModelError
-        The model cannot be loaded, does not fit a setting, or a formula failed.
+        The model cannot be loaded or does not fit a setting, or a formula failed.
     PriorError
         The prior does not fit the model.
     ArgumentError
@@ -130,7 +131,7 @@ class Filter:
         self.model = load_model(model) if isinstance(model, str) else model
         self.horizon = horizon
         self.stream = stream_of("filter", seed)
-        """Key of the filter's noise, 64 bits."""
+        """The 64-bit key of the filter's noise."""
         start = None if prior is None else as_prior(prior, self.model)
         if start is not None:
             check_prior(start, self.model, horizon, by_particles=not is_exact(engine))
@@ -154,15 +155,14 @@ class Filter:
 
     @property
     def now(self) -> Estimate:
-        """The filter's belief of z at the instant of the last update."""
+        """The current estimate of z: that at the last update."""
         return self._now
 
     @property
     def cloud(self) -> Prior:
-        """The particles at the instant of `now`, from which another filter may go on.
+        """The particles at the instant of `now`, from which another filter can start.
 
-        The measurement at this instant has changed them. The engine "kalman" has a normal
-        distribution in their place.
+        They include the measurement at this instant. For "kalman", a normal distribution.
         """
         return _prior(self._filter)
 
@@ -176,7 +176,7 @@ class Filter:
 
     @property
     def why_no_evidence(self) -> str:
-        """Why there is no log evidence; empty if there is."""
+        """The reason why there is no log evidence; empty if there is."""
         if self.model.normalised or ENGINES[self._filter.engine].exact:
             return ""
         return (
@@ -190,10 +190,10 @@ class Filter:
         Parameters
         ----------
         t : int
-            After the last measurement.
+            An instant after the last measurement.
         y : float or sequence of float, (m,)
-            The measurement. NaN marks a component that is missing, which a model must declare that
-            it takes. If all components are missing, t was not measured.
+            The measurement. NaN marks a missing component; the model must declare
+            `missing_components`. If all components are missing, t was not measured.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Filter:
         ------
         MeasurementsError
             The instant or the measurement is wrong, or no particle explains the measurement. The
-            filter stays where it was.
+            filter is unchanged.
         """
         t = checked_instant(t, 0, self.horizon)
         if t < self._filter.t or (t == self._filter.t and self._filter.measured):
@@ -234,12 +234,12 @@ class Filter:
         return self._now
 
     def predict(self, t: int) -> Estimate:
-        """The filter's belief of z(t); the filter does not move.
+        """The estimate of z(t); the filter does not move.
 
         Parameters
         ----------
         t : int
-            Not before the last measurement.
+            An instant not before the last measurement.
 
         Returns
         -------
@@ -271,6 +271,9 @@ class Filter:
     ) -> tuple[OneFilter, Array, Array]:
         """The filter at its first instant, compiled, with mean and variance of z."""
         name = COMPILED.name if engine == AUTO else engine
+        if engine == COMPILED.name:
+            for formula in untraced(self.model).values():
+                raise formula.why
         if name == "kalman":
             matrices_of(self.model, 0)
         first = OneFilter(self.model, settings, self.stream, draw, name)
@@ -283,12 +286,13 @@ class Filter:
             if engine != AUTO:
                 raise
             warnings.warn(
-                f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
-                f"(engine={NUMPY.name!r} says that you know)",
+                f"{error}: it is called on arrays, about {BATCHED_TIMES_SLOWER} times slower "
+                f"(engine={BATCHED.name!r} silences this)",
                 EngineWarning,
                 stacklevel=3,
             )
-        first = OneFilter(self.model, settings, self.stream, draw, NUMPY.name)
+        model = with_untraced(self.model, range(first.t, first.t + 2))
+        first = OneFilter(model, settings, self.stream, draw, BATCHED.name)
         return first.at(first.t)
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:

@@ -1,4 +1,4 @@
-"""A filter's belief about z(t), how well it has predicted a measurement, and what a user gets."""
+"""A filter's distribution of z(t), the surprise of a measurement, and the user's estimate."""
 
 import math
 from collections.abc import Sequence
@@ -59,7 +59,7 @@ class Normal:
     standard_deviation: Array  # (q,)
 
     def effective_sample_size(self) -> None:
-        """None: there are no particles."""
+        """None, because there are no particles."""
 
     def quantiles(self, levels: Array) -> Array:
         """Quantiles of the normal distributions, (L, q)."""
@@ -68,7 +68,7 @@ class Normal:
 
 
 Belief = Particles | Normal
-"""A filter's belief about z(t): a distribution of each component."""
+"""A filter's distribution of each component of z(t)."""
 
 
 # --- particles ----------------------------------------------------------------------------------
@@ -76,7 +76,7 @@ Belief = Particles | Normal
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """Particles that a measurement has weighted, and that are not resampled."""
+    """Particles that are weighted by a measurement, but not resampled."""
 
     cloud: Cloud  # at the instant of the measurement
     share: Array  # (P,): weights after the measurement, with a sum of 1
@@ -86,10 +86,10 @@ class Explained:
 
 
 def explained(at: OneFilter, t: int, y: Array) -> Explained:
-    """The particles of a filter at t, weighted by the measurement y, (m,), there.
+    """The particles of a filter at t, weighted by the measurement y(t), (m,).
 
-    Some particle must have a finite log-likelihood. If the filter stands before t and has a
-    proposal, the proposal makes the step to t.
+    At least one particle must have a finite log-likelihood. If the filter is before t and has a
+    proposal, the step to t uses the proposal.
     """
     model, guide = at.model, np.zeros(1)
     guides = at.t < t and at.settings.guides(model)
@@ -123,8 +123,8 @@ def surprise_of_particles(
 ) -> float:
     """The p-value of a measurement among simulated measurements of predicted particles.
 
-    If the model is right, the rank of each component among its simulated values is uniform. The
-    p-value of a component is two-sided, and ties are broken by chance. The result is the smallest
+    Under the right model, the rank of each component among its simulated values is uniform. The
+    p-value of a component is two-sided, and ties are broken at random. The result is the smallest
     p-value of the components, times the number of components measured (Bonferroni).
 
     Parameters
@@ -135,7 +135,7 @@ def surprise_of_particles(
     y : array of float64, (m,)
         The measurement; NaN marks a missing component.
     stream, draw : int
-        Key of the filter's noise. The simulated measurements have the role of the truth's
+        Key of the filter's noise. The simulated measurements use the keys of the truth's
         measurement noise, which the filter itself does not use.
     """
     copies = -(-PREDICTIVE // cloud.particles)
@@ -174,7 +174,7 @@ def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tu
 
     The model is linear-Gaussian, and `state` is the distribution of x(t) before the measurement.
     NaN marks a missing component; at least one component is measured. The p-value is that of
-    `surprise_of_particles`, with exact probabilities in the place of ranks.
+    `surprise_of_particles`, with exact probabilities instead of ranks.
     """
     measured = ~np.isnan(y)
     expected = kalman.predicted_measurement(model, state)
@@ -199,23 +199,24 @@ def _log_density(innovation: Array, covariance: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A filter's belief of z at an instant.
+    """A filter's estimate of z at an instant.
 
     Parameters
     ----------
     t : int
     measured : bool
-        Whether the filter has the measurement at t.
+        Whether the filter has received a measurement at t.
     mean, standard_deviation : array of float64, (q,)
         For an angle the mean direction in -pi..pi, and sqrt(-2 log R), where R is the length of the
         mean of the particles' unit vectors. For a narrow distribution, this is the usual standard
         deviation.
     effective_sample_size : float or None
-        Number of particles of equal weight that are worth as much as the weighted particles; None
-        for the engine "kalman", which has no particles.
+        Number of particles with equal weights that would be as informative as the weighted
+        particles; None for the engine "kalman".
     surprise : float or None
-        The probability of a measurement at least as far out as that at t, if the model is right;
-        None if t was not measured. See `pfdist.filters.filter_estimate.surprise_of_particles`.
+        The p-value of the measurement at t: the probability, under the model, of one at least as
+        extreme; None if t was not measured. See
+        `pfdist.filters.filter_estimate.surprise_of_particles`.
     """
 
     t: int
@@ -232,7 +233,7 @@ class Estimate:
         Parameters
         ----------
         levels : float or sequence of float
-            In 0..1, without the ends. Quantiles of an angle are at most half a turn from the mean.
+            Above 0 and below 1. Quantiles of an angle are at most half a turn from the mean.
         """
         try:
             wanted = np.atleast_1d(np.array(levels, np.float64))
@@ -251,7 +252,7 @@ def estimate_of(
     belief: Belief,
     surprise: float | None = None,
 ) -> Estimate:
-    """The estimate at t, by its moments; t was measured if there is a surprise."""
+    """The estimate at t, from its moments; t was measured if there is a surprise."""
     with np.errstate(all="ignore"):  # 1 - variance is below 0 where z is no angle
         squares = np.where(is_angle, -2 * np.log1p(-variance), variance)
     return Estimate(

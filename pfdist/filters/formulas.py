@@ -1,52 +1,84 @@
-"""The formulas of simulations and filters, traced and compiled for the instants at hand."""
+"""The formulas of simulations and filters, traced and compiled for given instants."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pfdist.filters.work import FLOAT32, Estimation
-from pfdist.kernels import filter as rows
+from pfdist.errors import ModelError
+from pfdist.filters.guiding import Guide, guide_of
+from pfdist.filters.work import FLOAT32, GUIDED, Estimation
+from pfdist.kernels import batch as rows
+from pfdist.kernels import guided as guided_rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
+from pfdist.kernels.callbacks import Callback
+from pfdist.kernels.estimators import ALL_ESTIMATORS
 from pfdist.kernels.lowering import Precision
 from pfdist.models import StateSpaceModel
-from pfdist.models.base import angular_error
+from pfdist.models.base import angular_error, squared_error
 from pfdist.models.parameters import check_lengths
-from pfdist.models.tracing import Formula, trace
+from pfdist.models.program import Array, groups_of
+from pfdist.models.programs import Declared, Untraced
+from pfdist.models.symbols import RefusedError
+from pfdist.models.tracing import MODES, Formula, Traced, trace
 from pfdist.models.twin import formula_of, traced
 
 _LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
+_MOST_DERIVED = 5_000  # operations of a program: a larger one takes minutes to compile
+# Linearisations: with sharp ranges and bearings, errors were 3 times too large after one, 1 % after
+# two, and as after six after three.
+_ROUNDS = 3
 
 
 def filter_blocks(
     model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation, instants: range
-) -> tuple[Compiled, tuple[int, ...]]:
-    """The blocks of a filter, whose errors the truth defines; see `pfdist.kernels.filter`.
+) -> tuple[Compiled, tuple[int, ...], "Guiding"]:
+    """The blocks of a filter, whose error is that of the true model; see `pfdist.kernels.batch`.
 
-    The second result has the components of x that are those of z; it is empty if z is computed, or
-    an angle. A `TraceError` says that a formula cannot be traced.
+    The second result has the components of x that are equal to those of z; it is empty if z is
+    computed, or an angle. Raises `TraceError` if a formula cannot be traced.
     """
-    guided = settings.guides(model)
-    result: tuple[Compiled, tuple[int, ...]]
+    kind = _Kind(
+        guided=settings.guides(model),
+        draws_again=settings.proposal == GUIDED,
+        by_error=ALL_ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
+        dtype=settings.dtype,
+    )
+    result: tuple[Compiled, tuple[int, ...], Guiding]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
-        ("filter", instants, guided, id(truth), settings.dtype),
-        lambda: (_filter_blocks(model, truth, guided, instants, settings.dtype), truth),
+        ("filter", instants, kind, id(truth)),
+        lambda: (_filter_blocks(model, truth, kind, instants), truth),
     )
     return result
 
 
+class _Kind(NamedTuple):
+    """The settings on which the blocks of a filter depend."""
+
+    guided: bool  # by the model's own proposal
+    draws_again: bool  # guided by the derived proposal
+    by_error: bool  # whether DEVIATIONS are the truth's own error
+    dtype: str
+
+
 def _filter_blocks(
-    model: StateSpaceModel, truth: StateSpaceModel, guided: bool, instants: range, dtype: str
-) -> tuple[Compiled, tuple[int, ...]]:
+    model: StateSpaceModel,
+    truth: StateSpaceModel,
+    kind: _Kind,
+    instants: range,
+) -> tuple[Compiled, tuple[int, ...], "Guiding"]:
     check_lengths(model.parameters, instants.stop)
     check_lengths(truth.parameters, instants.stop)
-    states, (own, once) = model.components[0], (_Formulas(model, truth.is_angle), instants[:1])
+    states, (own, once) = model.components[0], (_Formulas(model, truth), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     x, u = {"x": states}, {"u": len(model.proposal_variates)}
     z, source = "quantity_of_interest", partial(_source, model)
-    sources = dict[Any, Source | None](
+    deviations = ("errors", own.errors) if kind.by_error else (z, own.deviations)
+    sources = dict[Any, Source | Callback | None](
         {
             rows.INITIAL: _own(model, "initial", instants),
             rows.TRANSITION: _own(model, "transition", instants) if instants[1:] else None,
@@ -54,7 +86,7 @@ def _filter_blocks(
                 quantities + 2 * angles, z, own.quantity, {**x, "t": 0}, instants
             ),
             rows.DEVIATIONS: source(
-                quantities, z, own.deviations, {**x, "y": quantities, "t": 0}, instants
+                quantities, *deviations, {**x, "y": quantities, "t": 0}, instants
             ),
             rows.ESTIMATE: source(
                 quantities, "the mean", own.estimate, {"x": quantities + 2 * angles}, once
@@ -66,13 +98,107 @@ def _filter_blocks(
     )
     for number, part in enumerate(model.parts):
         sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
-    if guided:
+    if kind.guided:
         given = {**x, "y": model.components[1], "t": 0, **u}
         sources[rows.GUIDED] = source(states + 1, "proposal", own.guided, given, instants[:-1])
-    if dtype == FLOAT32:
-        sources |= {row: _of_singles(row, each) for row, each in sources.items() if each}
+    guiding = guiding_of(model, instants) if kind.draws_again else Guiding()
+    for number, blocks_of_sensor in enumerate(guiding.sources):
+        first = rows.SENSORS + len(model.parts) + int(guided_rows.BLOCKS) * number
+        sources |= {first + row: each for row, each in blocks_of_sensor.items()}
+    if kind.dtype == FLOAT32:
+        if any(isinstance(each, Callback) for each in sources.values()):
+            raise ModelError(f"filter.dtype = {FLOAT32!r} needs traced formulas")
+        sources |= {
+            row: _of_singles(row, each) for row, each in sources.items() if isinstance(each, Source)
+        }
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
-    return blocks, _components_of_state(sources[rows.QUANTITY])
+    return blocks, _components_of_state(sources[rows.QUANTITY]), guiding
+
+
+@dataclass(frozen=True)
+class Guiding:
+    """The guides of a filter's sensors; empty for a filter that is not guided."""
+
+    rows: tuple[int, ...] = ()  # of each sensor's guide; 0 for a sensor that has none
+    sources: tuple[dict[int, Source], ...] = ()  # the blocks of each, see `pfdist.kernels.guided`
+    rounds: int = 1  # of linearisations
+
+
+def guiding_of(model: StateSpaceModel, instants: range) -> Guiding:
+    """The guides of a model's sensors; raises `ModelError` if no sensor has one."""
+    rows_of, sources, refused = list[int](), list[dict[int, Source]](), list[Exception]()
+    rounds = 1
+    for part in model.parts:
+        try:
+            guide = guide_of(part.model, instants)
+            sources.append({} if guide is None else _sources_of_guide(guide, instants))
+            rows_of.append(0 if guide is None else guide.rows)
+            if guide is not None and not _is_linear(guide, sources[-1]):
+                rounds = _ROUNDS
+        except (ModelError, RefusedError) as error:
+            sources.append({})
+            rows_of.append(0)
+            refused.append(error)
+    if len(refused) == len(rows_of):
+        raise ModelError(f"filter.proposal = {GUIDED!r} is not possible: {refused[0]}")
+    return Guiding(tuple(rows_of), tuple(sources), rounds)
+
+
+def _is_linear(guide: Guide, sources: dict[int, Source]) -> bool:
+    """Whether all derivatives are the same for all particles."""
+    slopes, behind = range(guide.rows * guide.model.components[0]), guide.sums
+    for row in guided_rows.SWEPT, guided_rows.SWEPT_INITIAL, guided_rows.SEEN:
+        source = sources.get(int(row))
+        for program in source.traced.programs if source else ():
+            last = range(len(slopes) + behind, len(program.outputs))
+            derivatives = [*slopes] if row == guided_rows.SEEN else [*slopes, *last]
+            if groups_of(program, derivatives) & {"x", "w", "v"}:
+                return False
+    return True
+
+
+def _sources_of_guide(guide: Guide, instants: range) -> dict[int, Source]:
+    """The blocks of a guide; see `pfdist.kernels.guided`."""
+    model, (n, m, _), k = guide.model, guide.model.components, guide.rows
+    x, z = {"x": n}, {"x": n, "z": k * n, "estimate": guide.sums}
+    w, w0 = (
+        {"w": len(each), "v": len(each)} for each in (model.process_noise, model.initial_noise)
+    )
+    normals, normals0 = (
+        each.count("normal") for each in (model.process_noise, model.initial_noise)
+    )
+    behind, once, steps, t = k * n + guide.sums, instants[:1], instants[:-1], {"t": 0}
+
+    def source(name: str, results: int, given: dict[str, int], at: range) -> Source | None:
+        if not at:
+            return None
+        arguments = {**given, "p": 0}
+        formula = Formula(
+            getattr(guide, name), name, arguments, model.parameters, model.name, results
+        )
+        traced: Traced = model.kept(
+            ("guide", guide.angles, guide.components, name), lambda: trace(formula, at)
+        )
+        if traced.mode != MODES[0] and traced.instants != at:
+            traced = trace(formula, at)
+        if max(len(each.operations) for each in traced.programs) > _MOST_DERIVED:
+            raise ModelError(
+                f"derivatives of {model.name} have more than {_MOST_DERIVED:,} operations"
+            )
+        return Source(traced.at(at), _layout(formula), model.parameters, results)
+
+    sources = {
+        guided_rows.MEAN: source("mean", n, {**x, **t, **w}, steps),
+        guided_rows.MEAN_INITIAL: source("mean_initial", n, w0, once),
+        guided_rows.SWEPT: source("swept", behind + k * normals, {**z, **t, **w}, steps),
+        guided_rows.SWEPT_INITIAL: source(
+            "swept_initial", behind + k * normals0, {**z, **w0}, once
+        ),
+        guided_rows.SEEN: source("seen", behind + k, {**x, "y": m, **t}, instants),
+        guided_rows.AIMED: source("aimed", k, {"x": k + guide.sums}, once),
+        guided_rows.DRAWN: source("drawn", k + 1, {"x": k + guide.sums, "u": k + 1}, once),
+    }
+    return {int(row): each for row, each in sources.items() if each is not None}
 
 
 def _of_singles(row: Any, source: Source) -> Source:
@@ -83,9 +209,9 @@ def _of_singles(row: Any, source: Source) -> Source:
     return source._replace(precision=kinds)
 
 
-def _components_of_state(quantity: Source | None) -> tuple[int, ...]:
+def _components_of_state(quantity: Source | Callback | None) -> tuple[int, ...]:
     """The components of x that a formula gives as they are; empty if it computes anything."""
-    programs = quantity.traced.programs if quantity else ()
+    programs = quantity.traced.programs if isinstance(quantity, Source) else ()
     outputs = {
         tuple(program.operations[each][::2] for each in program.outputs) for program in programs
     }
@@ -98,7 +224,7 @@ def _components_of_state(quantity: Source | None) -> tuple[int, ...]:
 def simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
     """The blocks of a simulation; see `pfdist.kernels.simulation`.
 
-    A `TraceError` says that a formula cannot be traced.
+    Raises `TraceError` if a formula cannot be traced.
     """
     compiled: Compiled = model.kept(
         ("simulation", instants), lambda: _simulation_blocks(model, instants)
@@ -117,9 +243,11 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
     return compile_blocks(sources, instants)
 
 
-def _own(model: StateSpaceModel, name: str, instants: range) -> Source:
-    """A formula of the model itself, traced."""
+def _own(model: StateSpaceModel, name: str, instants: range) -> Source | Callback:
+    """A formula of the model itself, traced, or called back if that is not possible."""
     formula = formula_of(model, name)
+    if isinstance(model.formulas[name], Untraced):
+        return _called(model, formula)
     layout = _layout(formula)
     return Source(traced(model, name, instants), layout, model.parameters, formula.results)
 
@@ -131,30 +259,61 @@ def _source(
     function: Callable[..., Any],
     arguments: dict[str, int],
     instants: range,
-) -> Source | None:
-    """A formula that is made from those of a model, traced; None without instants."""
+) -> Source | Callback | None:
+    """A formula that is made from those of a model, traced; None without instants.
+
+    It is called back if it needs formulas that cannot be traced.
+    """
     if not instants:
         return None
     given = {**arguments, "p": 0}
     formula = Formula(function, name, given, model.parameters, model.name, results)
+    several = {
+        "proposal": ("proposal", "proposal_log_density", "transition"),
+        "errors": ("quantity_of_interest", "error"),
+    }
+    needed = several.get(name, (name,))
+    if any(isinstance(model.formulas.get(each), Untraced) for each in needed):
+        return _called(model, formula)
     return Source(trace(formula, instants), _layout(formula), model.parameters, results)
+
+
+def _called(model: StateSpaceModel, formula: Formula) -> Callback:
+    """A formula that machine code calls back with arrays of particles."""
+    names, p = [*formula.arguments], model.p
+    takes_arrays = isinstance(formula.function, Declared)
+
+    def function(groups: dict[str, Array], t: int) -> Any:
+        given: dict[str, Any] = {"t": t, "p": p}
+        given |= groups if takes_arrays else {name: tuple(each) for name, each in groups.items()}
+        value = formula.function(*(given[name] for name in names))
+        return value if isinstance(value, tuple) else (value,)
+
+    rows = {
+        name: (*place, formula.arguments[name])
+        for name, place in _layout(formula).items()
+        if name not in "tp"
+    }
+    declared = (each for each in model.formulas.values() if isinstance(each, Declared))
+    together = max((each.together for each in declared), default=0)
+    return Callback(function, rows, formula.results, together)
 
 
 def _layout(formula: Formula) -> dict[str, tuple[str, int]]:
     """Array and first row of each argument; those that are rows of slots follow one another."""
-    layout, first = dict[str, tuple[str, int]](), 0
+    layout, rows_of = dict[str, tuple[str, int]](), Counter[str]()
     for group, count in formula.arguments.items():
         array = {"y": "given", "w": "noise", "v": "noise", "u": "noise"}.get(group, "slots")
-        layout[group] = array, first if array == "slots" else 0
-        first += count if array == "slots" else 0
+        layout[group] = array, rows_of[array]
+        rows_of[array] += count
     return layout
 
 
 class _Formulas:
     """Formulas of a filter that are made from those of a model."""
 
-    def __init__(self, model: StateSpaceModel, is_angle: Sequence[bool]) -> None:
-        self.model, self.is_angle = model, is_angle
+    def __init__(self, model: StateSpaceModel, truth: StateSpaceModel) -> None:
+        self.model, self.is_angle, self.error = model, truth.is_angle, truth.formulas["error"]
 
     def quantity(self, x: Any, t: Any, p: Any) -> tuple[Any, ...]:
         """z, then cosine and sine of each component that is an angle."""
@@ -177,6 +336,11 @@ class _Formulas:
             angular_error(value, mean) if is_angle else (value - mean) ** 2
             for value, mean, is_angle in zip(z, y, self.is_angle, strict=True)
         )
+
+    def errors(self, x: Any, y: Any, t: Any, p: Any) -> tuple[Any, ...]:
+        """The truth's error of the mean if z is that of a particle; then a 0 for each other z."""
+        z = self.model.quantity_of_interest(x, t, p)
+        return (self.error(z, y, t, p), *[0.0] * (len(z) - 1))
 
     def distance(self, x: Any, p: Any) -> Any:
         """The squared distance of the means of two filters; see `pfdist.filters.interface`."""

@@ -1,8 +1,8 @@
-"""The contract of the engines: results, checked arguments, and several sets one after another.
+"""The contract of the engines: results, checked arguments, and a loop over several sets.
 
 Three estimators of a draw's MSE are available. Given y, the expected squared error of the filter's
-mean is the variance of z given y plus the variance that the particles cause. If the filter knows
-the truth, the three estimators therefore have nearly the same expectation:
+mean is the variance of z given y plus the variance that the particles cause. If the filter has the
+true model, the three estimators therefore have nearly the same expectation:
 
 =============== ==================================================================================
 squared_error   The error of the filter's mean against the simulated z, as in the paper. It is the
@@ -69,7 +69,7 @@ class Filtered:
     # (D, P): weights of the last particles, if trajectories were wanted and the filter carries them
     weight: NDArray[np.float64] | None = None
     # (2, D, T+1, q), if trajectories were wanted: where z of the truth lies among the particles at
-    # measured instants, see `pfdist.kernels.filter.Results`; NaN elsewhere, and if the truth
+    # measured instants, see `pfdist.kernels.batch.Results`; NaN elsewhere, and if the truth
     # is not among them
     ranks: NDArray[np.float64] | None = None
     # (D, T+1), if trajectories were wanted of particles: the effective sample size after the last
@@ -78,7 +78,7 @@ class Filtered:
 
 
 def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:
-    """The function that checks its arguments, and then filters draws by the given function.
+    """A function that checks its arguments, and then calls the given filter.
 
     `filter_checked_draws` has the arguments of
     `pfdist.filters.particle_filter.filter_checked_draws`.
@@ -95,14 +95,14 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         prior: Prior | None = None,
         threshold: float = ALWAYS,
     ) -> Filtered:
-        """Filter D draws with one set of measurement times, under the noise of the 64-bit key.
+        """The result of a filter for D draws with one set of times and a 64-bit noise key.
 
-        `model` is the filter's model, which need not be the draws'. `trajectories` asks for
-        estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`. The
+        `model` is the filter's model, which need not be the draws'. With `trajectories`, the result
+        has estimate and variance. `threshold` is that of `pfdist.kernels.schemes.threshold_of`. The
         Kalman filter ignores the particles, and only it starts from a normal distribution.
 
-        Wrong times, models, priors and settings raise a MeasurementTimesError, ModelError,
-        PriorError or ArgumentError.
+        Raises MeasurementTimesError, ModelError, PriorError or ArgumentError for wrong times,
+        models, priors or settings.
         """
         settings = Estimation(particles, resampling, prior=prior, threshold=threshold)
         check_filter(model, draws.model, settings)
@@ -117,10 +117,10 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
 def validated_from(
     start: int, measurement_times: Iterable[int], end: int, sensors: int = 1
 ) -> Times:
-    """A set of measurement times, sorted; with several sensors a set of possible measurements.
+    """A sorted set of measurement times; with several sensors, of possible measurements.
 
-    A `MeasurementTimesError` says that a time is not an integer, lies outside start..end, or is
-    given twice.
+    Raises `MeasurementTimesError` if a time is not an integer, lies outside start..end, or is given
+    twice.
     """
     first, last = start * sensors, (end + 1) * sensors - 1
     times = validated(measurement_times, last)
@@ -132,7 +132,7 @@ def validated_from(
 
 
 def weighed(errors: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
-    """Weighted errors, (..., T+1); at weight 0 even an infinite error does not count."""
+    """Weighted errors, (..., T+1); with weight 0, even an infinite error counts as 0."""
     weighted: NDArray[np.float64] = np.zeros_like(errors)
     np.multiply(errors, weights, out=weighted, where=np.not_equal(weights, 0.0))
     return weighted
@@ -143,7 +143,7 @@ T = TypeVar("T")
 
 
 EachSet = Iterator[tuple[Draws, list[Filtered]]]
-"""For each set the draws up to its end, and a filter of them for each key of noise."""
+"""For each set, the draws up to its end, and a filter of them for each noise key."""
 
 
 def one_by_one(
@@ -156,7 +156,7 @@ def one_by_one(
     stream: int,
     settings: Estimation,
 ) -> T:
-    """The result of a filter of one set that is called for each set.
+    """The joint result of a filter that is called for each set.
 
     `result` is `mse_of_sets` or `sums_of_sets`. The other arguments are those of functions of
     `pfdist.filters.particle_filter`.

@@ -3,7 +3,7 @@
 The covariances do not depend on the measured values, so the expected MSE needs no draws.
 
 The matrices of a model come from the values of its formulas at 0 and at unit vectors, so the user
-writes only formulas. That the formulas are linear is tested at four random points.
+writes only formulas. Linearity is tested at four random points.
 
 Sources: Kalman, "A new approach to linear filtering and prediction problems", Journal of Basic
 Engineering 82, 1960. Sinopoli et al., "Kalman filtering with intermittent observations", IEEE
@@ -78,10 +78,10 @@ def _cached(key: _SameModel, horizon: int) -> LinearGaussian:
 
 
 def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
-    """Find the matrices of a model, for t = start..horizon.
+    """The matrices of a model for t = start..horizon.
 
-    A `ModelError` says that the model does not declare itself linear-Gaussian, or is not: a noise
-    is not normal, the error is not the squared Euclidean norm, or a formula is not linear.
+    Raises `ModelError` if the model does not declare linear_gaussian, or is not: a noise is not
+    normal, the error is not the squared Euclidean norm, or a formula is not linear.
     """
     for part in model.parts:
         _check_declared(part.model)
@@ -132,8 +132,7 @@ def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> A
 def _check_declared(model: StateSpaceModel) -> None:
     if not model.linear_gaussian:
         raise ModelError(
-            f"the Kalman filter needs a model that declares itself linear_gaussian, "
-            f"got {model.name}"
+            f"the Kalman filter needs a model with linear_gaussian=True, got {model.name}"
         )
     for name in ("initial_noise", "process_noise", "measurement_noise"):
         kinds = set(getattr(model, name)) - {"normal"}
@@ -166,8 +165,8 @@ def expected_mse(
 
     The mean is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each
     set's errors count up to its end only, and are divided by the number of all instants. The
-    weights of the instants have mean 1; by default all are 1. A MeasurementTimesError or ModelError
-    says that a set lies outside these instants, or that the model is not linear-Gaussian.
+    weights of the instants have mean 1; by default all are 1. Raises MeasurementTimesError if a set
+    lies outside these instants, and ModelError if the model is not linear-Gaussian.
     """
     errors = expected_errors(model, horizon, sets, prior)
     start = horizon + 1 - errors.shape[1]
@@ -183,7 +182,7 @@ def expected_errors(
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
-    With a prior of x(s), the instants are s..T. Errors are raised as by `expected_mse`.
+    With a prior of x(s), the instants are s..T. Raises as `expected_mse`.
     """
     start = 0 if prior is None else prior.t
     matrices, sensors = cached_matrices(model, horizon), len(model.parts)
@@ -214,7 +213,7 @@ def filter_checked_draws(
     settings: Estimation,
     trajectories: bool = False,
 ) -> Filtered:
-    """Filter draws exactly, with the arguments of the function in `particle_filter`.
+    """The exact filter of draws, with the arguments of the function in `particle_filter`.
 
     The filter has no particles. It uses only the prior of the settings, and no noise. A component
     of y that is NaN in every draw was not measured.
@@ -253,7 +252,7 @@ def filter_checked_draws(
 def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
     """The normal distribution of y(t), given that of x(t).
 
-    A `ModelError` says that the model is not linear-Gaussian.
+    Raises `ModelError` if the model is not linear-Gaussian.
     """
     sensors, states = matrices_of(model, state.t, state.t).measurement, state.components
     matrix = np.concatenate([each.matrix[:, :states] for each in sensors])

@@ -1,4 +1,4 @@
-"""Measured values of one system: checked one by one, or read from a table."""
+"""Measured values of one system, checked one by one or read from a table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Measurements:
     missed: tuple[int, ...] = ()  # instants that have a row without any component
 
     def made_with(self, model: StateSpaceModel) -> Times:
-        """The possible measurements that were made; without sensors these are the instants."""
+        """The possible measurements that were made; without sensors, these are instants."""
         rows = zip(self.t, self.y, strict=True)
         return tuple(chain.from_iterable(made(model, t, y) for t, y in rows))
 
@@ -69,7 +69,7 @@ def read_measurements(
         for t, following in pairwise(sorted(times)):
             if t == following:
                 repeated = formatted_time(clock.time(t))
-                raise MeasurementsError(f"a time must stand in one row, got t = {repeated} twice")
+                raise MeasurementsError(f"each time must have one row, got t = {repeated} twice")
         table = np.stack([columns[name] for name in wanted[1:]], axis=1)
         rows = [
             (t, checked_measurement(table[row], model, formatted_time(clock.time(t)), components))
@@ -108,7 +108,7 @@ def _side_by_side(columns: dict[str, Array], model: StateSpaceModel) -> dict[str
         given = np.array([column[row] for key, column in columns.items() if key[0] == "y"])
         if (t, sensor) in seen:
             raise MeasurementsError(
-                f"a sensor must stand in one row of a time, got {name} at t = {formatted_time(t)} "
+                f"a sensor must have one row for each time, got {name} at t = {formatted_time(t)} "
                 "twice"
             )
         if not np.isnan(given[count:]).all():
@@ -122,7 +122,7 @@ def _side_by_side(columns: dict[str, Array], model: StateSpaceModel) -> dict[str
 
 
 def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
-    """The instant of a time on a clock, which is checked.
+    """The checked instant of a time on a clock.
 
     Raises `MeasurementsError` if no instant has this time, or if it lies before the instant
     `start`.
@@ -142,9 +142,9 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
 
 
 def checked_instant(t: Any, start: int, horizon: int) -> int:
-    """An instant as an int, after it was checked.
+    """A checked instant as an int.
 
-    Raises `MeasurementsError` if it is no whole number, or lies outside start..horizon.
+    Raises `MeasurementsError` if it is not a whole number, or lies outside start..horizon.
     """
     number = isinstance(t, int | float | np.integer | np.floating) and not isinstance(t, bool)
     if not number or t != t // 1:
@@ -157,11 +157,11 @@ def checked_instant(t: Any, start: int, horizon: int) -> int:
 def checked_measurement(
     y: float | Sequence[float] | Array, model: StateSpaceModel, t: str, names: Sequence[str] = ()
 ) -> Array | None:
-    """A measurement as an array (m,), after it was checked; None if every component is missing.
+    """A checked measurement as an array (m,); None if every component is missing.
 
-    `t` is the time, and `names` the components, as errors name them. Raises `MeasurementsError` if
-    the number of components is wrong, if one is no finite number, or if one is missing though the
-    model does not declare that it takes such measurements.
+    `t` and `names` are the time and the components in error messages. Raises `MeasurementsError` if
+    the number of components is wrong, if one is not a finite number, or if one is missing and the
+    model does not declare `missing_components`.
     """
     components = model.components[1]
     if y is None:
@@ -194,7 +194,7 @@ def checked_measurement(
     if partly and not model.missing_components:
         raise MeasurementsError(
             f"all components of y must be measured or none, got {names[partly[0]]} missing at "
-            f"t = {t}: the model {model.name} does not declare missing_components=True, which says "
+            f"t = {t}: the model {model.name} does not declare missing_components=True, that is, "
             "that its log_likelihood takes NaN"
         )
     return values
@@ -218,7 +218,7 @@ def _plain(value: Any) -> Any:
 
 
 def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
-    """Lists of columns that a table of x or y may have: x0, x1, ..., or those with names.
+    """The lists of columns that a table of x or y may have: x0, x1, ..., or names.
 
     There is a second list if the model names these components.
     """

@@ -1,4 +1,4 @@
-"""A filter of one system that stops at a measurement and goes on from there.
+"""A filter of one system that stops at a measurement and continues from there.
 
 It gives the same bits as a filter with the same keys that receives all measurements at once.
 """
@@ -24,7 +24,7 @@ from pfdist.models.twin import twin_of
 
 
 def formatted_instant(model: StateSpaceModel, t: int) -> str:
-    """The time of an instant as text: p.time[t] of a model on a clock, else the number t."""
+    """The time of an instant as text: p.time[t] for a model on a clock, else the number t."""
     on_clock = all(name in model.parameters for name in CLOCK)
     times = model.parameters["time"] if on_clock else ()
     return formatted_time(times[t]) if isinstance(times, tuple) and t < len(times) else str(t)
@@ -35,9 +35,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OneFilter:
-    """A filter's knowledge of one system at an instant.
+    """The state of a filter of one system at an instant.
 
-    The error is the squared error: without a truth, a model's own error might fail.
+    The error is the squared error, because a model's own error may fail without a truth.
     """
 
     model: StateSpaceModel  # the filter's model
@@ -59,7 +59,7 @@ class OneFilter:
         return 0 if self.settings.prior is None else self.settings.prior.t
 
     def at(self, t: int, y: Array | None = None) -> tuple["OneFilter", Array, Array]:
-        """The filter at t, and weighted mean and variance of z, (K, q), at K instants up to t.
+        """The filter at t, with weighted mean and variance of z, (K, q), at K instants up to t.
 
         The K instants are those from this filter's to t. t must not be before this filter's
         instant, and must be after it if both are measured. y, (m,), is the measurement at t, if it
@@ -147,12 +147,12 @@ def log_likelihood(model: StateSpaceModel, cloud: Cloud, y: Array) -> Array:
 
 
 def filter_of_truths(first: OneFilter) -> OneFilter:
-    """A second filter of the same system, whose particles are the truths of simulated systems.
+    """A second filter of the same system, whose particles serve as truths of simulated systems.
 
     Simulated filters start from the particles of the first filter. Their truths must not depend on
-    these particles: a filter that contains its truth looks too good, and one that excludes it too
-    bad, in a finite state space even wrong for certain. Given the measurements, the particles of a
-    filter with independent noise are independent of those of the first.
+    these particles: a filter that contains its truth looks too good. A filter that excludes it
+    looks too bad, and in a finite state space is certainly wrong. Given the measurements, the
+    particles of a filter with independent noise are independent of those of the first.
     """
     return replace(first, stream=stream_key(first.stream, "truths"))
 
@@ -160,10 +160,10 @@ def filter_of_truths(first: OneFilter) -> OneFilter:
 def with_truths(
     first: Prior | None, second: OneFilter, t: int, y: Array | None
 ) -> tuple[Prior | None, OneFilter]:
-    """The prior of the first filter at t with its truths, and the filter of the truths there.
+    """The prior of the first filter at t with its truths, and the filter of the truths at t.
 
-    `y` is as for `OneFilter.at`. A normal distribution needs no second filter. If no particle of
-    the second filter explains y, it starts again from those of the first.
+    `y` is as for `OneFilter.at`. A normal distribution does not need a second filter. If no
+    particle of the second filter explains y, it restarts from the particles of the first.
     """
     if not isinstance(first, Cloud):
         return first, second
@@ -176,7 +176,7 @@ def with_truths(
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:
-    """The possible measurements that y(t), (m,), has: those of sensors with a component.
+    """The possible measurements in y(t), (m,): those of sensors with a component.
 
     Without sensors this is t.
     """

@@ -21,19 +21,22 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
 from pfdist.filters.interface import Filtered, checking
 from pfdist.filters.work import Estimation, filter_streams
+from pfdist.kernels import callbacks
+from pfdist.kernels.batch import Request, Results
 from pfdist.kernels.estimators import ALL_ESTIMATORS
-from pfdist.kernels.filter import Request, Results, filter_all
+from pfdist.kernels.filter import filter_all
+from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.kernels.variates import codes_of
+from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_PROCESS, codes_of, variates
 from pfdist.models import StateSpaceModel
 
 KERNEL_VERSION = 7
-"""Number of changes after which the same keys give other figures; part of a run's identity."""
+"""Version of the numbers that a key gives; part of a run's identity."""
 
 
 class _Wanted(NamedTuple):
-    """Arrays that the filter fills besides the mse; see `pfdist.kernels.filter.Results`."""
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.batch.Results`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     sizes: NDArray[np.float64] = np.empty((0, 0))
@@ -93,10 +96,10 @@ def filter_checked_sets(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The MSE of draws with several checked sets under the same noise, (D, S).
 
-    The second array, (D, S), says which of them are degenerate.
+    The second array, (D, S), marks the degenerate draws.
 
-    A prefix that two sets share is filtered once. This is faster than filtering the sets one by
-    one, and gives the same bits. `ends` are the last instants whose errors count; their sum is
+    A prefix that two sets share is filtered once, which is faster than filtering the sets one by
+    one and gives the same bits. `ends` are the last instants whose errors count; their sum is
     divided by the number of all instants. The times are sorted instants of the draws.
     `check_filter` has accepted the settings for this model and the draws' model.
     """
@@ -116,8 +119,8 @@ def sum_errors(
     """Sums of the errors of each instant over draws, (S, T+1), with checked arguments.
 
     A set has NaN if a draw is infinite with it, or degenerate although the truth is among the
-    particles. Values after the end of a set mean
-    nothing. The memory does not grow with the draws. Arguments are those of `filter_checked_sets`.
+    particles. Values after the end of a set are arbitrary. The memory does not grow with the draws.
+    Arguments are those of `filter_checked_sets`.
     """
     instants = draws.z.shape[1]
     planned, columns, givers = _planned(draws, sets, ends)
@@ -146,7 +149,7 @@ def _filter(
     mse = np.empty((len(draws.index), len(planned.measured)))
     degenerate = np.zeros(mse.shape, np.bool_)
     prior, chosen, prior_weight = _prior(draws, stream, settings)
-    blocks, components = filter_blocks(model, truth, settings, draws.instants)
+    blocks, components, guiding = filter_blocks(model, truth, settings, draws.instants)
     streams = np.array(filter_streams(stream, settings.estimator), np.uint64)
     kinds = codes_of(model.initial_noise, model.process_noise, model.proposal_variates)
     request = Request(
@@ -177,6 +180,10 @@ def _filter(
         particles=settings.particles,
         holds_truth=scheme.holds_truth,
         guided=settings.guides(model),
+        rows=np.array(guiding.rows, np.int64),
+        rounds=guiding.rounds,
+        record_rows=record_rows(model.components[0], kinds.shape[1], max(guiding.rows, default=0)),
+        truth_noise=_truth_noise(draws, bool(guiding.rows) and scheme.holds_truth),
         threshold=float(settings.threshold),
         weights=ALL_ESTIMATORS[settings.estimator].weights,
         instant_weights=_array(draws.instant_weights),
@@ -185,7 +192,8 @@ def _filter(
     )
     estimate, variance = wanted.moments
     results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
-    filter_all(blocks.blocks, request, planned, results, scheme.name, settings.dtype)
+    filter_all(blocks, request, planned, results, scheme.name, settings.dtype)
+    callbacks.check()
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement
     return mse, degenerate
@@ -201,7 +209,7 @@ def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = N
 
 
 def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any], ...]:
-    """States, choice and weights of the prior's particles; see `pfdist.kernels.filter.Request`."""
+    """States, choice and weights of the prior's particles; see `pfdist.kernels.batch.Request`."""
     if settings.prior is None:
         return np.empty((draws.x.shape[2], 0)), np.empty((0, 0, 0), np.int64), np.empty(0)
     if isinstance(settings.prior, Gaussian):
@@ -215,6 +223,23 @@ def _prior(draws: Draws, stream: int, settings: Estimation) -> tuple[NDArray[Any
         return states, _array(as_it_is, np.int64), _array(weight)
     chosen = [prior.chosen_for_filters(particles, draws.index, key) for key in keys]
     return states, _array(np.stack(chosen), np.int64), np.empty(0)
+
+
+def _truth_noise(draws: Draws, is_wanted: bool) -> NDArray[np.float64]:
+    """The noise of the truth's step to each instant, (D, T+1, components), if it is wanted."""
+    if not is_wanted:
+        return np.empty((0, 0, 0))
+    model, index = draws.model, np.array(draws.index)
+    count = max(len(model.initial_noise), len(model.process_noise))
+    noise = np.zeros((len(index), len(draws.instants), count))
+    for k, t in enumerate(draws.instants):
+        kinds, role = (
+            (model.process_noise, TRUTH_PROCESS) if k else (model.initial_noise, TRUTH_INITIAL)
+        )
+        for c, kind in enumerate(kinds):
+            key = draws.stream, index, t - 1 if k else 0, role, c
+            noise[:, k, c] = variates(kind, 1, *key)[:, 0]
+    return noise
 
 
 def _array(values: NDArray[Any], kind: Any = np.float64) -> NDArray[Any]:

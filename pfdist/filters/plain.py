@@ -1,9 +1,8 @@
 """Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
-They compute on arrays (draws, particles), with the noise, the weights and the
-resampling of the compiled filter, for which other tests have references.
-They are the engine for models that cannot be traced: such formulas are called as they stand, and
-all others compute by their programs.
+They compute on arrays (draws, particles), with the noise, the weights and the resampling of the
+compiled filter, which other tests check. They are the engine ``numpy``: formulas that cannot be
+traced are called directly, and all others run their programs.
 """
 
 import math
@@ -27,6 +26,7 @@ from pfdist.filters.interface import (
 )
 from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
+from pfdist.kernels.estimators import ALL_ESTIMATORS
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import (
     FILTER_INITIAL,
@@ -144,13 +144,16 @@ def _filter(
             )
         share = weight / weight.sum(axis=1, keepdims=True)
         measured = any(time // len(model.parts) == t for time in times)
-        for c, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
+        quantities = model.quantity_of_interest(_flat(x), t, model.p)
+        for c, values in enumerate(quantities):
             z = _of_cloud(values, cloud)
             if scheme.holds_truth and measured:
                 lower = np.stack([z < z[:, :1], z == z[:, :1]], axis=1)
                 ranks[:, :, k, c] = np.sum(share[:, None] * lower, axis=2)
             counted = np.where(weight > 0, z, 0.0)
             mean[:, k, c], variance[:, k, c] = _moments(counted, share, draws.model.is_angle[c])
+        if ALL_ESTIMATORS[settings.estimator].by_error:
+            variance[:, k] = _mean_error(draws, k, quantities, mean[:, k], share)
         error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan
         total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
@@ -191,10 +194,10 @@ def step(
     stream: int,
     draws: range,
 ) -> tuple[tuple[Any, ...], Array]:
-    """x(t+1) from x(t), and log p(w) - log q(w | x, y) of a proposal that knows y at t + 1.
+    """x(t+1) from x(t), and log p(w) - log q(w | x, y) of a proposal given y at t + 1.
 
-    Without y the noise of the process makes the step. The particles of all draws lie along one
-    axis. Plain twin of `pfdist.filters.formulas.filter_blocks`.
+    Without y, the step uses process noise. The particles of all draws lie along one axis. Plain
+    twin of `pfdist.filters.formulas.filter_blocks`.
     """
     kinds = model.process_noise if y is None else model.proposal_variates
     w = _flat(_noise(kinds, particles, stream, draws, t, FILTER_PROCESS))
@@ -291,6 +294,15 @@ def _moments(values: Array, share: Array, is_angle: bool) -> tuple[Array, Array]
         return mean, np.sum(share * angular_error(values, mean[:, None]), axis=1)
     mean = np.sum(share * values, axis=1)
     return mean, np.sum(share * (values - mean[:, None]) ** 2, axis=1)
+
+
+def _mean_error(draws: Draws, k: int, z: tuple[Any, ...], mean: Array, share: Array) -> Array:
+    """The truth's mean error of weighted particles against their mean; then zeros: (D, q)."""
+    model, estimate = draws.model, tuple(np.repeat(each, share.shape[1]) for each in mean.T)
+    error = twin_of(model, draws.instants).error(z, estimate, draws.instants[k], model.p)
+    means = np.zeros_like(mean)
+    means[:, 0] = np.sum(share * np.where(share > 0, _of_cloud(error, share.shape), 0.0), axis=1)
+    return means
 
 
 def _noise(

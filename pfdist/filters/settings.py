@@ -1,4 +1,4 @@
-"""Whether the settings of a particle filter fit a model."""
+"""Checks of a particle filter's settings against its model."""
 
 from typing import Annotated
 
@@ -23,7 +23,7 @@ class _Settings(Arguments):
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
-    """Raise a `PriorError` if a filter with this prior cannot start where the draws start."""
+    """Raise `PriorError` if a filter with this prior cannot start when the draws start."""
     start = 0 if prior is None else prior.t
     if start != draws.start:
         raise PriorError(
@@ -35,7 +35,7 @@ def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> No
 
 
 def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
-    """Raise a `ModelError` if y or z of a filter's model has other components than the truth's."""
+    """Raise `ModelError` if y or z of a filter's model has other components than the truth's."""
     for component, true, believed in zip("xyz", truth.components, model.components, strict=True):
         if true != believed and component != "x":
             raise ModelError(
@@ -50,9 +50,9 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
 
 
 def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estimation) -> None:
-    """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
+    """Raise an error if a filter's settings are wrong or do not fit its model and the truth.
 
-    An ArgumentError names a value that is not allowed, and a ModelError a setting or model that
+    Raises ArgumentError for a value that is not allowed, and ModelError for a setting or model that
     does not fit.
     """
     resampling, estimator = settings.resampling, settings.estimator
@@ -71,7 +71,7 @@ def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estim
     always = SQUARED_ERROR.name
     if ESTIMATORS[estimator].needs_truth and model != truth:
         raise ModelError(
-            f"the estimator {estimator!r} needs a filter that knows the truth, got a filter with "
+            f"the estimator {estimator!r} needs a filter with the true model, got a filter with "
             f"another model or other parameters; allowed: {always!r}"
         )
     if not ESTIMATORS[estimator].for_any_filter and truth.error is not squared_error:

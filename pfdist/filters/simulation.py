@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from pfdist.filters import plain
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.filters.formulas import simulation_blocks
-from pfdist.kernels import simulation
+from pfdist.kernels import callbacks, simulation
 from pfdist.kernels.variates import codes_of, fill_of_draws
 from pfdist.kernels.vectors import LANES
 from pfdist.models import StateSpaceModel
@@ -14,7 +15,7 @@ from pfdist.models import StateSpaceModel
 def simulate(
     model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
 ) -> Draws:
-    """Simulate consecutive draws of a stream, up to t = horizon.
+    """Simulated consecutive draws of a stream, up to t = horizon.
 
     A draw does not depend on the other draws.
 
@@ -45,6 +46,13 @@ def simulate(
     """
     draws = begun(model, horizon, index, stream, prior)
     compiled = simulation_blocks(model, draws.instants)
+    if compiled.together == 0:
+        return plain.simulate(model, horizon, index, stream, prior)
+    if compiled.together == 1:  # an array must have one draw alone
+        for k in range(len(index)):
+            alone = plain.simulate(model, horizon, index[k : k + 1], stream, prior)
+            draws.x[k], draws.y[k], draws.z[k] = alone.x[0], alone.y[0], alone.z[0]
+        return draws
     sensors = [(part.y.start, part.v.start) for part in model.parts]
     kinds = codes_of(model.initial_noise, model.process_noise, model.noise_of_measurements)
     request = simulation.Request(
@@ -74,5 +82,6 @@ def simulate(
         fill_of_draws.address,
     )
     simulation.simulate_draws(work)
+    callbacks.check()
     check_finite(model, draws, stream)
     return draws

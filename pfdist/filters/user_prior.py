@@ -1,4 +1,4 @@
-"""A prior that a user brings, as an array or as a table of particles."""
+"""A user's prior, as an array or as a table of particles."""
 
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,8 @@ def as_prior(prior: Any, model: StateSpaceModel, clock: Clock | None = None) -> 
 
     An array holds particles of x at the first instant, a row a component and a column a particle. A
     DataFrame holds a particle in each row, as `read_prior` reads it. The t of a `Cloud` or a
-    `Gaussian` is an instant, even if there is a clock. Raises `PriorError` if it is neither a prior
-    nor an array of finite numbers.
+    `Gaussian` is an instant, even if there is a clock. Raises `PriorError` for anything else, or if
+    a number is not finite.
     """
     if isinstance(prior, Cloud | Gaussian):
         return prior
@@ -48,9 +48,9 @@ def read_prior(
 
     The columns are x0, x1, ..., or x_ with the names that the model gives to the states. There may
     also be columns weight (in any unit; else all are equal) and t. The column t has the time of the
-    states on the clock, or their instant without a clock. It is the same in all rows; else it is
-    the first instant. Raises `PriorError` if the file cannot be read, if its columns do not fit, or
-    if a value is wrong.
+    states on the clock, or their instant without a clock. It is the same in all rows; without it,
+    the first instant is used. Raises `PriorError` if the file cannot be read, if its columns do not
+    fit, or if a value is wrong.
     """
     allowed = user_columns("x", model)
     try:

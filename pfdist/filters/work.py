@@ -1,4 +1,4 @@
-"""A unit of work: sets of measurement times that filter a range of draws, and the result."""
+"""A unit of work, and its result: a range of draws, filtered with sets of measurement times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
-from pfdist.kernels.estimators import ALL_ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.estimators import ALL_ESTIMATORS, CONTROL, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
 from pfdist.models import StateSpaceModel
@@ -20,18 +20,21 @@ if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
 
 FLOAT64, FLOAT32 = "float64", "float32"
-"""Types of the particles' states."""
+"""Floating-point types of the particles' states."""
+
+PLAIN, GUIDED = "plain", "guided"
+"""Ways to draw the particles' noise: from the model, or given the next measurement."""
 
 BLOCK = 24
 """Draws over which errors are added up.
 
-One task adds up a whole block, so results do not depend on the workers.
+One task adds up a whole block, so results do not depend on workers.
 """
 
 
 @dataclass(frozen=True)
 class Estimation:
-    """How the MSE of one draw is estimated: the settings of the filter, and the estimator."""
+    """The estimation of a draw's MSE: the settings of the filter, and the estimator."""
 
     particles: int
     resampling: str = MULTINOMIAL.name
@@ -39,6 +42,7 @@ class Estimation:
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
     dtype: str = FLOAT64  # of the particles' states
+    proposal: str = PLAIN  # see `pfdist.filters.guiding`
 
     @property
     def carries(self) -> bool:
@@ -46,23 +50,27 @@ class Estimation:
         return self.threshold < ALWAYS
 
     def guides(self, model: StateSpaceModel) -> bool:
-        """Whether the filter draws from the model's proposal; the filter of the bound does not."""
+        """Whether the filter draws from the model's proposal; the bound's filter does not."""
+        if self.proposal != PLAIN:
+            return False
         return model.guided and not ALL_SCHEMES[self.resampling].holds_truth
 
     @property
     def recorded(self) -> dict[str, int | float | str]:
-        """The fields by their names, without the prior and what is not used or usual."""
+        """The fields by name, without the prior, unused fields and defaults."""
         recorded = {**vars(self)}
         del recorded["prior"]
         if not self.carries:
             del recorded["threshold"]
         if self.dtype == FLOAT64:
             del recorded["dtype"]
+        if self.proposal == PLAIN:
+            del recorded["proposal"]
         return recorded
 
     @property
     def steps_an_instant(self) -> int:
-        """Particle-steps of one instant, over all filters of the estimator."""
+        """Particle-steps of one instant, summed over all filters of the estimator."""
         return self.particles * ALL_ESTIMATORS[self.estimator].filters
 
 
@@ -71,17 +79,22 @@ def filter_streams(stream: int, estimator: str) -> list[int]:
     return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]
 
 
-def with_truth(particles: int) -> Estimation:
-    """The estimation by the variance of so many particles, one of which is the truth.
+def with_truth(particles: int, proposal: str = PLAIN) -> Estimation:
+    """The estimation by the variance of particles, one of which is the truth.
 
     The expectation is at most the error of the exact filter, for any number of particles.
     """
-    return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name)
+    return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name, proposal=proposal)
+
+
+def control_of(own: Estimation) -> Estimation:
+    """The estimation of a filter's control variate, with as many particles beside the truth."""
+    return Estimation(own.particles, CONDITIONAL.name, CONTROL.name, proposal=own.proposal)
 
 
 @dataclass(frozen=True)
 class Work:
-    """Sets of measurement times, S in number, that filter the same draws."""
+    """S sets of measurement times with which the same draws are filtered."""
 
     measurement_times: tuple[Times, ...]
     ends: tuple[int, ...]  # (S,): last instant of each set whose error counts
@@ -101,16 +114,18 @@ class Work:
     # whether errors of instants have the evaluator's weights; otherwise all count alike
     weighted: bool = True
     sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
+    # whether the control variate of each error is wanted, too; the filter must know the truth
+    controlled: bool = False
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
 
-        A `ModelError` says that a formula failed.
+        Raises `ModelError` if a formula failed.
         """
         return evaluator.filtered(self)
 
     def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "Work":
-        """The same work on other draws, with only the sets of the given places if there are any."""
+        """The same work on other draws, with all sets or only those at the given places."""
         if len(sets) in (0, len(self.measurement_times)):
             return replace(self, draws=draws)
         return replace(
@@ -123,19 +138,19 @@ class Work:
         )
 
     def by_id(self, result: "Result", field: str = "mse") -> dict[str, NDArray[Any]]:
-        """A field of the result, (D,), of each set by the id of its evaluation."""
+        """A field of the result for each set, (D,), by the id of its evaluation."""
         return dict(zip(self.ids, getattr(result, field).T, strict=True))
 
     @property
     def summed(self) -> bool:
-        """Whether sums over the draws are wanted."""
+        """Whether the result has sums over the draws."""
         return bool(self.since)
 
     @property
     def steps_a_draw(self) -> int:
         """Particle-steps of one draw; instants that sets share count once."""
         instants = _instants(self.measurement_times, self.ends, self.filter_streams, self.sensors)
-        return instants * self.estimation.steps_an_instant
+        return instants * self.estimation.steps_an_instant * (1 + self.controlled)
 
     @property
     def steps(self) -> int:
@@ -144,7 +159,7 @@ class Work:
 
 
 def columns(streams: Sequence[int]) -> dict[int, list[int]]:
-    """For each stream, the columns of the sets that share it."""
+    """For each stream, the columns of the sets that use it."""
     return {
         stream: [column for column, stream_here in enumerate(streams) if stream_here == stream]
         for stream in dict.fromkeys(streams)
@@ -187,6 +202,9 @@ class Result:
     measurement_times: tuple[Times, ...] = ()
     # (D, S): whether each draw is degenerate with each set
     degenerate: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    # (D, S): control variate of each error, a number of expectation 0, if it is wanted; else empty.
+    # 0 where the truth itself does not explain a measurement, or where a particle is infinite
+    control: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 def joined(results: Sequence[Result]) -> Result:
@@ -197,9 +215,9 @@ def joined(results: Sequence[Result]) -> Result:
         return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
 
     sums = np.sum([result.sums for result in results], axis=0)
-    mse, z, y, degenerate = map(all_of, ("mse", "z", "y", "degenerate"))
+    mse, z, y, degenerate, control = map(all_of, ("mse", "z", "y", "degenerate", "control"))
     estimates, sizes = all_of("estimates", 1), all_of("sizes", 1)
-    return Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate)
+    return Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate, control=control)
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

@@ -1,7 +1,7 @@
 """Compiled code: programs as machine code, noise, weights, resampling, the generic filter.
 
-This room uses only NumPy, llvmlite and Numba, and knows programs, but no model. Every compiled
-function is tested against plain NumPy.
+This room uses only NumPy, llvmlite and Numba, and depends on programs, but not on models. Every
+compiled function is tested against plain NumPy.
 """
 
 import os
@@ -12,10 +12,10 @@ _FILE = ".numba_config.yaml"
 
 
 def check_settings() -> None:
-    """Raise a `PfdistError` if Numba would not compile, or reads a file of settings.
+    """Raise `PfdistError` if Numba would not compile, or would read a file of settings.
 
     Numba reads such a file in the working folder whenever it compiles. The file may change every
-    number, and belong to another project.
+    number, and may belong to another project.
     """
     without = os.environ.get("NUMBA_DISABLE_JIT", "")
     if without not in ("", "0"):

@@ -64,7 +64,7 @@ _COMPONENT = np.int64(0)  # of the noise that places the points
 
 
 class Resampling(NamedTuple):
-    """Arrays that resampling works in; `span` entries for each draw.
+    """Working arrays of resampling; `span` entries for each draw.
 
     Compiled functions get pointers to them.
     """
@@ -82,7 +82,7 @@ class Resampling(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """Consecutive draws, and the key of the noise that places their points."""
+    """Consecutive draws, and the noise key of their points."""
 
     stream: np.uint64
     key: int
@@ -198,8 +198,8 @@ def _weigh(
 def weigh(log_weight, origin, width, particles, weight, cumulative):
     """Compute weights and cumulative weights of a draw, and return the sum of the weights.
 
-    The largest weight is 1. Only finite log-weights count. If there is none, the sum is 0, and the
-    weights are left as they are. Log-weights behind the last particle are changed.
+    The largest weight is 1. Only finite log-weights count. If there is none, the sum is 0 and the
+    weights are unchanged. Log-weights after the last particle are changed.
     """
     if particles < width:
         _leave_out(log_weight, origin + width - LANES, particles - width + LANES)
@@ -239,7 +239,7 @@ def _cumulate(carry: Vector, weight: Array, i: Vector, cumulative: Array, zero: 
 
 @compiled
 def cumulate(weight, origin, width, cumulative):
-    """Compute cumulative weights of a draw, with the bits of `weigh`."""
+    """Compute the cumulative weights of a draw, bit for bit as `weigh` does."""
     carry = _numbers(0.0)
     for i in range(origin, origin + width, np.int64(LANES)):
         carry = _cumulate(carry, weight, i, cumulative, 0.0)
@@ -274,7 +274,7 @@ def _add_first(total: Vector, values: Array, i: Vector, left: Vector) -> Vector:
 
 @compiled
 def sum_of_first(values, origin, particles):
-    """The sum of the values of a draw, all of the weight 1."""
+    """The sum of the values of a draw, all with weight 1."""
     total = _numbers(0.0)
     for i in range(np.int64(0), particles, np.int64(LANES)):
         total = _add_first(total, values, origin + i, particles - i)
@@ -491,7 +491,7 @@ def _merge_two(scratch, count, to, other):
 
 
 class Search(NamedTuple):
-    """The weights of consecutive draws, for which a scheme finds the ancestors."""
+    """The weights of consecutive draws, from which a scheme finds ancestors."""
 
     cumulative: NDArray[np.float64]
     resamples: NDArray[np.uint8]  # (draws,): a draw without this flag keeps its particles
@@ -573,8 +573,8 @@ ENTRIES = {
 }
 """The function of each scheme.
 
-It finds the ancestors of the particles of consecutive draws. Those of draw d begin at
-``d * scratch.span``, and count from the draw's first particle.
+It finds the ancestors of the particles of consecutive draws. Those of draw d begin at ``d *
+scratch.span``, and are counted from the draw's first particle.
 """
 
 
@@ -667,7 +667,7 @@ def take(scratch, source, target, draws, width):
 _BITS = 7
 _DIGITS = 2**_BITS
 LEVELS = 2 ** (2 * _BITS)
-"""States are sorted by so many equal steps from the least to the largest that has a weight."""
+"""Number of equal steps, between the extreme weighted states, by which states are sorted."""
 
 
 @compiled
@@ -778,7 +778,7 @@ def _padded(values: Any, dtype: Any) -> NDArray[Any]:
 
 
 def weights_of(log_weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (D, P) from log-weights, the largest of each draw 1; all 0 if none is finite."""
+    """Weights (D, P) from log-weights: at most 1 in each draw, or all 0 if none is finite."""
     rows = _rows(log_weight, np.zeros(log_weight.shape))
     _weigh_rows(rows)
     return rows.weight[:, : rows.particles].astype(np.float64)

@@ -1,7 +1,7 @@
 """Blocks: formulas as machine code for a batch of particles, and tables of their numbers.
 
-Values that are the same for all particles are computed once for each instant, by functions of our
-own, with instants in the place of particles. They are rows of a table, and a block gets that of its
+Values that are the same for all particles are computed once for each instant, by separate functions
+with instants instead of particles. They are rows of a table, and a block receives the row of its
 instant.
 """
 
@@ -16,6 +16,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from pfdist.kernels.callbacks import Callback
 from pfdist.kernels.lowering import (
     ARGUMENTS,
     DOUBLES,
@@ -36,7 +37,7 @@ _LARGE = 2.0**1000  # the reciprocals of smaller numbers have all digits
 
 
 class Blocks(NamedTuple):
-    """Blocks as compiled code takes them: a row for each block, and a column for each instant."""
+    """Blocks in the form for compiled code: a row for each block, a column for each instant."""
 
     addresses: NDArray[np.int64]  # (blocks, instants): of the machine code
     places: NDArray[np.int64]  # (blocks, instants): where the row of the table begins
@@ -44,7 +45,7 @@ class Blocks(NamedTuple):
 
 
 class Source(NamedTuple):
-    """A traced formula, and where its block finds the arguments."""
+    """A traced formula, and the place of its block's arguments."""
 
     traced: Traced
     layout: Layout
@@ -55,23 +56,32 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Compiled:
-    """Blocks, and the machine code, which must live as long as they are used."""
+    """Blocks with their machine code and callbacks, which must live as long as the blocks."""
 
     blocks: Blocks
     code: Code = field(repr=False)
+    callbacks: Sequence[Callback] = ()
+
+    @property
+    def together(self) -> int | None:
+        """The number of particles in a callback; None without callbacks, see `Callback`."""
+        return max((each.together for each in self.callbacks), default=None)
 
 
-def compile_blocks(sources: Sequence[Source | None], instants: range) -> Compiled:
-    """Compile the formulas for K instants; a block that is missing has the address 0.
+def compile_blocks(sources: Sequence[Source | Callback | None], instants: range) -> Compiled:
+    """Formulas compiled for K instants; a missing block has the address 0.
 
-    A formula that was traced for fewer instants has its last block at the others.
+    A formula that was traced for fewer instants has its last block at the remaining ones.
     """
     programs = [
         (number, source, _Program(source, which))
         for number, source in enumerate(sources)
-        if source is not None
+        if isinstance(source, Source)
         for which in range(len(source.traced.programs))
     ]
+    callbacks = {
+        number: source for number, source in enumerate(sources) if isinstance(source, Callback)
+    }
     for number, source, program in programs:
         check_results(f"formula {number}", program.program, source.results, instants[0])
     halves = [half for *_, program in programs for half in program.split[::2]]
@@ -87,7 +97,11 @@ def compile_blocks(sources: Sequence[Source | None], instants: range) -> Compile
         places[number, here] = size + row[here] * rows.shape[1]
         table.append(rows.ravel())
         size += rows.size
-    return Compiled(Blocks(addresses, places, np.concatenate(table)), code)
+    for number, callback in callbacks.items():  # it reads the instant from the table
+        addresses[number], places[number] = callback.address, size + np.arange(len(instants))
+    table.append(np.array(instants, np.float64))
+    blocks = Blocks(addresses, places, np.concatenate(table))
+    return Compiled(blocks, code, [*callbacks.values()])
 
 
 class _Program:
@@ -137,7 +151,7 @@ _CALL = ctypes.CFUNCTYPE(
 
 
 def run(address: int, out: Array, slots: Array, shared: Array | None = None) -> None:
-    """Call a block that needs nothing but rows of slots, (rows, a multiple of `LANES`).
+    """Call a block that needs only rows of slots, (rows, a multiple of `LANES`).
 
     `shared` has the numbers of its instant, if it needs any.
     """

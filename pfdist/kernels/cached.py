@@ -1,8 +1,8 @@
-"""Functions that Numba compiles once a machine; it keeps their machine code in a folder.
+"""Functions that Numba compiles once per machine; their machine code is kept in a folder.
 
-The folder belongs to this user alone, because the files in it are code. Its name holds a hash of
-the sources from which the code is made, and of the versions. Numba itself compares only the file in
-which a function is defined, and not those of the functions that it calls.
+The folder belongs to this user alone, because the files in it are code. Its name contains a hash of
+the sources of the code, and of the versions. Numba itself checks only the file in which a function
+is defined, not those of the functions that it calls.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ from pfdist.errors import EngineWarning
 from pfdist.kernels.memory import in_memory, tuple_type
 
 FOLDER_VARIABLE: Final = "PFDIST_CACHE_DIR"
-"""Environment variable that names another place for the folder."""
+"""Environment variable with another place for the folder."""
 
 
 _IN_COMPILED_CODE = {
@@ -40,16 +40,16 @@ _IN_COMPILED_CODE = {
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """The function for compiled code, compiled together with what Python calls."""
+    """The function for compiled code; it is compiled together with its callers."""
     return numba.njit(function, **_IN_COMPILED_CODE)
 
 
 class Entry:
-    """A function that Python calls with a named tuple, and that compiled code calls by its address.
+    """A function that Python calls with a named tuple, and compiled code by its address.
 
     It is compiled when it is first needed, and its machine code is kept. It runs without Python's
-    lock. LLVM optimises it alone. It would optimise a function that is called by its name once more
-    in each function that calls it, so the first compilation would take three times as long.
+    lock. LLVM optimises it alone. A function that is called by name would be optimised again in
+    each caller, so the first compilation would take three times as long.
     """
 
     def __init__(self, function: Callable[..., Any], kind: type) -> None:
@@ -81,7 +81,7 @@ _CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 def entry(kind: type) -> Callable[[Callable[..., Any]], Entry]:
-    """Decorator of a function that gets the address of a named tuple of this kind."""
+    """A decorator for a function that receives the address of such a named tuple."""
     return lambda function: Entry(function, kind)
 
 

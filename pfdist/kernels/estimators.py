@@ -1,4 +1,4 @@
-"""The estimators of a draw's MSE. Data only: this imports no Numba."""
+"""The estimators of a draw's MSE; data only, without an import of Numba."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -21,6 +21,9 @@ class Estimator:
     weights: ErrorWeights
     description: str  # in one line, for help and manual
     needs_truth: bool = False  # whether the filter's model must be the true model
+    # whether the mean of the truth's error over the particles takes the place of the variance: for
+    # the squared norm, and for angles with their default error, they are equal
+    by_error: bool = False
 
     @property
     def filters(self) -> int:
@@ -49,7 +52,7 @@ FILTER_VARIANCE = Estimator(
 OWN_VARIANCE = Estimator(
     "own_variance",
     ErrorWeights(variance=1.0),
-    "The variance of z over the particles, as a filter of any model believes it to be.",
+    "The variance of z over the particles, for a filter with any model.",
 )
 TWO_FILTERS = Estimator(
     "two_filters",
@@ -62,6 +65,20 @@ FILTER_NOISE = Estimator(
     ErrorWeights(distance=0.5),
     "Half the squared distance of the estimates of two filters: the part of particles alone.",
 )
+CONTROL = Estimator(
+    "control",
+    ErrorWeights(squared_error=1.0, variance=-1.0),
+    "The error of the estimate, less the mean error of the particles against it.",
+    needs_truth=True,
+    by_error=True,
+)
+"""The control variate of the comparison: with the truth among the particles its mean is exactly 0.
+
+Given y and the cloud as a set, the truth is distributed as the weights, see
+`pfdist.kernels.schemes.CONDITIONAL`. This holds for any error and any number of particles.
+
+Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.9 (control variates).
+"""
 
 ESTIMATORS = {
     estimator.name: estimator
@@ -73,4 +90,4 @@ if TYPE_CHECKING:
 else:
     EstimatorName = Literal[tuple(ESTIMATORS)]
 
-ALL_ESTIMATORS = ESTIMATORS | {FILTER_NOISE.name: FILTER_NOISE}
+ALL_ESTIMATORS = ESTIMATORS | {each.name: each for each in (FILTER_NOISE, CONTROL)}

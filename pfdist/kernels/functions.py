@@ -1,4 +1,4 @@
-"""Elementary functions of vectors: polynomials without branches, and no call of a library.
+"""Elementary functions of vectors: polynomials without branches or library calls.
 
 Each function writes the instructions that compute it for all lanes. Results are within 2 units in
 the last place of the exact values, and special values are NumPy's.
@@ -24,7 +24,7 @@ from functools import lru_cache, partial
 from pfdist.kernels.vectors import Vector, each_lane, entries, outlined, polynomial, where_some
 
 LARGEST_ANGLE = 2.0**51
-"""Larger angles are huge: they are reduced in another way, which takes longer."""
+"""Angles above this are reduced in another way, which takes longer."""
 
 _LN2, _LN2_REST = 0.6931471805599453, 2.3190468138462996e-17
 _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the nearest integer
@@ -39,17 +39,17 @@ def _bits_of_sign(x: Vector) -> Vector:
 
 
 def absolute(x: Vector) -> Vector:
-    """The size."""
+    """The absolute value."""
     return x.call("fabs")
 
 
 def copysign(x: Vector, y: Vector) -> Vector:
-    """The size of x with the sign of y."""
+    """The absolute value of x with the sign of y."""
     return ((x.bits("i8") & (2**63 - 1)) | _bits_of_sign(y)).bits("f8")
 
 
 def signbit(x: Vector) -> Vector:
-    """Where the sign is negative, also of -0."""
+    """A mask of negative signs, including that of -0."""
     return x.bits("i8") < 0
 
 

@@ -1,14 +1,14 @@
-"""From programs to machine code: functions that compute a formula for `LANES` particles at a time.
+"""Programs as machine code: functions that compute a formula for `LANES` particles at a time.
 
-Values that are the same for all particles are computed before, once for each instant, by the same
-functions of our own: `split` separates these two halves of a program.
+Values that are the same for all particles are computed first, once for each instant, by separate
+functions; `split` separates these two halves of a program.
 """
 
 import math
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -20,10 +20,10 @@ from llvmlite import ir
 
 from pfdist.kernels.singles import function_of
 from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, entries, outlined, splat
-from pfdist.models.program import GROUPS, MASKS, Operation, Program
+from pfdist.models.program import GROUPS, LOOPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
-"""Where a function finds the arguments of a formula: for each group, an array and the first row.
+"""The place of a formula's arguments: for each group, an array and the first row.
 
 The arrays are "slots" (a number for each particle), "noise" (a float32 for each particle) and
 "given" (a float64 for each draw).
@@ -31,7 +31,7 @@ The arrays are "slots" (a number for each particle), "noise" (a float32 for each
 
 
 class Precision(NamedTuple):
-    """The kinds of numbers of a block: "f8" is float64, and "f4" float32."""
+    """The types of numbers in a block: "f8" is float64, and "f4" float32."""
 
     slots: str = "f8"
     computed: str = "f8"  # and that of results
@@ -100,18 +100,18 @@ def _value(operation: Operation) -> float:
 def split(
     program: Program, layout: Layout, *, exact: bool = False, precision: Precision = DOUBLES
 ) -> Split:
-    """Separate what is the same for all particles; that is always computed in float64.
+    """A program split into the values that are the same for all particles, and the rest.
 
-    A division by such a number becomes a multiplication by its reciprocal, with an error of at most
-    1.5 units in the last place. Only `exact` divides: it is for denominators so large or so small
-    that the reciprocal has fewer digits.
+    The first half is always computed in float64. A division by such a value becomes a
+    multiplication by its reciprocal, with an error of at most 1.5 units in the last place. `exact`
+    keeps divisions, for denominators so large or so small that the reciprocal is inaccurate.
     """
     shared, particles = _Writer(), _Writer()
     shared_at, particle_at, leaves = dict[int, int](), dict[int, int](), list[int]()
     table = dict[int, int]()  # values of the shared half that are entries of the table
 
     def entry(value: int, *, reciprocal: bool = False) -> int:
-        """A shared value, as the particles' half reads it."""
+        """A shared value, in the form that the particles' half reads."""
         number, is_mask = shared_at[value], program.operations[value].name in MASKS
         operation = shared.operations[number]
         if operation.name == "number":
@@ -193,7 +193,7 @@ def module_of(halves: tuple[Half, ...]) -> ir.Module:
 
 @lru_cache(maxsize=_MOST_COMPILED)
 def machine_code(halves: tuple[Half, ...]) -> Code:
-    """The machine code of some halves of programs; the least recently used are forgotten."""
+    """The machine code of some halves of programs; the least recently used are dropped."""
     return Code(halves)
 
 
@@ -212,7 +212,7 @@ def _machine() -> Any:
 
 @cache
 def has_fused_multiply_add() -> bool:
-    """Whether the processor has this instruction. Otherwise the C library computes it."""
+    """Whether the processor has this instruction; otherwise the C library computes it."""
     module, kind = ir.Module("trial"), ir.DoubleType()
     function = ir.Function(module, ir.FunctionType(kind, [kind] * 3), "trial")
     builder = ir.IRBuilder(function.append_basic_block())
@@ -233,7 +233,7 @@ Component c of the particle i of draw d is ``slots[c * slots_stride + d * width 
 holds for noise and results. ``given[d * draw_stride + c * component_stride]`` is that of a draw.
 """
 POINTERS = ("out", "slots", "noise", "given", "shared")
-"""Those that are addresses of arrays."""
+"""The arguments that are addresses of arrays."""
 FUNCTION = ir.FunctionType(
     ir.VoidType(), [kind.as_pointer() if name in POINTERS else kind for name, kind in ARGUMENTS]
 )
@@ -251,6 +251,18 @@ class _Function:
         self._precision = half.precision
         self._computed = [
             number for number, each in enumerate(half.operations) if each.name not in _LEAVES
+        ]
+        self._rows = _rows_of_steps(half)
+        used = {
+            each
+            for number in self._computed
+            for each in half.operations[number].arguments
+            if number not in self._rows
+        }
+        self._loaded = [
+            number
+            for number, each in enumerate(half.operations)
+            if each.name in ("slots", "noise") and (number in used or number in half.outputs)
         ]
 
     def write(self) -> None:
@@ -281,45 +293,72 @@ class _Function:
         kind, address = kinds.get(name, "f8"), self._given[name]
         return Array(self._builder, self._builder.bitcast(address, KINDS[kind].as_pointer()), kind)
 
-    def _row(self, array: str, row: int, position: Any) -> Vector:
+    def _row(self, array: str, row: Any, position: Any) -> Vector:
         """The place of a vector in a row."""
         stride = self._given[f"{array}_stride"]
-        place = self._builder.add(self._builder.mul(_index(row), stride), position)
+        place = self._builder.add(self._builder.mul(row, stride), position)
         return Vector(self._builder, place, "i8")
 
     def _compute(self, position: Any) -> None:
         """Write what is done for some particles."""
-        for number, (name, _, which) in enumerate(self._half.operations):
-            if name in ("slots", "noise"):
-                vector = self._array(name).load(self._row(name, which, position), LANES)
-                self._values[number] = vector.to(self._precision.computed)
+        for number in self._loaded:
+            name, _, which = self._half.operations[number]
+            self._values[number] = self._loaded_row(name, _index(which), position)
         if len(self._computed) <= MOST_TOGETHER:
-            for number in self._computed:
-                self._values[number] = _applied(self._half, number, self._values, self._often)
+            self._compute_each(self._computed, position)
         else:
-            self._compute_in_pieces()
+            self._compute_in_pieces(position)
         for row, output in enumerate(self._half.outputs):
             value = self._values[output]
             self._array("out").store(
-                self._row("out", row, position), value.to(self._precision.computed)
+                self._row("out", _index(row), position), value.to(self._precision.computed)
             )
 
-    def _compute_in_pieces(self) -> None:
+    def _loaded_row(self, array: str, row: Any, position: Any) -> Vector:
+        """The values of some particles in a row."""
+        vector = self._array(array).load(self._row(array, row, position), LANES)
+        return vector.to(self._precision.computed)
+
+    def _compute_each(self, numbers: Iterable[int], position: Any) -> None:
+        """Compute operations, one after another."""
+        values = self._values
+        loop: Any = None
+        for number in numbers:
+            name, arguments, which = self._half.operations[number]
+            if name not in LOOPS:
+                values[number] = _applied(self._half, number, values, self._often)
+            elif name == "repeat":
+                given = [values[each] for each in arguments]
+                loop = _Loop(given[0], given[1:], which)
+            elif name == "nth" and number in self._rows:
+                first, stride = self._rows[number]
+                row = self._builder.mul(_index(stride), loop.step.value)
+                row = self._builder.add(row, _index(first))
+                values[number] = self._loaded_row("noise", row, position)
+            elif name == "nth":
+                values[number] = loop.nth([values[each] for each in arguments[1:]])
+            elif name == "again":
+                loop.end([values[each] for each in arguments[1:]])
+            elif name == "step":
+                values[number] = splat(loop.step.to(self._precision.computed), LANES)
+            else:
+                values[number] = loop.values[which]
+
+    def _compute_in_pieces(self, position: Any) -> None:
         """Compute by several functions: LLVM takes a time that grows faster than a function does.
 
-        Values that another piece needs are kept in memory.
+        Values that another piece needs are kept in memory. A loop is not cut.
         """
-        operations, computed = self._half.operations, self._computed
-        pieces = [
-            computed[first : first + MOST_TOGETHER]
-            for first in range(0, len(computed), MOST_TOGETHER)
-        ]
+        operations = self._half.operations
+        pieces, loops = _pieces(self._half, self._computed)
         piece_of = {number: k for k, piece in enumerate(pieces) for number in piece}
         kept = {
             each
-            for number in computed
+            for number in self._computed
             for each in operations[number].arguments
-            if piece_of.get(each) != piece_of[number] and operations[each].name != "number"
+            if piece_of.get(each) != piece_of[number]
+            and operations[each].name != "number"
+            and number not in self._rows
         } | {each for each in self._half.outputs if each in piece_of}
         places = {number: place for place, number in enumerate(sorted(kept))}
         with self._builder.goto_entry_block():
@@ -327,8 +366,19 @@ class _Function:
         for number in places.keys() - piece_of.keys():
             _store(memory, places[number], self._values[number])
         for k, piece in enumerate(pieces):
-            function = self._piece(f"piece{k}", piece, places)
-            self._builder.call(function, [memory])
+            if k not in loops:
+                function = self._piece(f"piece{k}", piece, places)
+                self._builder.call(function, [memory])
+                continue
+            for number in {each for some in piece for each in operations[some].arguments}:
+                if number in places and number in piece_of and piece_of[number] != k:
+                    self._values[number] = _load(
+                        self._builder, memory, places[number], self._half, number
+                    )
+            self._compute_each(piece, position)
+            for number in piece:
+                if number in places:
+                    _store(memory, places[number], self._values[number])
         for number in self._half.outputs:
             if number in piece_of:
                 self._values[number] = _load(
@@ -354,6 +404,81 @@ class _Function:
                 _store(memory, places[number], values[number])
         builder.ret_void()
         return function
+
+
+class _Loop:
+    """A loop over steps: `values` are those of the step before, and then those of the last step.
+
+    A step has a number, from 0 on.
+    """
+
+    def __init__(self, count: Vector, values: list[Vector], most: int) -> None:
+        builder = self._builder = count.builder
+        first = Vector(builder, builder.extract_element(count.value, _index(0)), count.kind)
+        first = (first >= 1.0).select(first, first.number(1.0))
+        self._count = (first <= most).select(first, first.number(most)).to("i8")
+        self._before, self._body = builder.block, builder.append_basic_block("step")
+        builder.branch(self._body)
+        builder.position_at_end(self._body)
+        self.step = Vector(builder, builder.phi(_INDEX), "i8")
+        self.step.value.add_incoming(_index(0), self._before)
+        self.values = [Vector(builder, builder.phi(each.value.type), each.kind) for each in values]
+        for phi, value in zip(self.values, values, strict=True):
+            phi.value.add_incoming(value.value, self._before)
+
+    def nth(self, values: list[Vector]) -> Vector:
+        """The value with the number of the step; all values are there before the loop."""
+        builder, kind, width = self._builder, values[0].kind, LANES
+        with builder.goto_entry_block():
+            memory = builder.alloca(KINDS[kind], size=len(values) * width)
+        with builder.goto_block(self._before):
+            array = Array(builder, memory, kind)
+            for place, value in enumerate(values):
+                array.store(Vector(builder, _index(place * width), "i8"), value)
+        position = Vector(builder, builder.mul(self.step.value, _index(width)), "i8")
+        return Array(builder, memory, kind).load(position, width)
+
+    def end(self, values: list[Vector]) -> None:
+        """Begin the next step with other values, or end."""
+        builder = self._builder
+        following = builder.add(self.step.value, _index(1))
+        self.step.value.add_incoming(following, builder.block)
+        for phi, value in zip(self.values, values, strict=True):
+            phi.value.add_incoming(value.value, builder.block)
+        behind = builder.append_basic_block("behind")
+        is_next = builder.icmp_signed("<", following, self._count.value)
+        builder.cbranch(is_next, self._body, behind)
+        builder.position_at_end(behind)
+        self.values = values
+
+
+def _rows_of_steps(half: Half) -> dict[int, tuple[int, int]]:
+    """First row and distance of the rows of noise of which each step takes one."""
+    found = dict[int, tuple[int, int]]()
+    for number, (name, arguments, _) in enumerate(half.operations):
+        given = [half.operations[each] for each in arguments[1:]]
+        if name == "nth" and {each.name for each in given} == {"noise"}:
+            rows = [each.which for each in given]
+            stride = rows[1] - rows[0] if len(rows) > 1 else 0
+            if rows == [rows[0] + stride * k for k in range(len(rows))]:
+                found[number] = rows[0], stride
+    return found
+
+
+def _pieces(half: Half, computed: Sequence[int]) -> tuple[list[list[int]], set[int]]:
+    """Operations that one function computes, and which of these are loops."""
+    pieces, loops, inside = [list[int]()], set[int](), False
+    for number in computed:
+        name, last = half.operations[number].name, len(pieces) - 1
+        follows = inside or (name == "final" and last in loops)
+        is_full = last in loops or len(pieces[-1]) >= MOST_TOGETHER
+        if pieces[-1] and not follows and (name == "repeat" or is_full):
+            pieces.append([])
+        if name == "repeat":
+            loops.add(len(pieces) - 1)
+        inside = (inside or name == "repeat") and name != "again"
+        pieces[-1].append(number)
+    return pieces, loops
 
 
 def _often(half: Half) -> frozenset[str]:
@@ -383,7 +508,7 @@ _LONG = frozenset(
         *("fmod", "remainder", "floor_divide"),
     }
 )
-"""Operations of many instructions, which are functions of their own where they are used often."""
+"""Operations of many instructions, which become separate functions where they are used often."""
 
 
 def _numeral(builder: ir.IRBuilder, half: Half, number: int) -> Vector:

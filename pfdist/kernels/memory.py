@@ -1,9 +1,9 @@
 """Named tuples in memory, which compiled functions read through an address.
 
-A compiled function that gets a large named tuple as it is gets each field as an argument of its
-own. One address takes far less time to compile. All fields take eight bytes: whole numbers (also
-for a bool), numbers of double precision, and the addresses of arrays. A named tuple within another
-one lies where its field is.
+If a compiled function receives a large named tuple directly, each field is a separate argument. One
+address takes far less time to compile. All fields take eight bytes: whole numbers (also for a
+bool), numbers of double precision, and the addresses of arrays. A named tuple within another one
+lies where its field is.
 """
 
 import struct
@@ -50,7 +50,7 @@ def _type_of(hint: Any, dtype: str) -> Any:
 
 
 def in_memory(values: Any) -> NDArray[np.int64]:
-    """The memory of a named tuple.
+    """A named tuple in memory.
 
     It holds addresses of arrays, which the caller must keep. A field may also be the address
     itself, see `zeros`.
@@ -71,10 +71,10 @@ def in_memory(values: Any) -> NDArray[np.int64]:
 def zeros(
     kind: type, dtype: str = "float64", **counts: int
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Memory with zeros for the arrays of a named tuple, and the address of each by its name.
+    """Memory with zeros for the arrays of a named tuple, and the address of each by name.
 
-    This is faster than an array for each. Each begins where a line of the processor's cache begins.
-    The caller must keep the memory.
+    This is faster than separate arrays. Each array begins at a line of the processor's cache. The
+    caller must keep the memory.
     """
     sizes, addresses, end = _sizes(kind, dtype), {}, 0
     for name, count in counts.items():
@@ -121,7 +121,7 @@ def _flat(values: Any, kind: type = tuple) -> list[Any]:
 
 @intrinsic
 def read(context: Any, pointer: Any) -> Any:
-    """The named tuple at an address. Nothing that is compiled changes it."""
+    """The named tuple at an address; compiled code never changes it."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Sequence[Any]) -> Any:
         return _load(builder, values[0])

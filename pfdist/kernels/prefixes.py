@@ -1,4 +1,4 @@
-"""The order in which sets of times are filtered, and the cloud from which each set resumes.
+"""The order of sets in the filter, and the cloud from which each set resumes.
 
 Under the same noise, sets that agree up to t have the same cloud up to t. In lexicographic order,
 each set comes soon after the set with which it shares the longest prefix. It resumes from the cloud
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 class Plan(NamedTuple):
-    """The order in which the filter does U different sets, and the clouds it saves and resumes."""
+    """The order in which the filter computes U different sets, and the clouds that it saves."""
 
     # (U, T+1): the sensors with which each set measures at each instant, a bit for each; 1 and 0
     # say whether a set measures, if there is a single sensor
@@ -38,7 +38,7 @@ class Plan(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """A plan, and where the results of the S wanted sets stand in it."""
+    """A plan, and the places of the S requested sets in it."""
 
     plan: Plan
     places: NDArray[np.int64]  # (S,): index of each wanted set in the plan
@@ -46,7 +46,7 @@ class Planned(NamedTuple):
 
 
 class Saved(NamedTuple):
-    """Clouds that later sets resume from."""
+    """Clouds from which later sets resume."""
 
     clouds: NDArray[np.float64]  # (slots, n, width(P))
     errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
@@ -62,7 +62,7 @@ def plan(
     ends: tuple[int, ...] | None = None,
     sensors: int = 1,
 ) -> Planned:
-    """Plan the filter of S sets of possible measurements.
+    """The plan of the filter for S sets of possible measurements.
 
     `instants` is T + 1. With several sensors, the measurement at t by sensor number k is
     ``t * sensors + k``. `ends` has, for each set, the instant after the last instant whose error

@@ -1,4 +1,4 @@
-"""The resampling schemes, and when they resample. Data only: this imports no Numba."""
+"""The resampling schemes, and when they resample; data only, without an import of Numba."""
 
 import math
 import re
@@ -28,7 +28,7 @@ SORTED_SYSTEMATIC = Scheme(
 CONDITIONAL = Scheme(
     "conditional", "Multinomial, with the true state among the particles.", holds_truth=True
 )
-"""The scheme of the lower bound. No job can name it, because a real filter does not know the truth.
+"""The scheme of the lower bound. No job can name it, because a real filter does not have the truth.
 
 Particle 0 has the true state x(t) of the draw at each t, and remains its own ancestor. The other
 particles choose independent ancestors among all particles. Given y and the cloud as a set, the
@@ -58,10 +58,10 @@ _BELOW = re.compile(r"below (\d*\.?\d+)")
 
 
 def threshold_of(resample: str) -> float:
-    """The threshold that a text stands for: "always", or "below 0.5" for 0.5.
+    """The threshold in a text: "always", or "below 0.5" for 0.5.
 
     A filter resamples if its effective sample size is below this share of its particles. Raises
-    `ValueError` if the text is none of these.
+    `ValueError` for any other text.
     """
     if resample == "always":
         return ALWAYS

@@ -1,6 +1,6 @@
-"""The simulation of draws of any model; it is compiled once a machine.
+"""The simulation of draws of any model; it is compiled once per machine.
 
-Draws take the places of a filter's particles, so a block computes several of them at a time.
+Draws are processed like a filter's particles, so a block computes several of them at a time.
 """
 
 from typing import NamedTuple
@@ -25,11 +25,11 @@ INITIAL, TRANSITION, QUANTITY, MEASUREMENT = np.arange(4)
 INITIAL_NOISE, PROCESS_NOISE, MEASUREMENT_NOISE = np.arange(3)
 
 TOGETHER = np.int64(256)
-"""Draws that are simulated side by side."""
+"""Number of draws that are simulated together."""
 
 
 class Request(NamedTuple):
-    """Which D draws are simulated, at T+1 instants."""
+    """A request to simulate D draws at T+1 instants."""
 
     draws: int
     instants: int
@@ -49,7 +49,7 @@ class Request(NamedTuple):
 
 
 class Work(NamedTuple):
-    """All that the functions of a simulation share; a row of draws has `TOGETHER` entries."""
+    """The data that all functions of a simulation share; a row of draws has `TOGETHER` entries."""
 
     blocks: Blocks
     request: Request

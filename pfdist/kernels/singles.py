@@ -1,6 +1,6 @@
 """Functions of float32 vectors, within 4 units in the last place; special values are NumPy's.
 
-Those that are not here are computed in float64 and rounded. See `pfdist.kernels.functions`.
+Other functions are computed in float64 and rounded. See `pfdist.kernels.functions`.
 """
 
 import math
@@ -18,7 +18,7 @@ _SMALLEST_NORMAL = 2.0**-126
 
 
 def function_of(name: str, kind: str) -> Callable[..., Vector]:
-    """The function of vectors of a kind of numbers that computes an operation."""
+    """The vector function that computes an operation for a type of numbers."""
     if kind == "f8" or name in _OF_ANY_KIND:
         return FUNCTIONS[name]
     return _FUNCTIONS.get(name) or _by_doubles(name)

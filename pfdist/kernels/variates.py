@@ -43,7 +43,7 @@ from pfdist.kernels.vectors import (
 )
 
 KINDS: Final = ("normal", "uniform", "centred", "exponential")
-"""The kinds of noise; compiled code knows them by their numbers here."""
+"""The kinds of noise; their indices are the codes in compiled code."""
 
 NORMAL, UNIFORM, CENTRED, EXPONENTIAL = np.arange(4)
 
@@ -52,11 +52,11 @@ NORMAL, UNIFORM, CENTRED, EXPONENTIAL = np.arange(4)
 # in the role of the truth's. They are NumPy integers, because Numba compiles anew for each Python
 # constant.
 TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = np.arange(3)
-FILTER_INITIAL, FILTER_PROCESS, RESAMPLING, TRUTH_RANK = np.arange(3, 7)
+FILTER_INITIAL, FILTER_PROCESS, RESAMPLING, TRUTH_RANK, FILTER_PROPOSAL = np.arange(3, 8)
 
 TILE: Final = 4 * LANES
 SPARE: Final = LANES
-"""Entries behind the last variate that may be overwritten."""
+"""Number of entries after the last variate that may be overwritten."""
 
 _ROUNDS = 13
 _ROTATIONS = ((10, 26), (11, 21), (13, 27), (23, 5), (6, 20), (17, 11), (25, 10), (18, 20))
@@ -227,13 +227,13 @@ class Key(NamedTuple):
 
 
 def number_of_words(draws: int, width: int) -> int:
-    """The size of the array in which `fill` works: words for whole tiles."""
+    """The size of the working array of `fill`: words for whole tiles."""
     return 2 * draws * TILE * -(-width // TILE)
 
 
 @compiled
 def fill_words(words, part, tiles, key, first, draws):
-    """Fill words: so many tiles for each of consecutive draws, two at a time."""
+    """Fill words: a number of tiles for each of consecutive draws, two at a time."""
     lanes, two, (stream, t, role, component) = np.int64(LANES), np.int64(2), key
     for d in range(draws):
         at, draw = d * tiles * TILE, first + d
@@ -254,7 +254,7 @@ class Row(NamedTuple):
     words: NDArray[np.uint32]  # see `number_of_words`
     out: NDArray[np.float32]
     width: int  # entries of a draw, a multiple of `LANES`
-    kind: int  # position in `KINDS`
+    kind: int | np.int64  # position in `KINDS`
     key: Key
     first: int  # index of the first draw
     draws: int
@@ -264,7 +264,7 @@ class Row(NamedTuple):
 def fill(row):
     """Fill a row: particle i of draw ``first + d`` is at ``d * width + i``.
 
-    `SPARE` entries behind the last are overwritten.
+    `SPARE` entries after the last are overwritten.
     """
     words, out, width, kind, key, first, draws = read(row)
     tiles = (width + np.int64(TILE - 1)) // np.int64(TILE)
@@ -292,7 +292,7 @@ def fill(row):
 def fill_of_draws(row):
     """Fill a row, of width 1, with the variates of the first particle of consecutive draws.
 
-    Up to 15 entries behind the last are overwritten. `words` has 64 entries or more.
+    Up to 15 entries after the last are overwritten. `words` has 64 entries or more.
     """
     words, out, _, kind, key, first, draws = read(row)
     zero, low, (stream, t, role, component) = np.int64(0), np.int64(2 * LANES), key
@@ -337,7 +337,7 @@ def variates(
     role: SupportsIndex,
     component: int,
 ) -> NDArray[np.float64]:
-    """Each particle's variate, (particles,); the integers select the noise.
+    """The variate of each particle, (particles,); the integers select the noise.
 
     The values are those of float32, stored as float64. If `draw` is an array (D,), the result is
     (D, particles).
@@ -354,7 +354,7 @@ def variates(
 
 
 def codes_of(*processes: Sequence[str]) -> NDArray[np.int64]:
-    """A row of the numbers of kinds for each process, as compiled code takes them; -1 for none."""
+    """A row of noise codes for each process, for compiled code; -1 for none."""
     codes = np.full((len(processes), max(1, *map(len, processes))), -1, np.int64)
     for row, kinds in zip(codes, processes, strict=True):
         row[: len(kinds)] = [KINDS.index(kind) for kind in kinds]

@@ -1,4 +1,4 @@
-"""Vectors of numbers in LLVM: what a function of Python writes, one machine instruction computes.
+"""Vectors of numbers in LLVM: Python functions write instructions for whole vectors.
 
 A `Vector` is a value of LLVM's builder, with operators. A function of vectors runs once, while code
 is compiled, and writes an instruction for each operation. Nothing depends on how LLVM optimises:
@@ -15,13 +15,13 @@ from numba import types
 from numba.extending import intrinsic, models, register_model
 
 LANES = 16
-"""Particles that a vector holds."""
+"""Number of particles in a vector."""
 
 KINDS: dict[str, Any] = {
     "f4": ir.FloatType(), "f8": ir.DoubleType(), "i1": ir.IntType(1),
     "i4": ir.IntType(32), "u4": ir.IntType(32), "i8": ir.IntType(64), "u8": ir.IntType(64),
 }  # fmt: skip
-"""The kinds of numbers: floats, integers with and without a sign, and masks, by their bytes."""
+"""The types of numbers: floats, signed and unsigned integers, and masks, by their bytes."""
 
 Number = float | int | bool
 
@@ -137,11 +137,11 @@ class Vector:
         return self._compared(">=", other)
 
     def equals(self, other: "Vector | Number") -> "Vector":
-        """Where the numbers are equal."""
+        """A mask of equal numbers."""
         return self._compared("==", other)
 
     def differs(self, other: "Vector | Number") -> "Vector":
-        """Where the numbers differ; a number that is not a number differs from itself."""
+        """A mask of different numbers; NaN differs from itself."""
         return self._compared("!=", other)
 
     def select(self, if_true: "Vector | Number", if_false: "Vector") -> "Vector":
@@ -153,7 +153,7 @@ class Vector:
     # --- functions ------------------------------------------------------------------------------
 
     def call(self, name: str, *others: "Vector | Number") -> "Vector":
-        """An intrinsic function of LLVM, such as "fma", of operands of one type."""
+        """The value of an LLVM intrinsic, such as "fma", for operands of one type."""
         arguments = [self.value, *(self.like(other).value for other in others)]
         kind = self.value.type
         suffix = f"{self.kind.replace('u', 'i')[0]}{8 * int(self.kind[1])}"
@@ -182,8 +182,8 @@ class Vector:
     def to(self, kind: str) -> "Vector":
         """The same numbers in another kind.
 
-        A float that becomes an integer must be in the range of the integers: else LLVM may give
-        anything.
+        A float that becomes an integer must be in the range of integers; else the result is
+        undefined.
         """
         if kind == self.kind:
             return self
@@ -212,7 +212,7 @@ class Vector:
         return self._of(self.builder.extract_element(self.value, ir.Constant(KINDS["i4"], number)))
 
     def shuffled(self, lanes: Sequence[int], other: "Vector | None" = None) -> "Vector":
-        """A vector of some lanes; those of `other` follow on this vector's."""
+        """A vector of some lanes; lanes of `other` are numbered after this vector's."""
         mask = ir.Constant(ir.VectorType(KINDS["i4"], len(lanes)), list(lanes))
         second = self if other is None else other
         return self._of(self.builder.shuffle_vector(self.value, second.value, mask))
@@ -223,14 +223,14 @@ class Vector:
         return self.shuffled(range(half)), self.shuffled(range(half, 2 * half))
 
     def reduced(self, combine: Callable[["Vector", "Vector"], "Vector"]) -> "Vector":
-        """All lanes combined into one number, always in the same order: half with half."""
+        """All lanes combined into one number in a fixed order, half with half."""
         rest = self
         while rest.lanes > 1:
             rest = combine(*rest.halves())
         return rest.lane(0)
 
     def sum(self) -> "Vector":
-        """The sum of all lanes, always in the same order."""
+        """The sum of all lanes, in a fixed order."""
         return self.reduced(lambda first, second: first + second)
 
     def count(self) -> "Vector":
@@ -253,7 +253,7 @@ def constant(builder: ir.IRBuilder, kind: str, lanes: int, value: Number) -> Vec
 
 
 def splat(number: Vector, lanes: int) -> Vector:
-    """A vector with a number in all lanes."""
+    """A vector with the same number in all lanes."""
     builder, whole = number.builder, ir.VectorType(number.value.type, lanes)
     nothing, first = ir.Constant(whole, ir.Undefined), ir.Constant(KINDS["i4"], 0)
     vector = builder.insert_element(nothing, number.value, first)
@@ -262,7 +262,7 @@ def splat(number: Vector, lanes: int) -> Vector:
 
 
 def outlined(name: str, function: Callable[..., Vector], given: Sequence[Vector]) -> Vector:
-    """The value of a function, whose code a module holds once; values have one type."""
+    """The value of a function whose code is in a module only once; values have one type."""
     builder, kind = given[0].builder, given[0].value.type
     written = builder.module.globals.get(name)
     if written is None:
@@ -276,7 +276,7 @@ def outlined(name: str, function: Callable[..., Vector], given: Sequence[Vector]
 
 
 def where_some(mask: Vector, compute: Callable[[], Vector], usual: Vector) -> Vector:
-    """Computed values where a mask holds; nothing is computed if it holds nowhere."""
+    """Values computed where a mask holds; if it holds nowhere, nothing is computed."""
     builder, before = mask.builder, mask.builder.block
     some = mask.count().differs(0) if mask.lanes else mask
     with builder.if_then(some.value, likely=False):
@@ -315,7 +315,7 @@ def each_lane(function: Callable[..., Vector], *given: Vector) -> Vector:
 
 
 def entries(name: str, numbers: Sequence[float], index: Vector) -> Vector:
-    """Entries of a table that a module holds once, by integers that lie inside."""
+    """Entries of a table that is in a module only once, by integers within its range."""
     builder = index.builder
     table = builder.module.globals.get(name)
     if table is None:
@@ -419,7 +419,7 @@ _CACHE_LINE = 64  # bytes
 
 
 def vectorised(result: str | None = None) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator of a function of vectors, which functions that Numba compiles can call.
+    """A decorator that makes a function of vectors callable from Numba functions.
 
     The function receives a `Vector` for each number or vector, and an `Array` for each array. Its
     result is described by, for instance, "f8" for a number, "16 f4" for a vector, or None;

@@ -1,6 +1,6 @@
-"""State-space models: the class, the search for a model by its name, and the models that ship.
+"""State-space models: the class, the loader of models by name, and the built-in models.
 
-A model consists of formulas. It knows neither filters nor simulations.
+A model consists of formulas. It depends on neither filters nor simulations.
 """
 
 from pfdist.models.base import Sensor, StateSpaceModel, squared_error

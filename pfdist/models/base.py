@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pfdist.common.component_names import Component, named_components
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.nearest import allowed_names, did_you_mean, must_be
 from pfdist.errors import ModelError
 from pfdist.models.checks import (
     MEASURING,
@@ -47,7 +47,7 @@ def angular_error(value: Any, estimated: Any) -> Any:
 
 
 def within_half_turn(values: Any, centre: Any, is_angle: Sequence[bool]) -> Any:
-    """The values, (..., q), with the angles among them at most half a turn from a centre.
+    """The values, (..., q), with angles shifted to at most half a turn from a centre.
 
     Other components are unchanged.
     """
@@ -81,11 +81,11 @@ class Sensor:
     Parameters
     ----------
     measurement, log_likelihood : callable
-        As of `StateSpaceModel`. y and v are those of this sensor alone.
+        As for `StateSpaceModel`; y and v are those of this sensor alone.
     measurement_noise : tuple of {"normal", "uniform", "centred"}
         Distribution of each component of v.
     price : float, optional
-        Price of a measurement. A `Problem` takes it, unless the problem has a price of its own.
+        Price of a measurement, which a `Problem` uses unless it sets a price.
     """
 
     measurement: Callable[..., Any]
@@ -95,7 +95,7 @@ class Sensor:
 
 
 class SensorPart(NamedTuple):
-    """A sensor, and its place in y and v. A model without sensors has one part without a name."""
+    """A sensor, and its place in y and v; a model without sensors has one unnamed part."""
 
     name: str
     model: "StateSpaceModel"  # the system with this sensor alone
@@ -107,11 +107,11 @@ class SensorPart(NamedTuple):
 class StateSpaceModel:
     """A system that can be simulated and measured.
 
-    A formula says what happens to one particle; it is called with symbols. x, w, v, y and z are
-    tuples of components, even if there is a single component. Formulas use operators and NumPy's
-    functions. t is an integer. p holds the parameters, read as ``p.sigma``; a parameter that varies
-    with t is read as ``p.rate[t]``. If the job has a clock, ``p.time[t]`` is the time of the
-    instant t, and ``p.dt[t]`` the time from t to t + 1, both in the clock's unit.
+    A formula describes one particle; it is called with symbols. x, w, v, y and z are tuples of
+    components, even if there is a single component. Formulas use operators and NumPy's functions. t
+    is an integer. p holds the parameters, read as ``p.sigma``; a parameter that varies with t is
+    read as ``p.rate[t]``. If the job has a clock, ``p.time[t]`` is the time of the instant t, and
+    ``p.dt[t]`` the time from t to t + 1, both in the clock's unit.
 
     A model, and objects whose methods are its formulas, must not change after the model is made.
 
@@ -130,11 +130,11 @@ class StateSpaceModel:
     quantity_of_interest : callable
         ``(x, t, p) -> z(t)``, the paper's h_t.
     initial_noise, process_noise, measurement_noise : tuple of {"normal", "uniform", "centred"}
-        Distribution of each component of w and v: standard normal, uniform on (0, 1), or uniform
-        on (-1/2, 1/2) and as fine as 2^-64 near 0. Any other distribution is a transform of these,
-        written in the formula: see `pfdist.densities`.
+        Distribution of each component of w and v: standard normal, uniform on (0, 1), or uniform on
+        (-1/2, 1/2) and as fine as 2^-64 near 0. Every other distribution is a transform of these
+        within the formula: see `pfdist.densities`.
     parameters : mapping of str to float or sequence of float
-        Values of the parameters p. A job may override them. A sequence has a value for each instant
+        Values of the parameters p; a job may override them. A sequence has a value for each instant
         0..T.
     parameter_ranges : mapping of str to (float, float)
         Lowest and highest allowed value. A parameter without a range may have any finite value.
@@ -169,9 +169,8 @@ class StateSpaceModel:
         ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
         components have numbers.
     sensors : mapping of str to Sensor
-        Up to 8 sensors by name, in the place of `measurement`, `log_likelihood` and
-        `measurement_noise`. y has the components of all sensors, in their order; they are named
-        after the sensors.
+        Up to 8 sensors by name, instead of `measurement`, `log_likelihood` and `measurement_noise`.
+        y has the components of all sensors, in their order; their names begin with the sensor's.
 
     Raises
     ------
@@ -240,14 +239,14 @@ class StateSpaceModel:
 
     @cached_property
     def derived(self) -> dict[Hashable, Any]:
-        """The last results that were derived from this model; see `kept`."""
+        """The most recent results that were derived from this model; see `kept`."""
         return {}
 
     def kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """The result that this model keeps under a key, made if it is missing.
+        """The result that this model keeps under a key; it is made if it is missing.
 
-        A filter without a horizon asks for other instants at each of its steps, so only the last
-        results remain.
+        A filter without a horizon needs new instants at each step, so only the last results are
+        kept.
         """
         made = self.derived.get(key)
         if made is None:
@@ -258,7 +257,7 @@ class StateSpaceModel:
 
     @property
     def reads_clock(self) -> bool:
-        """Whether a formula reads ``p.time`` or ``p.dt``, and the model is not on a clock yet."""
+        """Whether a formula reads ``p.time`` or ``p.dt`` and the model is not yet on a clock."""
         try:
             for _, model, _, _ in self.parts:
                 count_components(model, self.parameters)
@@ -277,8 +276,7 @@ class StateSpaceModel:
         Raises
         ------
         ModelError
-            There are fewer than two times, or the model has a parameter of its own with one of
-            these names.
+            There are fewer than two times, or the model already has a parameter of these names.
         """
         if len(time) < 2:
             raise ModelError(f"model {self.name}: a clock needs two times or more, got {[*time]}")
@@ -329,7 +327,7 @@ class StateSpaceModel:
         return sum((part.model.measurement_noise for part in self.parts), ())
 
     def named(self, kind: str) -> tuple[Component, ...]:
-        """The components of x, y or z with their names, units and the ends of columns.
+        """The components of x, y or z with their names, units and suffixes of columns.
 
         Parameters
         ----------
@@ -361,10 +359,8 @@ class StateSpaceModel:
         names |= {each.name: number for number, each in enumerate(components) if each.name}
         for name in self.circular:
             if str(name) not in names:
-                raise ModelError(
-                    f"model {self.name}: circular must name components of z, as "
-                    f"{', '.join(map(repr, names))}, got {name!r}{did_you_mean(str(name), names)}"
-                )
+                rule = f"names of components of z: {', '.join(map(repr, names))}"
+                raise ModelError(must_be(f"model {self.name}: circular", rule, name, names))
         if self.circular and self.linear_gaussian:
             raise ModelError(
                 f"model {self.name}: circular must be empty in a linear-Gaussian model, got "
@@ -374,7 +370,7 @@ class StateSpaceModel:
         return tuple(number in angles for number in range(len(components)))
 
     def named_as(self, truth: "StateSpaceModel") -> "StateSpaceModel":
-        """The model with the names that another model gives to y and z, and with its angles."""
+        """The model with another model's names of y and z, and with its angles."""
         names = {key: getattr(truth, key) for key in ("y_names", "z_names", "circular")}
         if names == {key: getattr(self, key) for key in names}:
             return self
@@ -384,8 +380,8 @@ class StateSpaceModel:
     def formulas(self) -> dict[str, Callable[..., Any]]:
         """The formulas by their names, without those that the model lacks.
 
-        Angles have a default error of their own. The names of a sensor's formulas begin with its
-        name and a dot.
+        Angles have another default error. Names of a sensor's formulas begin with its name and a
+        dot.
         """
         formulas = {name: getattr(self, name) for name in own_formulas(self)}
         if any(self.is_angle) and self.error is squared_error:
@@ -416,11 +412,11 @@ class StateSpaceModel:
         """
         for name in overrides:
             if name not in self.parameters:
-                allowed = ", ".join(sorted(self.parameters)) or "none"
+                allowed = allowed_names(
+                    sorted(self.parameters), did_you_mean(name, self.parameters)
+                )
                 raise ModelError(
-                    f"model {self.name}: unknown parameter {name!r}, allowed: {allowed}"
-                    f"{did_you_mean(name, self.parameters)}",
-                    argument="parameters",
+                    f"model {self.name}: unknown parameter {name!r}{allowed}", argument="parameters"
                 )
         try:
             return dataclasses.replace(self, parameters={**self.parameters, **overrides})

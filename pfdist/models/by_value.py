@@ -1,10 +1,11 @@
-"""Models as they travel from the process that has them to the workers.
+"""Models as bytes, to be sent to workers.
 
-A recorded model is plain data. Only formulas that cannot be traced are code of the user, which a
-worker may be unable to import. So that code travels by value.
+A recorded model is plain data. Only formulas that cannot be traced are user code, which a worker
+may be unable to import. So this code is sent by value.
 """
 
 import io
+import os
 import pickle
 import sys
 import sysconfig
@@ -31,13 +32,14 @@ def by_value(models: Sequence[Any]) -> bytes:
     Raises
     ------
     ModelError
-        A formula that cannot be traced uses what cannot be sent.
+        A formula that cannot be traced uses an object that cannot be sent.
     """
     if all(is_recorded(each) and not untraced(each) for each in models if each is not None):
-        return pickle.dumps(models)  # plain data
+        return pickle.dumps(None) + pickle.dumps(models)  # plain data
     with _users_modules_by_value():
         try:
             written = io.BytesIO()
+            pickle.dump(_has_doubles_in_jax(), written)
             _Pickler(written).dump(models)
         except Exception as error:  # an object of the user may raise any exception
             raise ModelError(
@@ -48,18 +50,39 @@ def by_value(models: Sequence[Any]) -> bytes:
 
 @lru_cache(maxsize=64)
 def made(content: bytes) -> tuple[Any, ...]:
-    """The models of some bytes; the same bytes give the same objects.
+    """The models from their bytes; the same bytes give the same objects.
 
     Raises
     ------
     ModelError
-        A model cannot be made here, for instance because a package is not installed.
+        A model cannot be loaded here, for instance because a package is not installed.
     """
     try:
-        models: tuple[Any, ...] = pickle.loads(content)  # noqa: S301  the driver made it
+        arrived = io.BytesIO(content)  # the driver made it
+        _set_doubles_in_jax(pickle.load(arrived))  # noqa: S301
+        models: tuple[Any, ...] = pickle.load(arrived)  # noqa: S301
     except Exception as error:  # an object of the user may raise any exception
-        raise ModelError(f"a model cannot be made by a worker: {error_line(error)}") from error
+        raise ModelError(f"a worker cannot load a model: {error_line(error)}") from error
     return models
+
+
+def _has_doubles_in_jax() -> bool | None:
+    """Whether JAX computes in float64 here; None if it is not imported.
+
+    A model's file may say so when it is imported, which workers do not do.
+    """
+    jax = sys.modules.get("jax")
+    return None if jax is None else bool(jax.config.jax_enable_x64)
+
+
+def _set_doubles_in_jax(has_doubles: bool | None) -> None:
+    """Have JAX compute in float64 in this process, or in float32."""
+    if has_doubles is None:
+        return
+    os.environ["JAX_ENABLE_X64"] = str(int(has_doubles))  # as JAX reads it when it is imported
+    jax = sys.modules.get("jax")
+    if jax is not None:
+        jax.config.update("jax_enable_x64", has_doubles)
 
 
 def _reduced(code: CodeType) -> tuple[Any, ...]:
@@ -87,7 +110,7 @@ def _users_modules_by_value() -> Iterator[None]:
     registered = cloudpickle.list_registry_pickle_by_value()
     modules = [
         module
-        for name, module in [*sys.modules.items()]
+        for name, module in sys.modules.copy().items()  # other threads import
         if name not in registered and _is_users(module)
     ]
     for module in modules:

@@ -1,7 +1,7 @@
-"""Checks of a model as soon as it is made: of its fields, and of its formulas.
+"""Checks of a new model: of its fields, and of its formulas.
 
-Each formula is recorded once, at t = 0. One that cannot be is called on arrays of two particles.
-This gives the numbers of components, and finds mistakes such as a missing comma or `return`.
+Each formula is recorded once, at t = 0, or else called on arrays of two particles. This gives the
+numbers of components, and finds mistakes such as a missing comma or `return`.
 """
 
 import contextlib
@@ -87,10 +87,10 @@ class _Fields(Arguments):
 
 
 def checked_fields(model: Any) -> dict[str, Any]:
-    """The fields of a model that are plain data, after a check of all fields.
+    """The checked fields of a model that are plain data; all fields are checked.
 
-    A `ModelError` says which field is wrong, before any formula is called: a value of a wrong kind,
-    a formula that does not take its arguments, or a parameter with a wrong name or value.
+    Raises `ModelError` before any formula is called, if a value has a wrong type, a formula does
+    not take its arguments, or a parameter has a wrong name or value.
     """
     try:
         fields = dict(_Fields(**{name: getattr(model, name) for name in _Fields.model_fields}))
@@ -113,12 +113,12 @@ def checked_fields(model: Any) -> dict[str, Any]:
 
 
 def formula_of_each_sensor(*_: Any) -> Any:
-    """Stand for `measurement` and `log_likelihood` of a model whose sensors have their own."""
+    """A placeholder for `measurement` and `log_likelihood` of a model with sensors."""
     raise ModelError("a model with sensors has this formula for each sensor")
 
 
 def own_formulas(model: Any) -> list[str]:
-    """Names of a model's formulas, without those that it lacks or that each sensor has."""
+    """Names of the formulas that a model itself has; those of its sensors are left out."""
     absent = {name for name in OPTIONAL if getattr(model, name) is None}
     absent.update(MEASURING if model.sensors else ())
     return [name for name in ARGUMENTS if name not in absent]
@@ -141,7 +141,7 @@ def _check_sensors(model: Any) -> None:
     if names and (given or model.measurement_noise):
         raise ModelError(
             f"model {model.name}: each sensor must have its own "
-            f"{(*given, 'measurement_noise')[0]}, and the model none"
+            f"{(*given, 'measurement_noise')[0]}, and the model must have none"
         )
     if not names and len(given) < len(MEASURING):
         raise ModelError(
@@ -221,9 +221,9 @@ def _check_parameter(model: Any, name: str, value: Parameter) -> None:
 
 
 def count_components(model: Any, parameters: Mapping[str, Parameter]) -> tuple[int, int, int]:
-    """The numbers of components of x, y and z, found by calling every formula.
+    """The numbers of components of x, y and z, from a call of every formula.
 
-    A `ModelError` says which formula fails, or gives values of a wrong kind or number.
+    Raises `ModelError` if a formula fails, or gives values of a wrong type or number.
     """
     p = named_parameters(parameters)
     with np.errstate(all="ignore"):
@@ -263,6 +263,8 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
         return recorded
     try:
         value = formula(*arguments)
+    except ModelError:  # of a function of a batched model
+        raise
     except BaseException as error:  # a formula may raise any exception
         if is_interrupt(error):
             raise
@@ -301,7 +303,8 @@ def _by_program(
     formula = Formula(of_right_kind, name, sizes | {"p": 0}, parameters, model.name)
     for mode in MODES:
         try:
-            values = evaluate(formula.recorded(mode, 0), groups, 0, parameters)
+            # One step of a loop suffices: a model that somebody changed may have millions.
+            values = evaluate(formula.recorded(mode, 0), groups, 0, parameters, most=1)
         except BaseException as error:  # a formula may raise any exception
             if is_interrupt(error):
                 raise
@@ -340,7 +343,7 @@ def _wrong_shape(value: Any) -> str:
         if np.shape(number) not in ((), (_PARTICLES,)):
             return (
                 f"a number or an array of {_PARTICLES} for {_PARTICLES} particles, got an array of "
-                f"shape {np.shape(number)}: is a tuple used as a component, w in place of w[0]?"
+                f"shape {np.shape(number)}: is a tuple used as a component, w instead of w[0]?"
             )
     return ""
 
@@ -355,7 +358,7 @@ def _described(value: Any) -> str:
     if value is None:
         return "None: is there no `return`?"
     if isinstance(value, list):
-        return "a list: write (a, b) in place of [a, b]"
+        return "a list: write (a, b) instead of [a, b]"
     if isinstance(value, tuple):
         wrong = next((entry for entry in value if not _is_number(entry)), None)
         if wrong is None:

@@ -1,7 +1,7 @@
-"""Find a model by its name, and import its file.
+"""The loader of models: finds a model by its name, and imports its file.
 
-A name is that of a model that ships, else that of an installed entry point of the group
-``pfdist.models``, or ``path/file.py:object``.
+A name is that of a built-in model, of an installed entry point of the group ``pfdist.models``, or
+``path/file.py:object``.
 """
 
 import ast
@@ -19,14 +19,14 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.nearest import did_you_mean, must_be
 from pfdist.common.parsing import read_text
 from pfdist.errors import ModelError, shown
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.mistakes import error_line, is_interrupt, place_of
 
 PYTHON: Final = "python:"
-"""The beginning of the name, in a job, of a model that was given as an object in Python."""
+"""The beginning of a model's name in a job if the model was given as a Python object."""
 _GROUP = "pfdist.models"
 _LIBRARY = "pfdist.models.library"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
@@ -35,19 +35,19 @@ _importing = threading.RLock()  # the path and the table of modules belong to al
 
 
 class NamedModel(NamedTuple):
-    """A model that was given as an object in Python, and its name in a job."""
+    """A model given as a Python object, with its name in a job."""
 
     name: str
     model: StateSpaceModel
 
 
 def load_model(name: str, folder: Path = Path()) -> StateSpaceModel:
-    """Load a model by its name.
+    """The model with this name.
 
     Parameters
     ----------
     name : str
-        A model that ships, an installed entry point of the group ``pfdist.models``, or
+        A built-in model, an installed entry point of the group ``pfdist.models``, or
         ``path/file.py:object``.
     folder : Path
         Folder to which a path in the name is relative. By default the working folder.
@@ -64,18 +64,18 @@ def load_model(name: str, folder: Path = Path()) -> StateSpaceModel:
     home, attribute = _located(name, folder)
     if isinstance(home, Path):
         return _model_of(_imported(home), attribute, home)
-    with _errors_in_one_line(f"the module {home!r} of model {name!r} fails when imported"):
+    with _errors_in_one_line(f"importing the module {home!r} of the model {name!r} failed"):
         module = importlib.import_module(home)
     return _model_of(module, attribute, Path(module.__file__ or home))
 
 
 def check_name(name: str) -> None:
-    """Raise a `ModelError` if no model or file has this name; the file is not imported."""
+    """Raise `ModelError` if no model or file has this name; the file is not imported."""
     _located(name, Path())
 
 
 def installed_name(model: StateSpaceModel) -> str | None:
-    """The name of the installed model whose formulas an object has; None for another model."""
+    """The name of the installed model that has the same formulas as an object; else None."""
     home, attribute = installed_models().get(model.name, ("", ""))
     other = getattr(importlib.import_module(home), attribute, None) if home else None
     if not isinstance(other, StateSpaceModel) or other.parameters.keys() != model.parameters.keys():
@@ -85,7 +85,7 @@ def installed_name(model: StateSpaceModel) -> str | None:
 
 
 def installed_models() -> dict[str, tuple[str, str]]:
-    """Module and attribute of every model that ships or is an entry point, by name."""
+    """Module and attribute of every built-in model and entry point, by name."""
     shipped = {
         module.name: (f"{_LIBRARY}.{module.name}", "model")
         for module in pkgutil.iter_modules(importlib.import_module(_LIBRARY).__path__)
@@ -108,10 +108,8 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
         return _readable((folder / path).absolute(), name), attribute
     installed = installed_models()
     if name not in installed:
-        raise ModelError(
-            f"a model must be one of {', '.join(sorted(installed))} or 'path/file.py:object', "
-            f"got {name!r}{did_you_mean(name, installed)}"
-        )
+        rule = f"one of {', '.join(sorted(installed))} or 'path/file.py:object'"
+        raise ModelError(must_be("the model", rule, name, installed))
     return installed[name]
 
 
@@ -155,7 +153,7 @@ def _imported(file: Path) -> types.ModuleType:
     if spec is None or spec.loader is None:
         raise ModelError(f"{file} must be a Python file")
     module = importlib.util.module_from_spec(spec)
-    with _importing, _errors_in_one_line(f"{file} fails when loaded"), _beside(folder):
+    with _importing, _errors_in_one_line(f"loading {file} failed"), _beside(folder):
         sys.modules[own] = module
         try:
             spec.loader.exec_module(module)
@@ -223,9 +221,7 @@ def _errors_in_one_line(fails: str) -> Iterator[None]:
         if is_interrupt(error):
             raise
         relative = "attempted relative import" in error_line(error)
-        remedy = (
-            "; write `import helper` in the place of `from . import helper`" if relative else ""
-        )
+        remedy = "; write `import helper` instead of `from . import helper`" if relative else ""
         raise ModelError(f"{fails}: {error_line(error)}{remedy}{place_of(error)}") from error
 
 
@@ -237,7 +233,8 @@ def _model_of(module: types.ModuleType, attribute: str, file: Path) -> StateSpac
         ]
         raise ModelError(
             f"{file} must contain a StateSpaceModel named {attribute!r}, "
-            f"got {'nothing' if model is None else type(model).__name__} of that name; "
-            f"models in this file: {', '.join(models) or 'none'}{did_you_mean(attribute, models)}"
+            f"got {'nothing' if model is None else type(model).__name__} of that name"
+            f"{did_you_mean(attribute, models) or '.'} Models in this file: "
+            f"{', '.join(models) or 'none'}"
         )
     return model

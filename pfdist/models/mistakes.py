@@ -1,4 +1,4 @@
-"""Errors in a model's code in plain English: what failed, where, and what to write instead."""
+"""Errors in a model's code as plain sentences: what failed, where, and what to write instead."""
 
 import functools
 import inspect
@@ -23,17 +23,17 @@ _LIBRARIES = [Path(str(package.__file__)).parent for package in (numba, np)]
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Whether an exception is the user's Ctrl-C or a batch system's signal, not a model's error."""
+    """Whether an exception comes from Ctrl-C or a batch system's signal, not from the model."""
     return type(error) is KeyboardInterrupt
 
 
 def error_line(error: BaseException) -> str:
-    """An exception of a model in a line: its class and the beginning of its text."""
+    """A model's exception in one line: its class and the beginning of its text."""
     return ": ".join(part for part in (type(error).__name__, text_of(error)) if part)
 
 
 def text_of(error: BaseException) -> str:
-    """An error's text as a line, cut after 500 characters; empty if it has none."""
+    """An error's text as one line of at most 500 characters; empty if it has none."""
     try:
         text = " ".join(str(error).split())
     except Exception:  # the text of a model's own exception may fail, too
@@ -53,7 +53,7 @@ def place_of(error: BaseException) -> str:
 
 
 def code_of(function: Any) -> CodeType | None:
-    """The code of a function or method, or of what is called when an object is."""
+    """The code of a function, of a method, or of the ``__call__`` of an object."""
     function = inspect.unwrap(function)
     while isinstance(function, functools.partial):
         function = function.func
@@ -62,7 +62,7 @@ def code_of(function: Any) -> CodeType | None:
 
 
 def place_of_function(function: Any) -> str:
-    """The place where a function is defined, as `` (file:line)``; empty without a source."""
+    """The place where a function is defined, as `` (file:line)``; empty if it has no source."""
     place: str | None = getattr(function, "place", None)  # of a formula that was recorded
     if place is not None:
         return place
@@ -71,9 +71,9 @@ def place_of_function(function: Any) -> str:
 
 
 def is_a_models(file: str) -> bool:
-    """Whether a source file is a model's: one that ships, or code of the user.
+    """Whether a source file belongs to a model: a built-in model, or user code.
 
-    Code of the user is all code in files but pfdist, Python's standard library, NumPy and Numba.
+    User code is all code in files other than those of pfdist, Python, NumPy and Numba.
     """
     path = Path(file)
     if file.startswith("<"):
@@ -87,13 +87,13 @@ def is_a_models(file: str) -> bool:
 
 # --- what to write instead --------------------------------------------------------------------
 
-_COMPONENTS = "x, w, v, y and z are tuples: the first component is x[0], also where it is the only"
+_COMPONENTS = "x, w, v, y and z are tuples: the first component is x[0], even if it is the only one"
 _MATRIX = (
     "write each component out, for instance A[0, 0] * x[0] + A[0, 1] * x[1], or give np.array as "
     "many entries as the matrix has columns, all of them components"
 )
 NO_CLOCK = (
-    "p.time[t] and p.dt[t] are the clock's, and there is no clock: give the job a clock, or "
+    "p.time[t] and p.dt[t] come from a clock, and there is none: give the job a clock, or "
     "take the model's on_clock(times)"
 )
 """The advice where a formula reads the clock of a job that has none."""
@@ -110,8 +110,8 @@ _REMEDIES = {
     "'Parameters' object has no attribute 'time'": NO_CLOCK,
     "'Parameters' object has no attribute 'dt'": NO_CLOCK,
     "tuple indices must be integers or slices, not str": "a parameter is read as p.name",
-    "only integers, slices": "an index is an integer: t // 2 in the place of t / 2",
-    "math domain error": "np.log and np.sqrt give nan or inf where math.log and math.sqrt end",
+    "only integers, slices": "an index is an integer: write t // 2 instead of t / 2",
+    "math domain error": "write np.log and np.sqrt, which give nan or inf instead of an error",
 }
 _ELSEWHERE = {
     "norm": "normal",
@@ -129,7 +129,7 @@ _ELSEWHERE = {
 
 
 def density_named(name: str) -> str:
-    """The name in `DENSITIES` of a density that has another name elsewhere; empty if none fits."""
+    """The name in `DENSITIES` of a density from another library; empty if none fits."""
     name = name.lower().removesuffix("_gen")
     name = _ELSEWHERE.get(name, name)
     return name if name in DENSITIES else ""

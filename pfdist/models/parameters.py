@@ -13,7 +13,7 @@ Parameter = float | Sequence[float]
 """A number, or a number for each instant 0..T."""
 
 NOT_NEGATIVE, POSITIVE = (0.0, math.inf), (1e-9, math.inf)
-"""Ranges of parameters of the models that ship."""
+"""Ranges of parameters of the built-in models."""
 
 _INSTANTS = 100  # length of the clock of a trial call, which is made for t = 0
 
@@ -28,7 +28,7 @@ def values_of_parameter(value: Any) -> Iterable[Any]:
 
 
 def fixed_parameter(value: Any) -> Any:
-    """A checked parameter in a form that can be compared: a sequence becomes a tuple."""
+    """A checked parameter that can be compared: a sequence becomes a tuple."""
     value = _plain(value)
     return tuple(map(float, value)) if isinstance(value, list | tuple) else float(value)
 
@@ -40,13 +40,13 @@ def _plain(value: Any) -> Any:
 
 
 def named_parameters(parameters: Mapping[str, Any]) -> Any:
-    """A named tuple of floats, and of arrays that cannot be written."""
+    """A named tuple of floats and read-only arrays."""
     kind = namedtuple("Parameters", parameters)  # type: ignore[misc]
     return kind(**{name: _as_read(value) for name, value in parameters.items()})
 
 
 def trial_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters for a trial call, with a clock in case that the formulas read it."""
+    """The parameters for a trial call, with a clock in case the formulas read it."""
     clock = dict(zip(CLOCK, (tuple(range(_INSTANTS)), (1.0,) * _INSTANTS), strict=True))
     return clock | dict(parameters)
 
@@ -62,10 +62,10 @@ def _as_read(value: Any) -> Any:
 def check_lengths(
     parameters: Mapping[str, Any], instants: int, where: str = "parameter ", exactly: bool = False
 ) -> None:
-    """Raise a `ModelError` unless each parameter that varies with t has a number for each instant.
+    """Raise `ModelError` unless each parameter that varies with t has a number for each instant.
 
-    `where` are the words before a parameter's name in the error. With `exactly`, more numbers than
-    instants are wrong, too.
+    `where` comes before a parameter's name in the error. With `exactly`, more numbers than instants
+    are also wrong.
     """
     for name, value in parameters.items():
         got = len(value) if isinstance(value, tuple) else instants

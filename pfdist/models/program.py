@@ -1,14 +1,14 @@
 """Programs: formulas as lists of operations, which are plain data.
 
-A program is what `pfdist.models.tracing` records. It is compiled by `pfdist.kernels.blocks`, and
-`evaluate` runs it on NumPy arrays: its plain twin.
+`pfdist.models.tracing` records programs, and `pfdist.kernels.blocks` compiles them. `evaluate` runs
+a program on NumPy arrays: its plain twin.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,23 +40,43 @@ LOGICAL = ("logical_and", "logical_or", "logical_xor", "logical_not")
 MASKS = frozenset({*OPERATORS[6:], *LOGICAL, "isnan", "isinf", "isfinite", "signbit"})
 """Operations that give masks; all others give floating-point numbers."""
 
+LOOPS = ("repeat", "state", "step", "nth", "again", "final")
+"""Operations of loops; see `Operation`."""
+MOST_STEPS: Final = 10_000  # of a loop
+MOST_TAKEN: Final = 10_000  # arguments of all operations "nth" of a program
+
 TAKES = (
     dict.fromkeys((*GROUPS, "t", "parameter", "constant"), "")
     | dict.fromkeys(("covariate", "take", *UNARY), "f")
     | dict.fromkeys(("power", *BINARY, *OPERATORS), "ff")
     | dict.fromkeys(LOGICAL, "mm")
     | {"logical_not": "m", "float": "m", "where": "mff"}
+    | {"repeat": "f*", "state": "l", "step": "l", "nth": "lf*", "again": "lf*", "final": "e"}
 )
-"""What each operation takes: "f" is a number, and "m" a mask."""
+"""What each operation takes.
+
+"f" is a number, "m" a mask, "l" the begin of a loop, "e" its end, and "*" any number of the last.
+"""
+
+
+def kind_of(name: str) -> str:
+    """The letter in `TAKES` for the result of an operation."""
+    return {"repeat": "l", "again": "e"}.get(name, "m" if name in MASKS else "f")
 
 
 class Operation(NamedTuple):
-    """An operation, whose arguments are the numbers of earlier operations.
+    """An operation; its arguments are the numbers of earlier operations.
 
     Leaves have no arguments: a component of a group of `GROUPS`, ("t",), ("parameter", (), name),
     and ("constant", (), column). ("covariate", (index,), name) is an entry of a parameter that
     varies with t, and ("take", (index,), table) an entry of a table. All others have the names of
     functions of NumPy, besides "float": a mask as 1 and 0.
+
+    The operations between ("repeat", (count, *values), most) and ("again", (repeat, *values)) are
+    computed `count` times, at least once and at most `most` times. There, ("state", (repeat,), k)
+    is a value of the step before, ("step", (repeat,)) the number of the step from 0 on, and ("nth",
+    (repeat, *values)) that of `most` values with this number. ("final", (again,), k) is a value of
+    the last step. No other value of a step is used after its loop, and loops do not nest.
     """
 
     name: str
@@ -86,7 +106,7 @@ class Program:
 
     @cached_property
     def structure(self) -> tuple[Any, ...]:
-        """All but the constants, as a value that can be compared."""
+        """Everything but the constants, as a value that can be compared."""
         return self.operations, self.outputs, tuple(each.tobytes() for each in self.tables)
 
     @cached_property
@@ -102,12 +122,13 @@ class Program:
         """Whether each operation gives one value for all particles."""
         shared = list[bool]()
         for name, arguments, _ in self.operations:
-            shared.append(name not in GROUPS and all(shared[each] for each in arguments))
+            own = name in GROUPS or name == "repeat"  # a loop is computed for each particle
+            shared.append(not own and all(shared[each] for each in arguments))
         return tuple(shared)
 
     @property
     def shared_divisors(self) -> tuple[int, ...]:
-        """The numbers of the operations that are divisors, and the same for all particles."""
+        """The numbers of the operations that are divisors and are the same for all particles."""
         found = (
             arguments[1]
             for name, arguments, _ in self.operations
@@ -117,9 +138,9 @@ class Program:
 
 
 def merged(program: Program) -> Program:
-    """The program without repetitions: equal columns and operations become one, others go.
+    """The program without repetitions: equal columns and operations merged, unused ones removed.
 
-    No value changes.
+    All values stay the same.
     """
     needed = [False] * len(program.operations)
     for number in program.outputs:
@@ -148,10 +169,53 @@ def merged(program: Program) -> Program:
     return Program(tuple(operations), outputs, constants, program.tables)
 
 
+def groups_of(program: Program, outputs: Sequence[int]) -> set[str]:
+    """The names of the groups on which some results depend, given the numbers of the results."""
+    wanted = tuple(program.outputs[each] for each in outputs)
+    needed = merged(replace(program, outputs=wanted)).operations
+    return {each.name for each in needed} & {*GROUPS}
+
+
+def unrolled(program: Program, counts: Mapping[int, float]) -> Program:
+    """The program with each step of its loops written out.
+
+    `counts` has the number of steps of each loop, by the number of its operation "repeat". The
+    constants have further columns, for the numbers of the steps.
+    """
+    operations, numbers = list[Operation](), dict[int, int]()
+    constants, ends = [*program.constants.T], dict[int, list[int]]()
+    number, begin, step, states = 0, 0, 0, list[int]()
+    while number < len(program.operations):
+        name, arguments, which = program.operations[number]
+        given = [numbers[each] for each in arguments if each in numbers]
+        if name == "repeat":
+            begin, step, states = number, 0, given[1:]
+        elif name == "again":
+            states = ends[number] = given
+            if step + 1 < steps_of(counts[begin], program.operations[begin].which):
+                number, step = begin, step + 1
+        elif name == "state":
+            numbers[number] = states[which]
+        elif name == "final":
+            numbers[number] = ends[arguments[0]][which]
+        elif name == "nth":
+            numbers[number] = given[step]
+        else:
+            if name == "step":
+                name, given, which = "constant", [], len(constants)
+                constants.append(np.full(len(program.constants), float(step)))
+            numbers[number] = len(operations)
+            operations.append(Operation(name, tuple(given), which))
+        number += 1
+    outputs = tuple(numbers[each] for each in program.outputs)
+    columns = np.array(constants).reshape(-1, len(program.constants)).T
+    return Program(tuple(operations), outputs, np.ascontiguousarray(columns), program.tables)
+
+
 def cause_of(program: Program, values: Sequence[Any]) -> str:
     """The first operation that gives a number that is not finite from finite ones.
 
-    `values` has that of each operation. The name is empty if there is none.
+    `values` has the value of each operation. The name is empty if there is none.
     """
     finite = [bool(np.isfinite(each).all()) for each in values]
     for number, (name, arguments, _) in enumerate(program.operations):
@@ -164,7 +228,7 @@ def cause_of(program: Program, values: Sequence[Any]) -> str:
 
 
 def take(table: Array, index: Any) -> Any:
-    """Entries of a table; NaN where the index lies outside or is no number."""
+    """Entries of a table; NaN where the index is outside or NaN."""
     inside = (index >= 0) & (index < table.size)
     return np.where(inside, table[np.where(inside, index, 0).astype(np.int64)], np.nan)
 
@@ -174,17 +238,15 @@ def as_float(mask: Any) -> Any:
     return np.where(mask, 1.0, 0.0)
 
 
-_FUNCTIONS: dict[str, Callable[..., Any]] = {"float": as_float}
-
-
 def evaluate(
     program: Program,
     groups: Mapping[str, Sequence[Any]],
     t: Any,
     parameters: Mapping[str, Any],
     rows: Any = 0,
+    most: int = MOST_STEPS,
 ) -> tuple[Any, ...]:
-    """Run a program on NumPy arrays, by NumPy's functions.
+    """The values of a program on NumPy arrays, by NumPy's functions.
 
     Parameters
     ----------
@@ -197,33 +259,76 @@ def evaluate(
         Those that vary with t have an entry for each instant 0..T.
     rows : int or array
         Row of the constants.
+    most : int
+        The largest number of steps of a loop that are computed.
 
     Returns
     -------
     tuple of array or float
         A value for each output.
     """
-    values = list[Any]()
+    values = list[Any]([None] * len(program.operations))
+    number, begin, step, steps, states = 0, 0, 0, 0, list[Any]()
     with np.errstate(all="ignore"):
-        for name, arguments, which in program.operations:
+        while number < len(values):
+            name, arguments, which = program.operations[number]
             given = [values[each] for each in arguments]
-            if name in GROUPS:
-                values.append(groups[name][which])
-            elif name == "t":
-                values.append(np.float64(t) if np.ndim(t) == 0 else np.asarray(t, np.float64))
-            elif name == "parameter":
-                values.append(np.float64(parameters[which]))
-            elif name == "covariate":
-                entries = np.asarray(parameters[which], np.float64)
-                values.append(entries[np.asarray(given[0], np.int64)])
-            elif name == "constant":
-                values.append(program.constants[rows, which])
-            elif name == "take":
-                values.append(take(program.tables[which], *given))
+            if name in LOOPS:
+                if name == "repeat":
+                    values[number], *states = given
+                    begin, step, steps = number, 0, steps_of(given[0], min(which, most))
+                elif name == "again" and step + 1 < steps:
+                    number, step, states = begin, step + 1, given[1:]
+                else:
+                    values[number] = _of_loop(name, given, which, step, states)
+            elif arguments and name not in ("covariate", "take"):
+                function = as_float if name == "float" else getattr(np, name)
+                values[number] = function(*given)
             else:
-                function = _FUNCTIONS.get(name) or getattr(np, name)
-                values.append(function(*given))
+                values[number] = _read(program, name, which, given, groups, t, parameters, rows)
+            number += 1
     return tuple(
         as_float(values[each]) if program.operations[each].name in MASKS else values[each]
         for each in program.outputs
     )
+
+
+def steps_of(count: float, most: int) -> int:
+    """The number of steps of a loop; 1 if the count is NaN."""
+    return int(min(count, most)) if count >= 1.0 else 1
+
+
+def _of_loop(name: str, given: list[Any], which: Any, step: int, states: list[Any]) -> Any:
+    """The value of an operation of a loop."""
+    if name == "state":
+        return states[which]
+    if name == "step":
+        return np.float64(step)
+    if name == "nth":
+        return given[1 + step]
+    return given[1:] if name == "again" else given[0][which]
+
+
+def _read(
+    program: Program,
+    name: str,
+    which: Any,
+    given: list[Any],
+    groups: Mapping[str, Sequence[Any]],
+    t: Any,
+    parameters: Mapping[str, Any],
+    rows: Any,
+) -> Any:
+    """The value of an operation that reads an argument of the formula, or a table."""
+    if name in GROUPS:
+        return groups[name][which]
+    if name == "t":
+        return np.float64(t) if np.ndim(t) == 0 else np.asarray(t, np.float64)
+    if name == "parameter":
+        return np.float64(parameters[which])
+    if name == "covariate":
+        entries = np.asarray(parameters[which], np.float64)
+        return entries[np.asarray(given[0], np.int64)]
+    if name == "constant":
+        return program.constants[rows, which]
+    return take(program.tables[which], *given)

@@ -1,24 +1,40 @@
-"""Recorded formulas: callables that compute with the programs that tracing recorded."""
+"""Recorded formulas: callables that run the programs that tracing recorded."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
 from pfdist.errors import ModelError, PfdistError, TraceError
 from pfdist.models.checks import ARGUMENTS, ONE_NUMBER
-from pfdist.models.mistakes import error_line, is_interrupt, place_of, remedy
+from pfdist.models.mistakes import (
+    error_line,
+    is_interrupt,
+    place_of,
+    place_of_function,
+    remedy,
+)
 from pfdist.models.parameters import Parameter
-from pfdist.models.program import GROUPS, MASKS, Array, Program, cause_of, evaluate
+from pfdist.models.program import (
+    GROUPS,
+    MASKS,
+    Array,
+    Program,
+    cause_of,
+    evaluate,
+    merged,
+    unrolled,
+)
 from pfdist.models.symbols import Recording, RefusedError, Symbol, as_float
 from pfdist.models.tracing import MODES, Traced, recording_of
 
 
 @dataclass(frozen=True, eq=False)
 class Programs:
-    """A formula that computes by its programs: on arrays, on numbers, and on symbols.
+    """A formula that runs its programs: on arrays, on numbers, and on symbols.
 
     Parameters
     ----------
@@ -28,10 +44,10 @@ class Programs:
     traced : Traced
         The programs for the present parameters.
     variants : tuple of Traced
-        One for each set of values of the parameters that the programs contain as numbers, the
-        current one included.
+        One for each set of values of the parameters that the programs contain as numbers, including
+        the current one.
     place : str
-        Where the user's formula is, for errors; empty if that is not known.
+        Place of the user's formula, for error messages; empty if unknown.
     """
 
     name: str
@@ -59,11 +75,11 @@ class Programs:
 
     def _program(self, t: Any) -> tuple[Program, int]:
         if isinstance(t, Symbol) and self.traced.mode != MODES[0]:
-            raise RefusedError("a formula that was recorded for each instant needs t as a number")
+            raise RefusedError("a formula recorded for single instants needs t as a number")
         return self.traced.program_at(t)
 
     def cause(self, *arguments: Any) -> str:
-        """The operation that gives a number that is not finite, and the formula's place."""
+        """The operation that gives a non-finite number, and the formula's place, in words."""
         groups = dict(zip(ARGUMENTS[self.name], arguments, strict=True))
         p, t = groups.pop("p"), groups.pop("t", 0)
         program, row = self.traced.program_at(t)
@@ -77,7 +93,7 @@ class Programs:
         Raises
         ------
         ModelError
-            The programs have a changed parameter as a number.
+            The programs contain a changed parameter as a number.
         """
         every = (self.traced, *self.variants)
         for each in every:
@@ -98,6 +114,8 @@ def _recorded_again(
     program: Program, row: int, recording: Recording, groups: Mapping[str, Any], t: Any, p: Any
 ) -> tuple[Symbol, ...]:
     """Record what a program computes on symbols."""
+    if recording.unrolls:
+        program = unrolled(program, _counts(program, row, t, p))
     numbers = list[int]()
 
     def number_of(value: Any) -> int:
@@ -119,11 +137,33 @@ def _recorded_again(
             number = number_of(getattr(p, which)[at])
         else:
             entry = recording.table(program.tables[which]) if name == "take" else which
-            number = recording.add(name, tuple(numbers[each] for each in arguments), entry)
+            given = tuple(numbers[each] for each in arguments)
+            number = _added(recording, name, given, entry)
         numbers.append(number)
     return tuple(
         as_float(Symbol(recording, numbers[each], _kind(program, each))) for each in program.outputs
     )
+
+
+def _added(recording: Recording, name: str, given: tuple[int, ...], which: Any) -> int:
+    """The number of an operation on others."""
+    if name == "repeat":
+        return recording.begin(given[0], given[1:], which)
+    if name == "again":
+        return recording.end(given[0], given[1:])
+    return recording.add(name, given, which)
+
+
+def _counts(program: Program, row: int, t: Any, p: Any) -> dict[int, float]:
+    """The number of steps of each loop, which must be a number."""
+    loops = [k for k, each in enumerate(program.operations) if each.name == "repeat"]
+    counts = tuple(program.operations[k].arguments[0] for k in loops)
+    pruned = merged(replace(program, outputs=counts))
+    varies = any(each.arguments or each.name != "constant" for each in pruned.operations)
+    if varies and recording_of(p, t) is not None:
+        raise RefusedError("a loop whose number of steps varies has no derivative")
+    values = evaluate(pruned, {}, t if varies else 0, p._asdict() if varies else {}, row)
+    return dict(zip(loops, map(float, values), strict=True))
 
 
 def _kind(program: Program, number: int) -> str:
@@ -131,18 +171,18 @@ def _kind(program: Program, number: int) -> str:
 
 
 class Untraced:
-    """A formula that cannot be traced, with its values at test points, which identify it.
+    """A formula that cannot be traced; its values at test points identify it.
 
     Parameters
     ----------
     function : callable, optional
-        The formula; it is missing where only the values were kept.
+        The formula; None if only the values were kept.
     values : array, (instants, components, numbers)
         NaN if the formula failed.
     name, model : str
         As errors name them.
     refused : TraceError, optional
-        Why it cannot be traced.
+        The reason why it cannot be traced.
     """
 
     def __init__(
@@ -159,8 +199,13 @@ class Untraced:
             self.__wrapped__ = function
 
     @property
+    def why(self) -> TraceError:
+        """Why the formula has no program."""
+        return self.refused or TraceError(f"model {self.model}: {self.name} could not be traced")
+
+    @property
     def example(self) -> Any:
-        """Values of the right kind and number, if only these were kept."""
+        """Values of the right type and number, if only the values were kept."""
         if self.function is not None:
             return None
         numbers = tuple(np.zeros(2) for _ in self.values[0])
@@ -173,11 +218,16 @@ class Untraced:
                 f"model {self.model}: {self.name} could not be traced, so the run's folder does "
                 "not contain it: give the job"
             )
-        check()
         if recording_of(arguments[-1], *arguments[:-1]) is not None:
             return self.function(*arguments)  # the symbols refuse what is wrong
+        value = self._called(self.function, arguments)
+        return tuple(value) if isinstance(value, np.ndarray) and value.ndim > 1 else value
+
+    def _called(self, function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+        """The values of the function; a `ModelError` says that it failed."""
+        check()
         try:
-            value = self.function(*arguments)
+            return function(*arguments)
         except (MemoryError, PfdistError):
             raise
         except BaseException as error:  # a formula may raise any exception
@@ -191,7 +241,6 @@ class Untraced:
                 f"model {self.model}: {self.name} failed: {error_line(error)}{at}"
                 f"{f'; {advice}' if advice else remedy(error)}{place}"
             ) from error
-        return tuple(value) if isinstance(value, np.ndarray) and value.ndim > 1 else value
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Untraced):
@@ -202,3 +251,123 @@ class Untraced:
 
     def __hash__(self) -> int:
         return hash(self.name)
+
+
+class Declared(Untraced):
+    """A function of a batched model: from arrays (components, particles) to such an array.
+
+    Parameters
+    ----------
+    function : callable, optional
+        None if only the identity was kept.
+    identity : mapping
+        Plain data by which the user identifies what the function computes.
+    name, model : str
+        As errors name them.
+    results : int
+        Number of its components, if the function is missing.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        model: str,
+        identity: Mapping[str, Any],
+        function: Callable[..., Any] | None = None,
+        results: int = 1,
+    ) -> None:
+        super().__init__(name, model, np.zeros((1, results, 1)))
+        self.function, self.identity = function, identity
+
+    @property
+    def place(self) -> str:
+        """The place of the function."""
+        return place_of_function(self.function) if self.function else ""
+
+    @property
+    def why(self) -> TraceError:
+        """Why the function has no program."""
+        return TraceError(
+            f"model {self.model} is a batched model, which is not traced: the engine 'batched' "
+            "calls its functions"
+        )
+
+    @property
+    def declaration(self) -> str:
+        """The identity in one line."""
+        hashes = {name: text[:8] for name, text in self.identity["files"].items()}
+        parts = {**hashes, **self.identity["libraries"]}
+        named = "".join(f", {name} {text}" for name, text in parts.items())
+        coupled = ", coupled" * self.is_coupled
+        return f"version {self.identity['version']}{named}{coupled}"
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether a particle's value depends on the others in the array."""
+        return bool(self.identity["coupled"])
+
+    @property
+    def together(self) -> int:
+        """Approximate number of particles in an array; 1 means those of one draw."""
+        return 1 if self.is_coupled else int(self.identity["together"])
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The rows of the function's array; arguments may be tuples of rows."""
+        if recording_of(arguments[-1], *arguments[:-1]) is not None:
+            raise RefusedError("a function of a batched model takes arrays")
+        given = [_as_array(each) for each in arguments[:-1]]
+        sizes = {each.shape[1] for each in given if isinstance(each, np.ndarray)}
+        if self.function is None:
+            raise ModelError(
+                f"model {self.model}: a run does not contain the functions of a batched model: "
+                "give the job"
+            )
+        function, size = self.function, max(sizes)
+        array = self._called(lambda *each: _stacked(function(*each), size), (*given, arguments[-1]))
+        rows = self._rows(array, size)
+        if isinstance(arguments[0], tuple) and not arguments[0] and sizes == {1}:  # without noise
+            return tuple(row[0] for row in rows)
+        return rows[0] if self.name in ONE_NUMBER else tuple(rows)
+
+    def _rows(self, array: NDArray[Any], size: int) -> Array:
+        """The values of the function as an array (components, particles)."""
+        is_number = self.name in ONE_NUMBER
+        rows = array[None] if is_number and array.ndim == 1 else array
+        right = (1, size) if is_number else (*rows.shape[:1], size)
+        if rows.dtype != np.float64 or rows.shape != right:
+            wanted = "(particles,)" if is_number else "(components, particles)"
+            raise ModelError(
+                f"model {self.model}: {self.name} must give an array {wanted} of float64 for "
+                f"{size:,} particles, got {array.dtype} of shape {array.shape}"
+                f"{_IN_DOUBLES if array.dtype == np.float32 else ''}"
+            )
+        return rows
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Declared) and self.identity == other.identity
+
+    __hash__ = Untraced.__hash__
+
+
+_IN_DOUBLES = (
+    ": JAX computes in float64 after jax.config.update('jax_enable_x64', True), and PyTorch after "
+    "torch.set_default_dtype(torch.float64); or convert what you give"
+)
+
+
+def _stacked(value: Any, size: int) -> NDArray[Any]:
+    """The value of a function as an array; a row of a tuple may be a number."""
+    if isinstance(value, tuple | list):
+        value = np.stack([np.broadcast_to(np.asarray(each), size) for each in value])
+    return np.asarray(value)
+
+
+def _as_array(argument: Any) -> Any:
+    """A group of components as an array (components, particles); numbers remain."""
+    if not isinstance(argument, tuple):
+        return argument
+    if not argument:
+        return np.empty((0, 1))
+    array = np.stack(np.broadcast_arrays(*(np.atleast_1d(each) for each in argument)))
+    array.flags.writeable = False  # a function may not change its arguments
+    return array

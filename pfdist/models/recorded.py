@@ -1,6 +1,6 @@
-"""Recorded models: each formula is its programs, plain data that needs no code of the user.
+"""Recorded models: each formula is a program, plain data that does not need user code.
 
-A run computes with recorded models. They are written to its folder, and they travel to its workers.
+A run computes with recorded models. They are written to its folder and sent to its workers.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from pfdist.models.checks import ARGUMENTS, MEASURING, own_formulas
 from pfdist.models.mistakes import is_interrupt, place_of_function
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array
-from pfdist.models.programs import Programs, Untraced
+from pfdist.models.programs import Declared, Programs, Untraced
 from pfdist.models.tracing import MODES, Traced
 from pfdist.models.twin import formula_of, instants_of, results_of, traced
 
@@ -33,9 +33,19 @@ def is_recorded(model: StateSpaceModel) -> bool:
     )
 
 
-def untraced(model: StateSpaceModel) -> list[str]:
-    """Names of the formulas of a recorded model that could not be traced."""
-    return [name for name, formula in _own(model).items() if isinstance(formula, Untraced)]
+def untraced(model: StateSpaceModel) -> dict[str, Untraced]:
+    """The formulas of a recorded model without a program, by name."""
+    return {name: each for name, each in _own(model).items() if isinstance(each, Untraced)}
+
+
+def declarations(*models: StateSpaceModel) -> dict[str, str]:
+    """The declared identity of each batched model in one line, by the model's name."""
+    return {
+        each.model: each.declaration
+        for model in models
+        for each in untraced(model).values()
+        if isinstance(each, Declared)
+    }
 
 
 def _own(model: StateSpaceModel) -> dict[str, Any]:
@@ -50,15 +60,14 @@ def _own(model: StateSpaceModel) -> dict[str, Any]:
 def recorded(
     model: StateSpaceModel, instants: range, others: Iterable[Mapping[str, Parameter]] = ()
 ) -> StateSpaceModel:
-    """The model whose formulas are recorded at instants.
+    """The model with its formulas recorded at instants.
 
     Parameters
     ----------
     model : StateSpaceModel
     instants : range
     others : iterable of mapping
-        Further values of parameters, for instance those of scenarios, for which the formulas are
-        recorded as well.
+        Further values of parameters, for instance of scenarios, that are also recorded.
 
     Raises
     ------
@@ -82,8 +91,20 @@ def recorded(
     return dataclasses.replace(model, sensors=sensors, **changes)
 
 
+def with_untraced(model: StateSpaceModel, instants: range) -> StateSpaceModel:
+    """The model with formulas that cannot be traced marked as `Untraced`; others are unchanged."""
+    changes = dict[str, Any]()
+    for name in own_formulas(model):
+        try:
+            traced(model, name, instants)
+        except TraceError as error:
+            if not isinstance(getattr(model, name), Untraced):
+                changes[name] = _untraced(model, name, instants, error)
+    return dataclasses.replace(model, **changes) if changes else model
+
+
 def with_functions(kept: StateSpaceModel, now: StateSpaceModel) -> StateSpaceModel:
-    """A model read from model.json, with the untraceable formulas of the model as it is now."""
+    """A model read from model.json, with the untraceable formulas of the current model."""
     changes = {key: _with_function(kept, now, key) for key in own_formulas(kept)}
     sensors = {
         name: replace(
@@ -99,13 +120,15 @@ def _with_function(kept: Any, now: Any, key: str) -> Any:
     if not isinstance(formula, Untraced):
         return formula
     present = getattr(now, key)
+    if isinstance(formula, Declared):
+        return present
     return Untraced(key, formula.model, formula.values, present.function, present.refused)
 
 
 def _recorded(models: Sequence[StateSpaceModel], name: str, instants: range) -> Any:
     """A formula of a model, for the parameters of several."""
     model, function = models[0], getattr(models[0], name)
-    if function is squared_error:
+    if function is squared_error or isinstance(function, Declared):
         return function
     try:
         first = traced(model, name, instants)
@@ -149,6 +172,32 @@ def _untraced(model: StateSpaceModel, name: str, instants: range, refused: Trace
     return Untraced(name, model.name, values, function, refused)
 
 
+def check_same_functions(model: StateSpaceModel, other: StateSpaceModel, instants: range) -> None:
+    """Raise `ModelError` if functions with the same declared identity give different values.
+
+    The models have equal identities, and are called at the first and the last instant.
+    """
+    for part, of_other in zip(model.parts, other.parts, strict=True):
+        for name in own_formulas(part.model):
+            first, second = (getattr(each.model, name) for each in (part, of_other))
+            if not isinstance(first, Declared) or first.function == second.function:
+                continue
+            of_formula = instants_of(name, instants)
+            for t in (of_formula[0], of_formula[-1]):
+                try:
+                    values, others = (
+                        _values(each.model, name, t, slice(None)) for each in (part, of_other)
+                    )
+                except ModelError:  # these numbers may be impossible
+                    break
+                if not np.array_equal(values, others, equal_nan=True):
+                    raise ModelError(
+                        f"model {model.name}: the filter's model must have another version, "
+                        f"because its {name} gives other values, got version "
+                        f"{first.identity['version']!r} for both{second.place}"
+                    )
+
+
 def _values(model: StateSpaceModel, name: str, t: int, entries: slice) -> Array:
     """The values of a formula for some numbers, (components, numbers)."""
     formula, column = formula_of(model, name), 0
@@ -180,8 +229,8 @@ PLAIN = tuple(
 def differences(kept: StateSpaceModel, now: StateSpaceModel) -> Iterator[tuple[str, str]]:
     """The parts in which two recorded models differ: the name, and a text ``was -> is``.
 
-    Constants are equal within 1e-12 of the largest finite one of their column: NumPy's functions,
-    with which Python computed them, differ in the last bit between processors.
+    Constants count as equal within 1e-12 of the largest finite one in their column: Python computed
+    them with NumPy's functions, which differ in the last bit between processors.
     """
     for name in PLAIN:
         was, is_now = getattr(kept, name), getattr(now, name)
@@ -221,6 +270,8 @@ def _shown(value: Any) -> str:
 
 def _difference(kept: Any, now: Any) -> str:
     """How a formula differs; empty if it is the same."""
+    if isinstance(kept, Declared) and isinstance(now, Declared):
+        return "" if kept == now else f"declared as {kept.declaration} -> {now.declaration}"
     if isinstance(kept, Untraced) and isinstance(now, Untraced):
         return "" if _close(kept.values, now.values) else "it gives other values"
     if not (isinstance(kept, Programs) and isinstance(now, Programs)):

@@ -1,4 +1,4 @@
-"""Copies of formulas that have the same code and see other objects under the names in it.
+"""Copies of formulas with the same code, in which names refer to other objects.
 
 A formula may call functions that its author compiled with `numba.njit`. Numba compiles these
 without checks of their indices, and they take no symbols. So a model takes the Python functions
@@ -22,9 +22,9 @@ _LIBRARIES = sys.stdlib_module_names | {
 
 
 def is_library(module: str) -> bool:
-    """Whether a module belongs to Python, to a known library or to pfdist itself.
+    """Whether a module belongs to Python, to a known library, or to pfdist itself.
 
-    The models that ship with pfdist do not count as a library.
+    The built-in models do not count as a library.
     """
     top, _, rest = module.partition(".")
     if top == "pfdist":
@@ -46,11 +46,10 @@ def names_in(code: types.CodeType) -> set[str]:
 
 
 def seeing(function: types.FunctionType, instead: Callable[[Any], Any]) -> types.FunctionType:
-    """A function with the same code that sees other objects.
+    """A function with the same code, in which names refer to other objects.
 
-    `instead` gives what the function sees in the place of a global variable, a variable of its
-    closure or a default. In the place of a module of the user it sees a copy with the variables
-    that it names.
+    `instead` gives the replacement of a global variable, a variable of its closure or a default. A
+    user's module is replaced by a copy with the variables that the function names.
     """
     scope, names = function.__globals__, names_in(function.__code__)
     copies: dict[int, types.ModuleType] = {}
@@ -89,11 +88,10 @@ def _same_cell(cell: types.CellType, seen: Callable[[Any], Any]) -> types.CellTy
 
 
 def in_python(function: Any) -> Any:
-    """A formula that sees Python functions where its author has compiled functions.
+    """A formula in which compiled functions are replaced by their Python functions.
 
-    It is the formula itself if it reaches no compiled function, and an object that can be called is
-    left as it is. A `ModelError` names a function that was compiled in another way than by
-    `numba.njit`.
+    It is the formula itself if there is no compiled function; a callable object is left unchanged.
+    Raises `ModelError` if a function was compiled by anything but `numba.njit`.
     """
     if is_jitted(function):
         function = function.py_func

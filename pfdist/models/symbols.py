@@ -1,8 +1,8 @@
-"""Symbols, which stand for values while a formula is called, and record what it computes.
+"""Symbols: placeholders for values in a call of a formula, which record what it computes.
 
-NumPy hands its functions over to symbols by two public protocols, ``__array_ufunc__`` and
+NumPy dispatches its functions to symbols by two public protocols, ``__array_ufunc__`` and
 ``__array_function__``. Arrays of symbols have the dtype object: NumPy calls the operators and
-methods of each.
+methods of each symbol.
 """
 
 import math
@@ -20,15 +20,16 @@ _NUMBERS = (bool, int, float, np.integer, np.floating, np.bool_)
 _LARGEST_TABLE = 64  # entries of a table whose entries are symbols
 
 
+_KEPT_FROM_LOOP = "a value of a step is kept from a loop: take those that it gives"
 _SPECIAL = {
     **dict.fromkeys(("gammaln", "loggamma"), "write pfdist.densities.lgamma"),
     **{name: f"write pfdist.densities.{name}" for name in ("erf", "erfc", "logsumexp")},
 }
-"""Functions of SciPy that formulas have elsewhere."""
+"""Functions of SciPy, with their replacements in formulas."""
 
 
 class RefusedError(TypeError):
-    """A formula asks a symbol for what it cannot give; the message says what to write instead."""
+    """A formula used a symbol in a way that cannot be recorded; the message has the remedy."""
 
 
 class Recording:
@@ -39,9 +40,12 @@ class Recording:
         self.constants: list[float] = []
         self.tables: dict[bytes, int] = {}
         self.is_open = True
+        self.unrolls = False  # whether loops are written out step by step: these have derivatives
+        self._loop_of: dict[int, int] = {}  # the loop of each operation that depends on its steps
+        self._loop: int | None = None  # the loop that is being recorded
 
     def add(self, name: str, arguments: tuple[int, ...], which: Any = None) -> int:
-        """The number of a new operation."""
+        """Add an operation, and return its number."""
         if not self.is_open:
             raise RefusedError("a value is kept from another call: compute it again in this one")
         if len(self.operations) >= MOST_OPERATIONS:
@@ -49,8 +53,52 @@ class Recording:
                 f"a formula must have at most {MOST_OPERATIONS:,} operations: a loop that never "
                 "ends, or too many steps"
             )
+        number = len(self.operations)
+        if self._loop_of:
+            loops = {self._loop_of[each] for each in arguments if each in self._loop_of}
+            if loops - {self._loop}:
+                raise RefusedError(_KEPT_FROM_LOOP)
+            if loops:
+                self._loop_of[number] = loops.pop()
         self.operations.append(Operation(name, arguments, which))
-        return len(self.operations) - 1
+        return number
+
+    # --- loops ------------------------------------------------------------------------------------
+
+    @property
+    def in_loop(self) -> bool:
+        """Whether a step of a loop is being recorded."""
+        return self._loop is not None
+
+    def begin(self, count: int, values: tuple[int, ...], most: int) -> int:
+        """Begin a loop, whose step is the next operations; return the number of this operation."""
+        if self.in_loop:
+            raise RefusedError("a loop in a step of another loop: give it a number of steps")
+        self._loop = self.add("repeat", (count, *values), most)
+        self._loop_of[self._loop] = self._loop
+        return self._loop
+
+    def end(self, loop: int, values: tuple[int, ...]) -> int:
+        """End a loop, and return the number of this operation."""
+        number = self.add("again", (loop, *values))
+        del self._loop_of[number]
+        self._loop = None
+        return number
+
+    def _in_order(self) -> list[int]:
+        """Numbers of the operations, so that those of a step follow each other.
+
+        Operations that are the same in each step stand before the loop.
+        """
+        order, of_step = list[int](), list[int]()
+        for number, operation in enumerate(self.operations):
+            if number in self._loop_of:
+                of_step.append(number)
+                continue
+            if operation.name == "again":
+                order, of_step = [*order, *of_step], []
+            order.append(number)
+        return order
 
     def operand(self, value: Any) -> int:
         """The number of a symbol, or of a new constant."""
@@ -71,14 +119,25 @@ class Recording:
         return self.tables.setdefault(content, len(self.tables))
 
     def closed(self, outputs: Sequence[Any]) -> Program:
-        """The program that gives some values, symbols or numbers; nothing can be added to it."""
+        """The finished program that gives some values, which are symbols or numbers."""
         numbers = tuple(
             each.number if isinstance(each, Symbol) else self.number(each) for each in outputs
         )
+        if any(number in self._loop_of for number in numbers):
+            raise RefusedError(_KEPT_FROM_LOOP)
         self.is_open = False
         constants = np.array([self.constants], np.float64).reshape(1, -1)
         tables = tuple(np.frombuffer(content) for content in self.tables)
-        return Program(tuple(self.operations), numbers, constants, tables)
+        if not self._loop_of:
+            return Program(tuple(self.operations), numbers, constants, tables)
+        order = self._in_order()
+        place = {number: k for k, number in enumerate(order)}
+        operations = (self.operations[number] for number in order)
+        moved = (
+            Operation(name, tuple(place[each] for each in arguments), which)
+            for name, arguments, which in operations
+        )
+        return Program(tuple(moved), tuple(place[each] for each in numbers), constants, tables)
 
 
 class Symbol:
@@ -243,7 +302,7 @@ class Symbol:
         return _of_conditions("logical_not", self)
 
     def astype(self, kind: Any, *_: Any, **__: Any) -> Any:
-        """The value as a number of another kind: ``int`` cuts off what follows the point."""
+        """The value as another type: ``int`` truncates towards 0."""
         wanted = np.dtype(kind)
         if wanted == np.bool_:
             return _as_mask(self)
@@ -446,9 +505,9 @@ def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: None = None, **limi
 
 
 def take(table: Any, index: Any, axis: int | None = None) -> Any:
-    """Entries of a table by whole numbers that depend on a state; NaN where these lie outside.
+    """Entries of a table at whole numbers that depend on a state; NaN where these lie outside.
 
-    In formulas, it takes the place of ``np.take``, which accepts nothing but numbers as an index.
+    In formulas, it replaces ``np.take``, which accepts only numbers as an index.
 
     Parameters
     ----------
@@ -456,8 +515,8 @@ def take(table: Any, index: Any, axis: int | None = None) -> Any:
         With one dimension, or two.
     index : int, or array of int
     axis : int, optional
-        Axis of a table with two dimensions, of which a row or column is taken; by default the
-        index counts all entries, row by row.
+        Axis of a two-dimensional table along which a row or column is taken; by default the index
+        counts all entries, row by row.
 
     Returns
     -------
@@ -556,14 +615,14 @@ UFUNCS: dict[str, Callable[..., Any]] = {
     "rad2deg": lambda x: x * (180.0 / math.pi), "degrees": lambda x: x * (180.0 / math.pi),
     "heaviside": _heaviside,
 }  # fmt: skip
-"""What is recorded for each universal function of NumPy."""
+"""The function that records each universal function of NumPy."""
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "where": choose, "select": _select, "clip": _clip, "interp": _interp,
     "round": _round, "around": _round, "ndim": lambda _: 0, "shape": lambda _: (),
     "size": lambda *_: 1, "real": lambda x: x,
 }  # fmt: skip
-"""What is recorded for other functions of NumPy."""
+"""The function that records each other function of NumPy."""
 
 _SUMS = frozenset({"sum", "prod", "mean", "cumsum"})
 _OF_ARRAYS = _SUMS | frozenset(

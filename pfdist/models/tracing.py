@@ -1,9 +1,9 @@
-"""Tracing: a formula is called with symbols, and what it computes becomes a program.
+"""Tracing: a call of a formula with symbols, which gives a program.
 
-The time t and the parameters are symbols, too, the same for all particles. A formula that needs t
-as a number, because it looks into a dictionary or branches on t, is traced again for each instant.
-If it also needs parameters as numbers, it gets these, too. Programs of single instants with the
-same operations become one, whose constants are rows of a table.
+The time t and the parameters are also symbols, the same for all particles. A formula that needs t
+as a number, for a dictionary or a branch, is traced again for each instant. If it also needs
+parameters as numbers, it gets numbers. Programs of single instants with the same operations become
+one, whose constants are rows of a table.
 """
 
 import hashlib
@@ -34,25 +34,25 @@ _MOST_TRIED = 8  # instants at which a division by 0 may be an error of Python
 _TRIED = np.array([[0.3, -1.7, 0.9, 2.1, -0.4], [-0.8, 0.6, 1.3, -0.2, 0.7]])
 
 MODES: Final = ("t and parameters are symbols", "t is a number", "t and parameters are numbers")
-"""How a formula can be called, in the order in which tracing tries them."""
+"""Ways to call a formula, in the order in which tracing tries them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """A formula as it was traced at successive instants.
+    """A formula, traced at successive instants.
 
     Parameters
     ----------
     instants : range
     programs : tuple of Program
-        With different operations. A program has a row of constants for each of its instants, in
+        Programs with different operations. Each has a row of constants for each of its instants, in
         their order.
     which : array of int64, (instants,)
         The program of each instant.
     mode : str
         One of `MODES`.
     read : mapping of str to float or sequence of float
-        The parameters that the programs have as numbers, with their values.
+        The parameters that the programs contain as numbers, with their values.
     """
 
     instants: range
@@ -63,7 +63,7 @@ class Traced:
 
     @classmethod
     def symbolic(cls, program: Program, instants: range) -> "Traced":
-        """A formula whose program is that of all instants."""
+        """A formula with one program for all instants."""
         return cls(instants, (program,), np.zeros(len(instants), np.int64), MODES[0])
 
     @cached_property
@@ -82,7 +82,7 @@ class Traced:
         Raises
         ------
         ModelError
-            Each instant has its own constants, and some of these instants have none.
+            Instants have different constants, and some of these instants were not traced.
         """
         if instants == self.instants:
             return self
@@ -117,7 +117,7 @@ class Traced:
         Raises
         ------
         ModelError
-            The instant has none.
+            The instant was not traced.
         """
         if self.mode == MODES[0]:
             return self.programs[0], 0
@@ -128,7 +128,7 @@ class Traced:
 
     @cached_property
     def hash(self) -> str:
-        """Hash of the programs and of the instants at which they are."""
+        """Hash of the programs and their instants."""
         at = () if self.mode == MODES[0] else (self.instants, self.which.tolist())
         programs = [each.hash for each in self.programs]
         content = repr((self.mode, programs, at)).encode()
@@ -143,7 +143,7 @@ class Formula:
     ----------
     function : callable
     name : str
-        As errors name it.
+        Name in error messages.
     arguments : mapping of str to int
         Number of components of each argument that is a tuple, in the order of the arguments; 0 for
         t and p.
@@ -152,7 +152,7 @@ class Formula:
     model : str
         Name of the model.
     results : int
-        The number of results that it must give at each instant; 0 if any number is right.
+        The required number of results at each instant; 0 if any number is right.
     """
 
     function: Callable[..., Any]
@@ -168,7 +168,7 @@ class Formula:
 
     @property
     def read(self) -> dict[str, Parameter]:
-        """The parameters that the formula has read as numbers so far, in the order of all."""
+        """The parameters that the formula has read as numbers so far, in the model's order."""
         read = self._numbers.read
         return {name: value for name, value in self.parameters.items() if name in read}
 
@@ -183,7 +183,7 @@ class Formula:
         return recording.closed(self._outputs(value))
 
     def with_numbers(self, groups: Mapping[str, tuple[Any, ...]], t: int) -> tuple[Any, ...]:
-        """The values of the formula for one particle; empty if it fails, or needs symbols."""
+        """The values of the formula for one particle; empty if it fails or needs symbols."""
         given = {**groups, "t": t, "p": self._numbers.numbers}
         try:
             with np.errstate(all="ignore"):
@@ -251,11 +251,11 @@ class _Parameters:
             raise AttributeError(f"'Parameters' object has no attribute '{name}'")
         value = self._parameters[name]
         if isinstance(value, tuple):
-            return _Covariate(self._recording, name, len(value))
+            return Covariate(self._recording, name, len(value))
         return Symbol(self._recording, self._recording.add("parameter", (), name))
 
 
-class _Covariate:
+class Covariate:
     """A parameter with an entry for each instant."""
 
     def __init__(self, recording: Recording, name: str, size: int) -> None:
@@ -286,15 +286,15 @@ def recording_of(p: Any, *arguments: Any) -> Recording | None:
 
 
 def trace(formula: Formula, instants: range) -> Traced:
-    """Trace a formula at successive instants, with as many symbols as possible.
+    """A formula traced at successive instants, with as many symbols as possible.
 
     Raises
     ------
     TraceError
-        The formula does not always compute the same, asks a value of particles for what it cannot
-        give, or is too large. The error names the formula, t and the user's line.
+        The formula is not deterministic, uses a symbol in a way that cannot be recorded, or is too
+        large. The error names the formula, t and the user's line.
     ModelError
-        The formula fails, also with numbers.
+        The formula also fails with numbers.
     """
     for mode in MODES:
         try:
@@ -364,7 +364,7 @@ _TRACERS: dict[str, Callable[[Formula, str, range], Traced]] = {
 
 
 def check_results(formula: str, program: Program, results: int, t: int) -> None:
-    """Raise a `ModelError` unless a program gives the right number of results.
+    """Raise `ModelError` unless a program gives the right number of results.
 
     Compiled code writes them into arrays of this length.
     """
@@ -470,7 +470,7 @@ def _explained(formula: Formula, error: BaseException, t: int | None = None) -> 
         )
     explained = TraceError(
         f"model {formula.model}: {formula.name} cannot be traced{at}: {what}{place_of(error)}; "
-        "the engine 'numpy' computes it as it is"
+        "the engine 'batched' computes it as it is"
     )
     explained.advice = str(error) if known else ""
     return explained

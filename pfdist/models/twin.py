@@ -1,7 +1,7 @@
 """Models whose formulas compute on arrays by their recorded programs.
 
-A formula says what happens to one particle. Called with arrays, it may mix particles: ``np.sum``
-over the components of x then adds up all particles, too. Its program does not.
+A formula describes one particle. Called with arrays, it may mix particles: ``np.sum`` over the
+components of x then also sums over particles. Its program does not.
 """
 
 import copy
@@ -45,9 +45,9 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
 
 
 def instants_of(name: str, instants: range) -> range:
-    """The instants at which a formula is traced, for instants of the system.
+    """The instants at which a formula is traced, given instants of the system.
 
-    Those of steps leave out the last, unless it is the only one, and `initial` is traced at 0.
+    Formulas of steps leave out the last, unless it is the only one; `initial` is traced at 0.
     """
     if name == "initial":
         return range(1)
@@ -55,7 +55,7 @@ def instants_of(name: str, instants: range) -> range:
 
 
 def formula_of(model: StateSpaceModel, name: str) -> Formula:
-    """A formula of a model, with the numbers of components of its arguments."""
+    """A model's formula, with the numbers of components of its arguments."""
     sizes = dict(zip("xyz", model.components, strict=True))
     sizes |= {"w": len(model.process_noise), "v": len(model.measurement_noise), "t": 0, "p": 0}
     sizes |= {"u": len(model.proposal_variates), "estimate": sizes["z"]}
@@ -75,9 +75,9 @@ def results_of(model: StateSpaceModel, name: str) -> int:
 
 
 def twin_of(model: StateSpaceModel, instants: range) -> StateSpaceModel:
-    """The model with formulas that compute on arrays, at instants, by their programs.
+    """The model with formulas that compute on arrays at given instants, by their programs.
 
-    A formula is traced when it is first called. One that cannot be traced is called itself.
+    A formula is traced when it is first called. If it cannot be traced, it is called directly.
     """
     result: StateSpaceModel = model.kept(("twin", instants), lambda: _twin_of(model, instants))
     return result

@@ -1,7 +1,7 @@
-"""Models as text: what a run's model.json holds.
+"""Models as text: the content of a run's model.json.
 
-Somebody may have changed the text. Reading it runs nothing: every operation is known, takes earlier
-results of the right kind, and stays within the limits of tracing.
+The text may have been edited. Reading it runs no code: every operation is checked to be known, to
+take earlier results of the right kind, and to stay within the limits of tracing.
 """
 
 import hashlib
@@ -16,8 +16,17 @@ from pfdist.common.parsing import MOST_BYTES_OF_MODELS
 from pfdist.errors import ModelError
 from pfdist.models.base import Sensor, StateSpaceModel
 from pfdist.models.checks import MEASURING, MOST_COMPONENTS, own_formulas
-from pfdist.models.program import GROUPS, MASKS, TAKES, Array, Operation, Program
-from pfdist.models.programs import Programs, Untraced
+from pfdist.models.program import (
+    GROUPS,
+    MOST_STEPS,
+    MOST_TAKEN,
+    TAKES,
+    Array,
+    Operation,
+    Program,
+    kind_of,
+)
+from pfdist.models.programs import Declared, Programs, Untraced
 from pfdist.models.recorded import PLAIN
 from pfdist.models.symbols import MOST_OPERATIONS
 from pfdist.models.tracing import MODES, MOST_CONSTANTS, MOST_STRUCTURES, Traced
@@ -34,22 +43,22 @@ _WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 def _data_of(model: StateSpaceModel) -> dict[str, Any]:
     """A recorded model as data for JSON."""
     data = {name: _plain(getattr(model, name)) for name in PLAIN}
-    formulas = {name: getattr(model, name) for name in own_formulas(model)}
     return data | {
         "parameters": _plain(model.parameters),
-        "formulas": {name: _formula(formula) for name, formula in formulas.items()},
+        "formulas": {name: _formula(model, name) for name in own_formulas(model)},
         "sensors": {
-            name: {
-                "measurement_noise": [*sensor.measurement_noise],
-                **{key: _formula(getattr(sensor, key)) for key in MEASURING},
+            part.name: {
+                "measurement_noise": [*part.model.measurement_noise],
+                **{key: _formula(part.model, key) for key in MEASURING},
             }
-            for name, sensor in model.sensors.items()
+            for part in model.parts
+            if model.sensors
         },
     }
 
 
 def text_of(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
-    """The text of the truth and of the filter's model, both recorded."""
+    """The text of two recorded models: the truth and the filter's model."""
     data = {"truth": _data_of(truth), "filter": None if believed == truth else _data_of(believed)}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False) + "\n"
     lists = text.count("[")
@@ -63,7 +72,7 @@ def text_of(truth: StateSpaceModel, believed: StateSpaceModel) -> str:
 
 
 def key_of_model(model: StateSpaceModel) -> str:
-    """A hash of all that a recorded model computes."""
+    """A hash of everything that a recorded model computes."""
 
     def make() -> str:
         text = text_of(model, model)
@@ -81,8 +90,11 @@ def _plain(value: Any) -> Any:
     return str(float(value)) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _formula(formula: Any) -> Any:
+def _formula(model: StateSpaceModel, name: str) -> Any:
     """A recorded formula; None for the squared error."""
+    formula = getattr(model, name)
+    if isinstance(formula, Declared):
+        return {"declared": formula.identity, "results": results_of(model, name)}
     if isinstance(formula, Untraced):
         return {"values": _plain(formula.values.tolist())}
     return [*map(_traced, formula.variants)] if isinstance(formula, Programs) else None
@@ -112,12 +124,12 @@ def _traced(traced: Traced) -> dict[str, Any]:
 
 
 def models_of(content: bytes) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """The truth and the filter's model of a text; the second may be the first.
+    """The truth and the filter's model from a text; they may be the same object.
 
     Raises
     ------
     ValueError
-        The text is not what `text_of` writes, or is too large.
+        `text_of` does not write such a text, or the text is too large.
     """
     lists = content.count(b"[")
     _need(lists <= MOST_LISTS, f"at most {MOST_LISTS:,} lists are read, got {lists:,}")
@@ -204,6 +216,12 @@ def _read_array(rows: Any, columns: int | None = None) -> Array:
 
 
 def _read_formula(name: str, model: str, data: Any) -> Programs | Untraced:
+    if isinstance(data, dict) and "declared" in data:
+        results = data["results"]
+        _need(
+            type(results) is int and 0 < results <= MOST_COMPONENTS, "a number of results is wrong"
+        )
+        return Declared(name, model, _read_identity(data["declared"]), results=results)
     if isinstance(data, dict):
         rows = [[[_read_number(each) for each in row] for row in rows] for rows in data["values"]]
         values = np.array(rows, np.float64)
@@ -212,6 +230,18 @@ def _read_formula(name: str, model: str, data: Any) -> Programs | Untraced:
     variants = tuple(map(_read_traced, data))
     _need(bool(variants), f"{name} has no program")
     return Programs(name, model, variants[0], variants)
+
+
+def _read_identity(data: Any) -> dict[str, Any]:
+    """The identity that a batched model declares."""
+    keys = {"version", "files", "libraries", "coupled", "together"}
+    _need({*data} == keys, "an identity has other keys")
+    _need(type(data["together"]) is int and data["together"] > 0, "together must be at least 1")
+    texts = [data["version"], *data["files"].items(), *data["libraries"].items()]
+    parts = [part for each in texts for part in (each if isinstance(each, tuple) else (each,))]
+    _need(all(isinstance(part, str) for part in parts), "an identity must consist of texts")
+    _need(isinstance(data["coupled"], bool), "coupled must be true or false")
+    return dict(data)
 
 
 def _read_traced(data: Mapping[str, Any]) -> Traced:
@@ -245,9 +275,13 @@ def _read_program(data: Mapping[str, Any]) -> Program:
     constants = _read_array(rows, len(rows[0]) if rows else 0)
     _need(len(constants) > 0, "a program has no row of constants")
     _need(all(isinstance(taken, list) for _, taken, _ in operations), "arguments must be lists")
+    taken_each = sum(len(taken) for name, taken, _ in operations if name == "nth")
+    _need(taken_each <= MOST_TAKEN, f"steps take {taken_each:,} values")
     read = [Operation(name, tuple(taken), which) for name, taken, which in operations]
+    loops = _loops_of(read)
     for number, operation in enumerate(read):
         _check_operation(read, number, operation)
+        _check_loops(read, number, loops)
         if operation.name == "constant":
             _need(operation.which < constants.shape[1], "a constant is missing")
         elif operation.name == "take":
@@ -257,19 +291,22 @@ def _read_program(data: Mapping[str, Any]) -> Program:
     _need(0 < len(outputs) <= MOST_COMPONENTS, f"a formula has {len(outputs):,} results")
     for each in outputs:
         _need(type(each) is int and 0 <= each < len(read), "a result is missing")
+        _need(kind_of(read[each].name) in "fm" and not loops[each], "a result is of a step")
     return Program(tuple(read), outputs, constants, tables)
 
 
 def _check_operation(operations: Sequence[Operation], number: int, operation: Operation) -> None:
     name, taken, which = operation
     kinds = TAKES.get(name) if isinstance(name, str) else None
-    _need(kinds is not None, f"unknown operation {str(name)[:40]!r}")
-    _need(len(taken) == len(kinds or ""), f"{name} has {len(taken)} arguments")
-    for each, kind in zip(taken, kinds or "", strict=True):
+    if kinds is None:
+        raise ValueError(f"unknown operation {str(name)[:40]!r}")
+    if kinds[-1:] == "*":
+        kinds = kinds[:-1] + kinds[-2] * (len(taken) - len(kinds) + 1)
+    _need(len(taken) == len(kinds), f"{name} has {len(taken)} arguments")
+    for each, kind in zip(taken, kinds, strict=True):
         _need(type(each) is int and 0 <= each < number, f"an argument of {name} comes later")
-        is_mask = operations[each].name in MASKS
-        _need(is_mask == (kind == "m"), f"an argument of {name} is of a wrong kind")
-    if name in ("constant", "take") or name in GROUPS:
+        _need(kind_of(operations[each].name) == kind, f"an argument of {name} is of a wrong kind")
+    if name in ("constant", "take", "state", "final", "repeat") or name in GROUPS:
         _need(type(which) is int and which >= 0, f"{name} of a wrong entry")
     elif name in ("parameter", "covariate"):
         _need(isinstance(which, str), f"{name} of a wrong name")
@@ -278,6 +315,36 @@ def _check_operation(operations: Sequence[Operation], number: int, operation: Op
     if name == "covariate":
         index = operations[taken[0]].name
         _need(index in ("t", "constant"), "an entry of a parameter at a computed instant")
+
+
+def _loops_of(operations: Sequence[Operation]) -> list[int]:
+    """The number of the loop of each operation, from 1 on; 0 outside of loops."""
+    loops, loop, inside = list[int](), 0, False
+    for operation in operations:
+        is_begin = operation.name == "repeat"
+        _need(not (is_begin and inside), "a loop begins in another")
+        loop, inside = loop + is_begin, inside or is_begin
+        inside = inside and operation.name != "again"
+        loops.append(loop * inside)
+    _need(not inside, "a loop does not end")
+    return loops
+
+
+def _check_loops(operations: Sequence[Operation], number: int, loops: Sequence[int]) -> None:
+    """Check that an operation takes nothing of another loop, and as many values as there are."""
+    name, taken, which = operations[number]
+    loop = loops[number - 1] if name == "again" else loops[number]
+    for place, each in enumerate(taken):
+        before = name == "repeat" or (name == "nth" and place > 0)
+        _need(loops[each] in ((0,) if before else (0, loop)), f"{name} takes a value of a step")
+    if name == "repeat":
+        _need(0 < which <= MOST_STEPS and len(taken) > 1, "a loop has wrong sizes")
+    elif name in ("state", "nth", "again"):
+        _, (_, *values), most = operations[taken[0]]
+        sizes = {"state": which is None or which < len(values), "nth": len(taken) - 1 == most}
+        _need(sizes.get(name, len(taken) - 1 == len(values)), f"{name} of a loop of another size")
+    elif name == "final":
+        _need(which < len(operations[taken[0]].arguments) - 1, "a value of a loop is missing")
 
 
 def _check_leaves(program: Program, counts: Mapping[str, int], model: StateSpaceModel) -> None:

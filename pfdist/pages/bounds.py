@@ -1,6 +1,7 @@
 """The reach of a number of measurements: the budget curve, and the proof of a lower bound."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,24 +14,28 @@ from pfdist.pages.panel import (
     BAND,
     axes_for,
     cut_outliers,
+    label_ends,
+    label_error,
     legend_above,
     marker,
     points,
     styles_of,
     table_of,
     thin,
-    verbatim,
     write_instead,
 )
-from pfdist.pages.style import GREEN, GREY, set_style
+from pfdist.pages.style import GREY, RED, set_style
+from pfdist.problem.set_key import EVENLY_SPACED, PLAN, phrase_of
 from pfdist.results import Run, reaching
 
-_STYLES = {"regular": set_style(0), "found": set_style(1)}
+_KINDS = (("regular", EVENLY_SPACED), ("found", PLAN))
+_STYLES = {kind: set_style(place) | {"label": label} for place, (kind, label) in enumerate(_KINDS)}
+_BOUND: dict[str, Any] = {"color": "black", "label": "lower bound"}
 
 
 @figure("budget", applies=lambda run: "budget" in run.job)
 def budget_figure(tables: Tables) -> Plot:
-    """Expected MSE against the number of measurements, of regular and of found times."""
+    """Expected MSE against the number of measurements, evenly spaced and planned."""
     return _plot(tables.run)
 
 
@@ -53,31 +58,33 @@ def draw_target(run: Run, target: float) -> list[Path]:
 
 
 def _plot(run: Run, target: float | None = None) -> Plot:
-    table = run.table("sets")
+    table = table_of(run, "run", "sets")
     return Plot(
         2.5, lambda panels: budget(table, target=target, ax=panels[0]), title=_title(table, target)
     )
 
 
 def _title(table: pd.DataFrame, target: float | None) -> str:
-    """Say how many found times do what regular times do, or how many reach a target."""
+    """Say how many planned times do what evenly spaced times do, or how many reach a target."""
     if target is not None:
         least = {kind: row["measurements"] for kind, row in reaching(table, target).items()}
         numbers = {kind: "no number of" if n is None else str(n) for kind, n in least.items()}
         times = "time" if least["found"] == 1 else "times"
         return (
-            f"An expected MSE of {target:g} takes {numbers['found']} found {times}, or "
-            f"{numbers['regular']} regular."
+            f"An expected MSE of {target:g} takes {numbers['found']} planned {times}, or "
+            f"{numbers['regular']} evenly spaced."
         )
     errors = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
     both = errors.dropna()
     if both.empty:
         return "No number of measurements has an expected MSE with both kinds of times."
-    lower = 1 - (both["found"] / both["regular"]).median()
+    lower = 100 * (1 - both["found"] / both["regular"])
+    sign, word = (1, "lower") if lower.max() >= 0 else (-1, "higher")
+    ends = dict.fromkeys(f"{end:z.0f}" for end in sorted(sign * lower.agg(["min", "max"])))
     return (
-        f"With {both.index[0]} to {both.index[-1]} measurements, found times have an expected MSE "
-        f"{100 * abs(lower):.0f} % {'lower' if lower >= 0 else 'higher'} than regular times "
-        "(median)."
+        f"With {both.index[0]} to {both.index[-1]} measurements, the expected MSE of the plan is "
+        f"{' to '.join(ends)} % {word} than that of evenly spaced times"
+        f"{', depending on N' * (len(ends) > 1)}."
     )
 
 
@@ -85,6 +92,8 @@ def budget(
     table: Run | pd.DataFrame, *, target: float | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the expected MSE against N with its 95 % intervals, and the lower bound if there is one.
+
+    An arrow shows how many fewer times of the plan do as well as most evenly spaced ones.
 
     Parameters
     ----------
@@ -101,42 +110,60 @@ def budget(
     matplotlib Axes
     """
     table, ax, curves = table_of(table, "table", "sets"), axes_for(ax), []
+    ends = []
     for kind, style in _STYLES.items():
         rows = table[table["kind"] == kind]
         mean = rows["expected_mse"].to_numpy()
         errors = np.array([mean - rows["expected_mse_low"], rows["expected_mse_high"] - mean])
         ax.errorbar(
             rows["measurements"], mean, errors, lw=thin(0.8), ms=marker(0.8), elinewidth=thin(0.6),
-            label=f"{kind} times", **style,
+            **style,
         )  # fmt: skip
-        curves.append(points(rows["measurements"], mean, style["color"], kind))
+        curves.append(points(rows["measurements"], mean, style["color"], style["label"]))
+        ends += [(y, style["label"], style["color"]) for y in mean[np.isfinite(mean)][-1:]]
     rows = table[table["kind"] == "found"]
-    if rows["bound"].notna().any():
-        numbers, low, limit = rows["measurements"], rows["bound"], rows["bound_low"]
-        ax.plot(numbers, low, color=GREEN, lw=thin(0.9), label="lower bound (95 %)")
-        ax.fill_between(numbers, limit, low, color=GREEN, alpha=0.3, linewidth=0)
+    numbers, low, limit = rows["measurements"], rows["bound"], rows["bound_low"]
+    if low.notna().any():
+        ax.plot(numbers, low, lw=thin(0.9), **_BOUND)
+        ax.fill_between(numbers, limit, low, color="black", alpha=0.2, linewidth=0)
+        for curve, text in ((low, "lower bound"), (limit.where(limit < low), "its 95 % limit")):
+            ends += [(y, text, "black") for y in curve.dropna()[-1:]]
     ax.set_xlabel("number of measurements $N$")
-    ax.set_ylabel("expected MSE")
+    label_error(ax, table)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     cut_outliers(ax, curves, [] if target is None else [target])
-    if target is not None:
+    if target is None:
+        _mark_spared(ax, table)
+    else:
         _mark(ax, table, target)
-    handles = ax.get_legend_handles_labels()[0]  # the sort is stable
-    first = sorted(handles, key=lambda handle: not str(handle.get_label()).endswith("times"))
-    legend_above(ax, first, columns=2)
+        ends.append((target, f"target {target:g}", GREY))
+    label_ends(ax, ends)
+    legend_above(ax, [line for line in ax.get_lines() if "off the axis" in str(line.get_label())])
     return ax
+
+
+def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
+    """Draw an arrow from most evenly spaced times to the fewer planned times that do as well."""
+    rows = table[table["kind"] == "regular"].sort_values("measurements")
+    number, mse = rows[["measurements", "expected_mse"]].iloc[-1]
+    least = reaching(table, mse)["found"]["measurements"]
+    if least is not None and least < number:
+        look = {"arrowstyle": "->", "color": RED, "lw": thin(), "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", (least, mse), (number, mse), arrowprops=look)
+        text = f"at least as good: {least} instead of {number:.0f}"
+        ax.text(0.98, 0.9, text, ha="right", c=RED, size="small", transform=ax.transAxes)
 
 
 def _mark(ax: Axes, table: pd.DataFrame, target: float) -> None:
     """Draw a target, the least numbers that reach it, and the largest number that cannot."""
-    ax.axhline(target, color=GREY, lw=thin(0.8), ls=":", label=f"target {target:g}")
+    ax.axhline(target, color=GREY, lw=thin(0.8), ls=":")
     ax.set_ylim(bottom=ax.get_ylim()[0])  # the lines below end at the target
     for kind, reached in reaching(table, target).items():
         least, impossible = reached["measurements"], reached.get("impossible")
         if least is not None:
             _mark_number(ax, least, target, f"{least}", "left", _STYLES[kind]["color"])
         if impossible is not None:
-            _mark_number(ax, impossible, target, f"no {impossible}", "right", GREEN)
+            _mark_number(ax, impossible, target, f"no {impossible}", "right", "black")
 
 
 def _mark_number(ax: Axes, number: int, top: float, text: str, side: str, colour: str) -> None:
@@ -152,25 +179,31 @@ def _mark_number(ax: Axes, number: int, top: float, text: str, side: str, colour
     )  # fmt: skip
 
 
-@figure("bound", applies=lambda run: one_number(run) and "bound" in run.tables)
+def _has_curve(run: Run) -> bool:
+    """Whether the last proof of a run has several steps, so that its bound grows."""
+    has_bound = one_number(run) and "bound" in run.tables
+    return has_bound and len(_steps(_last_proof(run.table("bound")))) > 1
+
+
+def _steps(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a proof with the bound of found sets and its work; an exact bound takes none."""
+    proved = rows[(rows["position"] > 0) & rows["bound"].notna() & (rows["steps"] > 0)]
+    return proved[proved["name"] == proved["name"].head(1).squeeze()]  # all measure as often
+
+
+@figure("bound", applies=_has_curve)
 def bound_figure(tables: Tables) -> Plot:
     """The lower bound against the work of its proof, below the expected MSE of the found sets.
 
     If there are several proofs, the figure shows the one with most particle-steps.
     """
-    rows, names = tables.run.table("bound"), tables.run.names
-    return Plot(2.5, lambda panels: bound(rows, ax=panels[0]), title=_title_of_proof(rows, names))
-
-
-def _title_of_proof(rows: pd.DataFrame, names: list[str]) -> str:
+    rows, labels = table_of(tables.run, "run", "bound"), tables.run.labels
     last = _last_proof(rows)
-    proved = last[(last["draws"] == last["draws"].max()) & (last["name"] != names[0])]
-    gaps = proved["gap_at_most"].dropna()
-    if gaps.empty:
-        return "There is no lower bound of the found times."
-    best = proved.loc[gaps.idxmin()]
-    mse = f"the expected MSE of {best['name']}, {best['expected_mse']:.4g}"
-    return f"Proved: no other times lower {mse}, {at_most(best)}."
+    proved = last[(last["draws"] == last["draws"].max()) & (last["position"] > 0)]
+    best = proved.loc[proved["gap_at_most"].idxmin()]
+    mse = f"the expected MSE of {phrase_of(labels[best['name']])}, {best['expected_mse']:.4g}"
+    title = f"Proved: no other times lower {mse}, {at_most(best)}."
+    return Plot(2.5, lambda panels: bound(rows, ax=panels[0]), title=title)
 
 
 def _last_proof(rows: pd.DataFrame) -> pd.DataFrame:
@@ -200,35 +233,25 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """
     rows, ax = table_of(rows, "rows", "bound"), axes_for(ax)
     rows = _last_proof(rows) if len(rows) else rows
-    others = rows[rows["position"] > 0]  # than the reference
-    proved = others[others["bound"].notna()]
+    proved = _steps(rows)
     if proved.empty:
-        return write_instead(ax, "there is no lower bound of the found times")
-    proved = proved[proved["name"] == proved["name"].iloc[0]]  # all have as many measurements
+        return write_instead(ax, "there is no lower bound that takes particle-steps")
+    others = rows[rows["position"] > 0]  # than the reference
     last = others[others["draws"] == rows["draws"].max()].sort_values("position")
-    styles = styles_of(rows, rows.sort_values("position")["name"])
+    styles, ends = styles_of(rows, rows.sort_values("position")["name"]), []
     for name, mse in zip(last["name"], last["expected_mse"], strict=True):
-        look = {key: styles[name][key] for key in ("color", "ls")}
-        ax.axhline(mse, lw=thin(0.9), label=f"expected MSE of {verbatim(name)}", **look)
-    ax.set_ylabel("expected MSE")
+        look = {key: styles[name][key] for key in ("color", "ls", "label")}
+        ax.axhline(mse, lw=thin(0.9), **look)
+        ends.append((mse, look["label"], look["color"]))
+    label_error(ax, rows)
     steps = proved["steps"] / 1e9
-    if len(steps) == 1 or not steps.all():  # an exact bound takes none
-        best = proved.loc[proved["bound"].idxmax()]
-        value, half = best["bound"], BAND * best["bound_error"]
-        text = f"lower bound ({'band: 95 %' if half else 'exact'})"
-        ax.axhspan(value - half, value + half, color=GREY, alpha=0.2, lw=0)
-        ax.axhline(value, color=GREY, ls=(0, (4, 1.5)), label=text)
-        ax.set_xticks([])
-        legend_above(ax)
-        return ax
     ax.errorbar(
         steps, proved["bound"], BAND * proved["bound_error"],
-        color=GREY, marker="o", ms=marker(), lw=thin(0.9), elinewidth=thin(), ls=(0, (4, 1.5)),
-        label="lower bound (95 %)",
+        marker="o", ms=marker(), lw=thin(0.9), elinewidth=thin(), **_BOUND,
     )  # fmt: skip
     ax.set_xscale("log")
     ax.set_xticks(steps, [f"{value:.2g}" for value in steps])
     ax.set_xticks([], minor=True)
     ax.set_xlabel(r"particle-steps of the proof [$10^9$]")
-    legend_above(ax)
+    label_ends(ax, [*ends, (proved["bound"].iloc[-1], "lower bound\n(95 %)", "black")])
     return ax

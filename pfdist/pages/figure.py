@@ -20,7 +20,7 @@ from matplotlib.text import Text
 from pfdist.common.registry import Registry
 from pfdist.common.stopping import check
 from pfdist.errors import StoreError, one_line, printable
-from pfdist.pages.panel import scaled
+from pfdist.pages.panel import scaled, table_of
 from pfdist.pages.style import styled
 from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.online import OnlineDraws, online_draws
@@ -80,7 +80,7 @@ class Tables:
     @cached_property
     def trajectories(self) -> pd.DataFrame:
         """Truth, measurements and estimates of the first draws."""
-        return self.run.table("trajectories")
+        return table_of(self.run, "run", "trajectories")
 
     @cached_property
     def gains_of_trajectories(self) -> pd.DataFrame:
@@ -277,6 +277,6 @@ def _files(run: Run, name: str) -> list[Path]:
 
 def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:
     about: dict[str, str | None] = {"Title": one_line(title)} if title else {}
-    if suffix == "svg":
-        about["Date"] = None  # without a date, the same figure gives the same bytes
+    if suffix != "png":  # without a date, the same figure gives the same bytes
+        about["CreationDate" if suffix == "pdf" else "Date"] = None
     canvas.savefig(path, format=suffix, metadata=about)

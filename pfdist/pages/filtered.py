@@ -21,14 +21,15 @@ from pfdist.pages.panel import (
     stack,
     table_of,
     thin,
+    verbatim,
 )
-from pfdist.pages.style import BLUE, GREY, ORANGE, RED
+from pfdist.pages.style import BLUE, GREY, OCHRE, RED
 from pfdist.store.files import begins_with, check_replaceable
 from pfdist.store.schema import components_in
 
 _TITLE = "pfdist: filtered measurements"
 _START = 4096  # number of bytes at the start of a file that contain its title
-_BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))  # percentiles, opacity and label
+_BANDS = ((5, 95, 0.22), (25, 75, 0.38))  # percentiles and opacity
 _LEVEL, _ROW = 0.035, 0.07  # first row of markers, and distance of two, as shares of the height
 
 
@@ -59,10 +60,7 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
             belief(table, component=component, times=times, ax=ax)
         stack(panels, len(quantities))
 
-    title = (
-        f"In the end the filter believes {first.name or 'z'} to be {mean}{unit}, and with 90 % "
-        f"between {low} and {high}{unit}."
-    )
+    title = f"The last estimate of {first.name or 'z'} is {mean}{unit} (90 % band {low} to {high})."
     return Plot(1.3 + 1.45 * number, draw, number, share_x=True, title=title)
 
 
@@ -130,10 +128,10 @@ def belief(
     quantities = components_in(table, "mean_")
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
     t, ax = table["t"].to_numpy(), axes_for(ax)
-    for low, high, alpha, label in _BANDS:
+    for low, high, alpha in _BANDS:
         below, above = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
-        ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
-    ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
+        ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0)
+    ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean; bands: 50 and 90 %")
     label_quantity(ax, quantities, component)
     sensors = [*by_sensor([*measured, *missing, *to_come])]
     bottom, top = ax.get_ylim()
@@ -141,7 +139,7 @@ def belief(
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
     for each, shape, colour, label in (
         ([at for at in measured if at not in extra], "|", "black", "measured as planned"),
-        (extra, "D", ORANGE, "measured, not planned"),
+        (extra, "D", OCHRE, "measured, not planned"),
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),
     ):
@@ -153,7 +151,7 @@ def belief(
                 label=label, clip_on=False,
             )  # fmt: skip
     for sensor, level in levels.items():
-        name_row(ax, level, sensor, share=True)
+        name_row(ax, level, verbatim(sensor), share=True)
     label_times(ax, table)
     legend_above(ax)
     return ax

@@ -1,6 +1,7 @@
 """Gains of found times: the relative gain over all draws, and one draw (paper, figures 3, 4)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,38 +29,36 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY
-from pfdist.problem.set_key import label_of
-from pfdist.results import BIN, EDGES, Gain, GainSummary, Run
+from pfdist.problem.set_key import phrase_of
+from pfdist.results import BIN, EDGES, Gain, Run
 from pfdist.results.stored_run import statistics_of
 from pfdist.store.schema import components_in
 
 Array = NDArray[np.float64]
 Sets = Mapping[str, Sequence[float]]
 _FENCE = 3.0  # interquartile ranges from a quartile to the end of the axis: Tukey's outer fences
-_LONGEST_NAMES = {3: 12, 2: 20}
-"""Characters of a name with which the legend of a draw has room for so many columns."""
-_ENTRIES, _LINE_INCHES = 5, 0.15  # of the legend of a draw
 _SHAPES = ("+", "*")  # of the reference's times and of the other set's
 
 
 @figure("gain", applies=one_number, each_set=True)
 def gain_figure(tables: Tables, name: str) -> Plot:
     """Histogram of the relative gain over all draws (the paper's figure 4)."""
-    relative, names = tables.statistics.gains[name], tables.run.names
-    reference = label_of(names[0])
+    relative, labels = tables.statistics.gains[name], tables.run.labels
+    reference = phrase_of(labels[tables.run.names[0]])
     return Plot(
         2.4,
-        lambda panels: gain(relative, name, reference=reference, sets=names, ax=panels[0]),
-        title=title_of_gain(relative, f"the times of {name}", reference),
+        lambda panels: gain(relative, name, reference=reference, sets=labels, ax=panels[0]),
+        title=title_of_gain(relative, phrase_of(labels[name]), reference),
     )
 
 
 def title_of_gain(relative: Gain, which: str, reference: str) -> str:
-    """Say in how many draws these times err less than the reference."""
+    """Say in how many draws the error with these times is lower than with the reference."""
     if not relative.counts.any():
         return "No draw has a finite gain."
     share = 100 * relative.positive / relative.relative.count
-    return f"In {share:.1f} % of the draws, {which} err less than {reference}."
+    draws = f"{share:.1f} % of {relative.relative.count:,} draws"
+    return f"The error is lower with {which} than with {reference} in {draws}."
 
 
 def gain(
@@ -68,10 +67,10 @@ def gain(
     *,
     reference: str = "",
     beside: str | tuple[str, Gain] = "",
-    sets: Sequence[str] = (),
+    sets: Collection[str] = (),
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the histogram of the relative gain; the legend counts draws beyond the axis.
+    """Draw the histogram of the relative gain; arrows count the draws beyond the axis.
 
     Parameters
     ----------
@@ -85,9 +84,9 @@ def gain(
         first; a run has one.
     beside : str or (str, Gain), optional
         Another set over the same reference, drawn as an outline: its name, or name and gain.
-    sets : sequence of str
-        Names of all sets of the run, the reference first, which give each its colour; a run has
-        its own.
+    sets : sequence of str, or mapping of str to str
+        Names of all sets of the run, the reference first, or their labels by name; a run has its
+        own. They give each set its colour.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -110,13 +109,11 @@ def gain(
     if isinstance(source, Gain):
         gains = {name: source}
     elif isinstance(source, Run):
-        gains, reference, sets = (
-            statistics_of(source).gains,
-            label_of(source.names[0]),
-            source.names,
-        )
+        gains, sets = statistics_of(source).gains, source.labels
+        reference = phrase_of(sets[source.names[0]])
     else:
         gains, reference = _gains_of_table(source, reference)
+        sets = sets or source.attrs.get("sets", ())
     name = chosen(name or next(iter(gains)), gains, "name")
     if isinstance(beside, tuple):
         gains = gains | dict([beside])
@@ -127,7 +124,8 @@ def gain(
         return write_instead(ax, "no draw has a finite gain")
     styles = styles_of(sets or [reference], names)
     shown = {key: gains[key] for key in names if gains[key].counts.any()}
-    _draw_gains(ax, shown, reference, [styles[key]["color"] for key in shown])
+    _draw_gains(ax, {styles[key]["label"]: shown[key] for key in shown}, reference,
+                [styles[key]["color"] for key in shown])  # fmt: skip
     return ax
 
 
@@ -135,66 +133,58 @@ def _gains_of_table(table: pd.DataFrame, reference: str) -> tuple[dict[str, Gain
     """Gains of all sets of a table over the reference, and the label of the reference."""
     names = [str(key).removeprefix("mse_") for key in table if str(key).startswith("mse_")]
     reference = chosen(reference or (names or [""])[0], names, "reference")
-    gains = {name: Gain() for name in names if name != reference}
-    for name, relative in gains.items():
-        relative.add(table[f"mse_{name}"].to_numpy(), table[f"mse_{reference}"].to_numpy())
-    return gains, label_of(reference)
+    mse = {name: table[f"mse_{name}"].to_numpy() for name in names}
+    gains = {name: Gain.of_draws(mse[name], mse[reference]) for name in names if name != reference}
+    return gains, phrase_of(table.attrs.get("sets", {}).get(reference, reference))
 
 
 def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str, colours: Sequence[str]) -> None:
     (name, relative), *others = gains.items()
     starts_shown, ends_shown = zip(*map(_shown_bins, gains.values()), strict=True)
     first, last = min(starts_shown), max(ends_shown)
-    summary = relative.summary()
-    count = int(np.clip(2 * np.cbrt(summary.draws), 10, 100))  # Rice's rule
+    number = relative.relative.count
+    count = int(np.clip(2 * np.cbrt(number), 10, 100))  # Rice's rule
     merged = max(1, -(-(last - first) // count))  # number of counted bins in a bar
     starts, width = np.arange(first, last, merged), 100 * BIN * merged
-    heights = _density(relative, starts, last, width)
-    bars = ax.bar(
-        100 * EDGES[starts], heights, width, align="edge", color=colours[0], alpha=0.75, lw=0
-    )
-    line = ax.axvline(0.0, color="black", ls=":", label="no gain")
-    draws = [f"{summary.draws:,} draws", *_mark_beyond(ax, relative, first, last)]
-    if not others:
-        bars.set_label(f"{', '.join(_mean_and_share(summary))}\n{', '.join(draws)}")
-        legend_above(ax, [bars, line], columns=2)
-    else:
-        [(other, of_other)] = others
+    handles: list[Any] = [
+        ax.bar(
+            100 * EDGES[starts], _shares(relative, starts, last), width, align="edge",
+            color=colours[0], alpha=0.75, lw=0, label=_in_words(name, relative),
+        )
+    ]  # fmt: skip
+    ax.axvline(0.0, color="black", ls=":", label="no gain")
+    for other, of_other in others:
         ends = np.append(100 * EDGES[starts], 100 * EDGES[starts[-1]] + width)
-        density = _density(of_other, starts, last, width)
-        shape = ax.stairs(density, ends, color=colours[1], lw=thin())
-        bars.set_label("\n".join([f"{verbatim(name)}:", *_mean_and_share(summary), *draws]))
-        shape.set_label("\n".join([f"{verbatim(other)}:", *_mean_and_share(of_other.summary())]))
-        legend_above(ax, [bars, shape, line], columns=2)
+        shares, text = _shares(of_other, starts, last), _in_words(other, of_other)
+        handles.append(ax.stairs(shares, ends, color=colours[1], lw=thin(), label=text))
+    legend_above(ax, handles, columns=1)
+    _mark_beyond(ax, relative, first, last)
     ax.set_xlim(100 * EDGES[first], 100 * EDGES[last])
-    ax.set_xlabel(f"relative gain $g$ of {verbatim(name)} over {verbatim(reference)} [%]")
-    ax.set_ylabel("density [1/%]")
+    ax.set_xlabel(f"relative gain over {verbatim(reference)} [%]\n(right: {name} better)")
+    ax.set_ylabel("share of draws [%]")
 
 
-def _mark_beyond(ax: Axes, relative: Gain, first: int, last: int) -> list[str]:
-    """Draw an arrow on each side on which draws lie beyond the axis, and say how many."""
-    texts = []
+def _mark_beyond(ax: Axes, relative: Gain, first: int, last: int) -> None:
+    """Draw an arrow on each side on which draws lie beyond the axis, and write how many."""
     below = relative.below + int(relative.counts[:first].sum())
     above = relative.above + int(relative.counts[last:].sum())
     for draws, where, index, arrow in ((below, "below", first, "<"), (above, "above", last, ">")):
         if draws:
             at = 100 * EDGES[index]
-            texts.append(minus(f"{draws:,} of them {where} {at:.0f} %"))
             ax.plot(at, 0.0, arrow, color=GREY, ms=marker(1.3), clip_on=False, zorder=5)
-    return texts
+            text = minus(f"{draws:,} draws\n{where} {at:.0f} %")
+            x, side = (0.01, "left") if where == "below" else (0.99, "right")
+            ax.text(x, 0.98, text, ha=side, va="top", c=GREY, size="small", transform=ax.transAxes)
 
 
-def _density(relative: Gain, starts: NDArray[np.intp], last: int, width: float) -> Array:
-    """Share of all draws in each bar, over the width of a bar."""
+def _shares(relative: Gain, starts: NDArray[np.intp], last: int) -> Array:
+    """Share of all draws in each bar, in per cent."""
     counts: Array = np.add.reduceat(relative.counts[:last], starts)
-    return counts / relative.relative.count / width
+    return 100 * counts / relative.relative.count
 
 
-def _mean_and_share(summary: GainSummary) -> list[str]:
-    return [
-        minus(f"mean {100 * summary.mean_relative_gain:.1f} %"),
-        f"$P(g > 0)$ = {100 * summary.positive_fraction:.1f} %",
-    ]
+def _in_words(label: str, gain: Gain) -> str:
+    return f"{label}, mean gain {minus(f'{100 * gain.relative.mean:.1f} %')}"
 
 
 def _shown_bins(relative: Gain) -> tuple[int, int]:
@@ -211,14 +201,15 @@ def _shown_bins(relative: Gain) -> tuple[int, int]:
 
 @figure("draw", applies=one_number, each_set=True)
 def draw_figure(tables: Tables, name: str) -> Plot:
-    """Truth, estimates and times of a typical draw: the median gain of the first 100 draws."""
+    """Truth, estimates and times of one draw, of a gain near the median of all draws."""
     trajectories, sets, draw, gain = _of_run(tables, name)
     if np.isnan(gain):
         return no_draw()
-    reference = label_of(tables.run.names[0])
+    which, reference = (phrase_of(tables.run.labels[key]) for key in (name, tables.run.names[0]))
+    draws = tables.statistics.gains[name].relative.count
     return plot_of_draw(
-        trajectories[trajectories["draw"] == draw], sets, f"{_legend(draw, gain)}, a typical one",
-        title_of_draw(gain, f"the times of {name}", reference),
+        trajectories[trajectories["draw"] == draw], sets, legend_of_draw(draw, gain),
+        title_of_draw(gain, draws, which, reference),
     )  # fmt: skip
 
 
@@ -229,17 +220,18 @@ def no_draw() -> Plot:
     return Plot(2.6, lambda panels: write_instead(panels[0], text), title=title)
 
 
-def title_of_draw(gain: float, which: str, reference: str) -> str:
-    """Say how much the errors of two sets differ in the draw of median gain."""
-    less = "less" if gain >= 0 else "more"
+def title_of_draw(gain: float, draws: int, which: str, reference: str) -> str:
+    """Say how much the errors of two sets differ in a draw near the median of so many draws."""
+    lower = "lower" if gain >= 0 else "higher"
     return (
-        f"In a typical draw (of the median gain among those kept), {which} err "
-        f"{100 * abs(gain):.1f} % {less} than {reference}."
+        f"One draw, of a gain near the median of all {draws:,}: with {which} the error is "
+        f"{100 * abs(gain):.1f} % {lower} than with {reference}."
     )
 
 
-def _legend(draw: int, gain: float) -> str:
-    return minus(f"draw {draw}, relative gain {100 * gain:.1f} %")
+def legend_of_draw(draw: int, gain: float) -> str:
+    """The number of a draw and its relative gain, as the title of a legend."""
+    return f"draw {draw}, relative gain {minus(f'{100 * gain:.1f} %')}; markers: measured"
 
 
 def plot_of_draw(trajectory: pd.DataFrame, sets: Sets, legend: str, title: str) -> Plot:
@@ -254,19 +246,14 @@ def plot_of_draw(trajectory: pd.DataFrame, sets: Sets, legend: str, title: str) 
             one_draw(trajectory, sets, title=legend, component=component, ax=ax)
         stack(panels, number)
 
-    lines, most = -(-_ENTRIES // _columns(sets)), min(number, MOST_COMPONENTS)
-    return Plot(0.5 + _LINE_INCHES * lines + 1.5 * most, draw, most, title=title)
+    most = min(number, MOST_COMPONENTS)
+    return Plot(0.8 + 1.5 * most, draw, most, title=title)
 
 
-def _columns(sets: Sets) -> int:
-    """Number of columns of the legend."""
-    longest = max(map(len, sets), default=0)
-    return next((count for count, most in _LONGEST_NAMES.items() if longest <= most), 1)
-
-
-def typical_draw(gains: "pd.Series[float]") -> int:
-    """The draw with the median relative gain; of two medians, the lower. The index holds draws."""
-    return int(gains.sort_values(kind="stable").index[(len(gains) - 1) // 2])
+def median_draw(gains: "pd.Series[float]", every: Gain) -> int:
+    """The draw, of those in the index, whose gain is nearest the median of all draws."""
+    median = np.clip(every.quantile(0.5), EDGES[0], EDGES[-1])
+    return int((gains - median).abs().fillna(np.inf).idxmin())
 
 
 def one_draw(
@@ -288,8 +275,8 @@ def one_draw(
         With a run, the set beside the reference; by default the first that was found. With a
         DataFrame, measurement times of two sets by their names, the reference first.
     draw : int, optional
-        One of the draws that have trajectories. By default the draw of a run with the median gain,
-        or the first draw of a DataFrame.
+        One of the draws that have trajectories. By default the draw of a run whose gain is
+        nearest the median of all draws, or the first draw of a DataFrame.
     component : int
         Component of z.
     title : str
@@ -311,7 +298,7 @@ def one_draw(
     check_kind(trajectory, (Run, pd.DataFrame), "trajectory")
     if isinstance(trajectory, Run):
         trajectory, sets, draw, gain = _of_run(Tables(trajectory), str(sets), draw)
-        title = title or _legend(draw, gain)
+        title = title or legend_of_draw(draw, gain)
     elif isinstance(sets, str):
         raise JobError(f"sets must be times by name, got {sets!r}", argument="sets")
     if "draw" in trajectory:
@@ -324,7 +311,7 @@ def one_draw(
     _draw_trajectory(ax, trajectory.sort_values("t"), sets, quantities[component].suffix)
     label_quantity(ax, quantities, component)
     label_times(ax, trajectory)
-    legend_above(ax, columns=_columns(sets), title=title)
+    legend_above(ax, title=title)
     return ax
 
 
@@ -337,28 +324,26 @@ def _of_run(
     gains = tables.gains_of_trajectories[f"gain_{name}"]
     gains = gains[gains.index.isin(tables.trajectories["draw"])]
     if draw is None:
-        draw = typical_draw(gains.dropna() if gains.notna().any() else gains)
+        draw = median_draw(gains, tables.statistics.gains[name])
     gain = float(gains[chosen(draw, gains.index.tolist(), "draw")])
     return tables.trajectories, {key: sets[key] for key in (reference, name)}, draw, gain
 
 
 def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str) -> None:
     t, z = trajectory["t"].to_numpy(), trajectory[f"z_{suffix}"].to_numpy()
-    ax.plot(t, z, color="black", label="$z(t)$")
+    ax.plot(t, z, color="black", label="truth")
     estimates = [trajectory[f"estimate_{name}_{suffix}"].to_numpy() for name in sets]
     everything = np.concatenate([z, *estimates])
     low, high = np.nanmin(everything), np.nanmax(everything)
     row = 0
     styles = styles_of(trajectory, sets)
     for (name, times), estimate, shape in zip(sets.items(), estimates, _SHAPES, strict=True):
-        colour, dashes = styles[name]["color"], styles[name]["ls"]
-        text = rf"$\hat{{z}}(t)$, {verbatim(name)}"
-        ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=text)
-        for k, (sensor, measured) in enumerate(by_sensor(times).items()):
+        colour, dashes, label = (styles[name][key] for key in ("color", "ls", "label"))
+        ax.plot(t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=label)
+        for sensor, measured in by_sensor(times).items():
             row += 1
             level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
             ax.plot(
-                measured, [level] * len(measured), shape, color=colour, ms=marker(1.2),
-                mew=thin(), label="" if k else rf"$\mathcal{{M}}$, {verbatim(name)}",
-            )  # fmt: skip
-            name_row(ax, level, sensor, color=colour)
+                measured, [level] * len(measured), shape, color=colour, ms=marker(1.2), mew=thin()
+            )
+            name_row(ax, level, ", ".join(filter(None, [label, verbatim(sensor)])), color=colour)

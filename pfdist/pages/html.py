@@ -15,6 +15,7 @@ from pfdist.common.parts import Page
 from pfdist.errors import printable
 
 _FOLDER = files("pfdist.pages")
+_GLUED = re.compile(r"(?<=[\d,]) (?=%)|(?<=\d) (?=±|[^\W\d])|(?<=[=±]) ")
 
 
 def as_html(page: Page) -> str:
@@ -35,7 +36,7 @@ def as_html(page: Page) -> str:
         lstrip_blocks=True,
         finalize=_harmless,
     )
-    environment.filters["words"] = _words
+    environment.filters |= {"words": _words, "as_it_is": lambda text: _Code(printable(text))}
     style, script = (_text(name) for name in ("style.css", "sort.js"))
     # The page's security policy allows the script with this hash, and no other.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -44,17 +45,23 @@ def as_html(page: Page) -> str:
     )
 
 
+class _Code(str):
+    """A text whose spaces are copied as they are."""
+
+    __slots__ = ()
+
+
 def _harmless(value: object) -> object:
-    """A text without control characters; a number and its per cent sign stay on one line.
+    """A text without control characters; a number stays on one line with its unit or noun.
 
     Markup is a subclass of str, and is left as it is.
     """
-    return printable(value).replace(" %", "\xa0%") if type(value) is str else value
+    return _GLUED.sub("\xa0", printable(value)) if type(value) is str else value
 
 
 def _words(name: str) -> list[str]:
     """Split a name after each dot and underscore, where a line may break."""
-    return re.split(r"(?<=[._])(?=\S)", printable(name))
+    return re.split(r"(?<=[._])(?=\S)", str(_harmless(name)))
 
 
 def _text(name: str) -> str:

@@ -15,11 +15,12 @@ from pfdist.common.formatted_times import by_sensor
 from pfdist.pages.figure import Plot, Tables, figure, has_online
 from pfdist.pages.gains import (
     gain,
+    legend_of_draw,
+    median_draw,
     no_draw,
     plot_of_draw,
     title_of_draw,
     title_of_gain,
-    typical_draw,
 )
 from pfdist.pages.panel import (
     axes_for,
@@ -27,13 +28,12 @@ from pfdist.pages.panel import (
     label_instants,
     legend_above,
     marker,
-    minus,
     stack,
     step_of,
     styles_of,
     verbatim,
 )
-from pfdist.problem.set_key import label_of
+from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run, relative_gain
 from pfdist.results.online import OnlineDraws, online_draws
 from pfdist.store.schema import components_in
@@ -46,7 +46,8 @@ def online_times_figure(tables: Tables) -> Plot:
     """Share of the draws that online times measure at each instant, and a raster of the times."""
     draws = tables.online
     differ = 100 * float(np.mean(draws.differ)) if len(draws.rows) else 0.0
-    title = f"In {differ:.0f} % of the draws, online times differ from the plan, {draws.plan}."
+    plan = phrase_of(tables.run.labels[draws.plan])
+    title = f"In {differ:.0f} % of the draws, online times differ from {plan}."
 
     def draw(panels: Sequence[Axes]) -> None:
         online_shares(draws, ax=panels[0])
@@ -86,7 +87,7 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
             np.add(clock.times, beside), share, 0.8 * step / len(shades), color=shade, lw=0,
             label=f"{text}, {verbatim(sensor)}" if sensor else text,
         )  # fmt: skip
-    _mark(ax, draws, f"the plan, {verbatim(draws.plan)}")
+    _mark(ax, draws, _styles(draws)[draws.plan]["label"])
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
     ax.set_xlim(clock.times[0] - 0.75 * step, clock.times[-1] + 0.75 * step)
@@ -186,7 +187,8 @@ def online_gain_figure(tables: Tables) -> Plot:
     """Histogram of the relative gain of online times; the plan's gain on the same draws."""
     draws = tables.online
     over_reference = draws.gain("online", draws.reference)
-    title = title_of_gain(over_reference, "online times", label_of(draws.reference))
+    reference = phrase_of(tables.run.labels[draws.reference])
+    title = title_of_gain(over_reference, "online times", reference)
     return Plot(2.9, lambda panels: online_gain(draws, ax=panels[0]), title=title)
 
 
@@ -211,18 +213,18 @@ def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     """
     draws = _draws_of(source)
     online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
+    labels = {name: style["label"] for name, style in _styles(draws).items()}
     return gain(
-        online, "online", reference=label_of(draws.reference), beside=(draws.plan, plan),
-        sets=[*_styles(draws)], ax=ax,
+        online, "online", reference=phrase_of(labels[draws.reference]), beside=(draws.plan, plan),
+        sets=labels, ax=ax,
     )  # fmt: skip
 
 
 @figure("online_draw", applies=has_online)
 def online_draw_figure(tables: Tables) -> Plot:
-    """Truth, estimates and times of the draw with the median gain of online times over the plan.
+    """Truth, estimates and times of one draw, of a gain over the plan near the median.
 
-    If online times differ from the plan in any draw with a trajectory, the median is that of the
-    draws in which they do.
+    If online times differ from the plan in any draw with a trajectory, it is one of those draws.
     """
     draws, trajectories = tables.online, tables.trajectories
     has_estimate = draws.rows["estimate"].notna() & draws.rows["draw"].isin(trajectories["draw"])
@@ -232,15 +234,13 @@ def online_draw_figure(tables: Tables) -> Plot:
     gains = pd.Series(relative_gain(online, plan), index=rows.index).dropna()
     if gains.empty:
         return no_draw()
-    draw = typical_draw(gains)
+    every = draws.gain("online", draws.plan)
+    draw = median_draw(gains, every)
     sets = {draws.plan: list(draws.planned_times), "online": list(rows["measurement_times"][draw])}
     trajectory = with_online(trajectories[trajectories["draw"] == draw], rows["estimate"][draw])
-    median = float(gains[draw])
-    over = f"relative gain over {verbatim(draws.plan)}"
-    which = " of those with other times" if differ.any() else ""
-    legend = minus(f"draw {draw}, {over} {100 * median:.1f} %, the median{which}")
-    title = title_of_draw(median, "online times", f"the times of {draws.plan}")
-    return plot_of_draw(trajectory, sets, legend, title)
+    relative, plan_phrase = float(gains[draw]), phrase_of(tables.run.labels[draws.plan])
+    title = title_of_draw(relative, every.relative.count, "online times", plan_phrase)
+    return plot_of_draw(trajectory, sets, legend_of_draw(draw, relative), title)
 
 
 def with_online(trajectory: pd.DataFrame, estimate: np.ndarray) -> pd.DataFrame:

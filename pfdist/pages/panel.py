@@ -4,7 +4,7 @@ Sizes are those of the style in use.
 """
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import compress
 from textwrap import wrap
 from typing import Any, NamedTuple, TypeVar
@@ -16,11 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import Formatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.common.component_names import Component
+from pfdist.common.component_names import Component, named_component
+from pfdist.common.measurement_times import REGULAR
 from pfdist.errors import JobError, shown
 from pfdist.pages.style import GREY, set_style
-from pfdist.results import Run
+from pfdist.problem.set_key import PLAN
+from pfdist.results import Run, read_recorded
 from pfdist.results.run import TABLES
+from pfdist.results.stored_run import angles_of
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -29,10 +32,11 @@ MOST_COMPONENTS = 6  # components of z that a figure shows, each in a panel
 _POINTS = 8  # of the font for which heights are given
 _THIN = 0.7  # width of a thin line over that of a line of the style
 _LABEL_LINE = 24  # characters of a line of a vertical axis's label
-_LEGEND_LETTERS = 24  # longest label with which a legend has two columns
+_LEGEND_LETTERS = (14, 24)  # longest label with which a legend has three, and two columns
 _SHARE = 0.1  # of all values that may be cut off; one value always may
 _STRETCH = 4.0  # values are cut off only if the axis would be so many times longer with them
 _MARGIN = 0.08  # room beyond the last value that is shown, over the length of the axis
+_LEADING = 1.1  # distance of two names over the size of their font
 _LABELLED = 2  # of more points beyond the axis, only the farthest has a number
 
 
@@ -61,11 +65,13 @@ def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
     if isinstance(source, pd.DataFrame):
         return source
     if isinstance(source, Run) and names[0] in TABLES:
-        return source.table(names[0])
+        table: pd.DataFrame = source.table(names[0])
+        table.attrs["error_unit"] = error_unit(source)
+        return table
     for name in names:
         attribute = getattr(source, name, None)
         if attribute is not None:
-            table: pd.DataFrame = attribute() if callable(attribute) else attribute
+            table = attribute() if callable(attribute) else attribute
             check_kind(table, (pd.DataFrame,), f"{argument}.{name}")
             return table
     wanted = " or ".join(f"`{name}`" for name in names)
@@ -149,23 +155,42 @@ def minus(text: str) -> str:
 def legend_above(
     ax: Axes, handles: Sequence[Any] | None = None, *, columns: int = 0, title: str = ""
 ) -> None:
-    """Put the legend above the axes, where it covers no curve; by default with two columns.
+    """Put the legend above the axes, where it covers no curve.
 
-    Long labels have one column. The handles are by default everything that has a label.
+    By default it has three columns, and fewer if labels are long. The handles are by default
+    everything that has a label.
     """
     if handles is None:
         handles = ax.get_legend_handles_labels()[0]
     if handles:
         longest = max(len(str(handle.get_label())) for handle in handles)
         ax.legend(
-            handles=handles, ncols=columns or 1 + (longest <= _LEGEND_LETTERS), title=title or None,
+            handles=handles, title=title or None,
+            ncols=columns or 1 + sum(longest <= most for most in _LEGEND_LETTERS),
             loc="lower center", bbox_to_anchor=(0.5, 1.0), borderaxespad=0.3,
         )  # fmt: skip
 
 
+def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
+    """Write names of curves beside the right edge, each in its colour near the curve's end.
+
+    Each end has a value of y, a name and a colour. The limits of the axes are final.
+    """
+    ax.autoscale_view()
+    inches = ax.get_window_extent().height / ax.figure.dpi
+    line = _LEADING * float(rcParams["font.size"]) / 72 / inches
+    at = (ax.transData + ax.transAxes.inverted()).transform([(1.0, y) for y, *_ in ends])[:, 1]
+    order, level = np.argsort(at, kind="stable"), -math.inf
+    levels = np.array([level := max(at[k], level + line) for k in order])
+    levels -= np.mean(levels - at[order])  # up and down alike
+    for k, height in zip(order, levels, strict=True):
+        _, name, color = ends[k]
+        ax.text(1.02, height, name, c=color, va="center", transform=ax.transAxes, size="small")
+
+
 def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
     """Label the horizontal axis as time, with the unit of the clock and whole numbers or not."""
-    ax.set_xlabel(f"$t$ [{verbatim(unit)}]" if unit else "$t$")
+    ax.set_xlabel(f"time $t$ [{verbatim(unit)}]" if unit else "instant $t$")
     ax.xaxis.set_major_locator(MaxNLocator(integer=whole, steps=[1, 2, 5, 10]))
 
 
@@ -186,6 +211,25 @@ def label_quantity(
     ax.set_ylabel("\n".join(wrap(text, _LABEL_LINE)))
 
 
+def label_error(ax: Axes, table: pd.DataFrame, what: str = "expected MSE") -> None:
+    """Label the vertical axis as a mean squared error, with its unit if there is one."""
+    unit = table.attrs.get("error_unit", "")
+    ax.set_ylabel("\n".join(wrap(what, _LABEL_LINE)) + (f" [{verbatim(unit)}²]" if unit else ""))
+
+
+def error_unit(run: Run) -> str:
+    """The unit whose squares errors have, in brackets unless it is a word.
+
+    It is empty if z has no unit or several, or if errors are no squares, or have weights or scales.
+    """
+    names = read_recorded(run.path)[0]["provenance"].get("names", {}).get("z", [])
+    units, angles = {named_component(name).unit for name in names}, angles_of(run)
+    if len(units) != 1 or not angles or any(angles):
+        return ""
+    [unit] = units
+    return unit if unit.isalpha() or not unit else f"({unit})"
+
+
 def step_of(times: Iterable[float]) -> float:
     """The least difference of two times; 1 for instants, which are whole numbers."""
     different = np.unique(np.asarray(list(times)))
@@ -195,16 +239,23 @@ def step_of(times: Iterable[float]) -> float:
 
 
 def styles_of(
-    source: pd.DataFrame | Sequence[str], names: Iterable[str]
+    source: pd.DataFrame | Collection[str], names: Iterable[str]
 ) -> dict[str, dict[str, Any]]:
-    """The style of each set by name, which is the same in all figures of a run.
+    """The style of each set by name, with its label; they are the same in all figures of a run.
 
-    It follows from the place of the set among the sets of the run. The source is a table of the
-    run, or the names of its sets. Names that are no sets of the run follow these.
+    The source is a table of the run, or the labels or names of its sets. The evenly spaced times,
+    or else the first set, have the style of a reference, and the plan that which follows. Names
+    that are no sets of the run come last.
     """
     sets = source.attrs.get("sets", ()) if isinstance(source, pd.DataFrame) else source
+    labels = sets if isinstance(sets, Mapping) else {}
     places = dict.fromkeys([*sets, *names])
-    return {name: set_style(place) for place, name in enumerate(places)}
+    first = REGULAR if REGULAR in places else next(iter(places), "")
+    order = sorted(places, key=lambda name: (name != first, labels.get(name) != PLAN))
+    return {
+        name: set_style(place) | {"label": verbatim(labels.get(name, name))}
+        for place, name in enumerate(order)
+    }
 
 
 def rows_of_sets(
@@ -220,7 +271,7 @@ def rows_of_sets(
     if table.empty:
         return []
     if "name" not in table:
-        return [("", table.sort_values("t"), set_style(1))]
+        return [("", table.sort_values("t"), set_style(1) | {"label": None})]
     every = list(dict.fromkeys(map(str, table["name"])))
     drawn = [chosen(name, every, "names") for name in names] or every
     styles = styles_of(table, drawn)
@@ -230,10 +281,7 @@ def rows_of_sets(
 def name_row(ax: Axes, level: float, name: str, *, share: bool = False, color: str = GREY) -> None:
     """Write the name of a row beside the axes, at a value of y or at a share of the height."""
     transform = ax.transAxes if share else ax.get_yaxis_transform()
-    ax.text(
-        1.01, level, verbatim(name), transform=transform, color=color, va="center",
-        fontsize="xx-small",
-    )  # fmt: skip
+    ax.text(1.01, level, name, transform=transform, color=color, va="center", fontsize="x-small")
 
 
 def write_instead(ax: Axes, text: str) -> Axes:
@@ -274,7 +322,7 @@ class Points(NamedTuple):
 
 
 def points(x: ArrayLike, y: ArrayLike, colour: str, name: str) -> Points:
-    """The points of a curve that have a value; infinite values have one."""
+    """The points of a curve that have a value; infinite values have one. The name is verbatim."""
     at, values = np.asarray(x, np.float64), np.asarray(y, np.float64)
     present = ~np.isnan(values)
     return Points(at[present], values[present], colour, name)
@@ -355,5 +403,5 @@ def _mark_beyond(
     ax.plot(
         curve.x[beyond], np.full(len(farthest), edge), shape, color=curve.colour, ms=marker(),
         mfc=curve.colour, transform=ax.get_xaxis_transform(), clip_on=False, zorder=5,
-        label=f"{verbatim(curve.name)}, off the axis: {text}" if curve.name else text,
+        label=f"{curve.name}, off the axis: {text}" if curve.name else text,
     )  # fmt: skip

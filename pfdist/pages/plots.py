@@ -2,9 +2,9 @@
 
 The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
-`online_shares`, `particle_losses`, `sampling_windows`, `searches`, `shifts`, `times`,
-`uncertainty` and `worth` each draw one panel: of a run, or of tables, into ``ax``, or into a new
-figure of pyplot. They return the axes. So does `against`, which draws a table of many runs.
+`online_shares`, `particle_losses`, `sampling_windows`, `searches`, `times`, `uncertainty` and
+`worth` each draw one panel: of a run, or of tables, into ``ax``, or into a new figure of pyplot.
+They return the axes. So does `against`, which draws a table of many runs.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """
@@ -14,7 +14,7 @@ from pfdist.pages.bounds import bound, budget, draw_target
 from pfdist.pages.figure import draw_figures, draw_missing_figures
 from pfdist.pages.filtered import belief, check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.pages.gains import gain, one_draw
-from pfdist.pages.measurements import sampling_windows, shifts, worth
+from pfdist.pages.measurements import sampling_windows, worth
 from pfdist.pages.online import online_gain, online_raster, online_shares
 from pfdist.pages.searches import comparison, searches
 from pfdist.pages.sweeps import against
@@ -44,7 +44,6 @@ __all__ = [
     "particle_losses",
     "sampling_windows",
     "searches",
-    "shifts",
     "times",
     "uncertainty",
     "worth",

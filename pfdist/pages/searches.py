@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from pfdist.errors import JobError
@@ -17,6 +18,7 @@ from pfdist.pages.panel import (
     check_kind,
     chosen,
     height_of_rows,
+    label_error,
     legend_above,
     marker,
     minus,
@@ -28,7 +30,7 @@ from pfdist.pages.panel import (
 )
 from pfdist.pages.style import GREY
 from pfdist.problem.methods import METHODS
-from pfdist.problem.set_key import label_of
+from pfdist.problem.set_key import phrase_of
 from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.pairs import formatted_ranks
 from pfdist.results.stored_run import distrust_of, named_sets, own_estimation, statistics_of
@@ -86,7 +88,7 @@ def curve_of(method: str) -> Curve:
     return _CURVES[METHODS[method].curve if method in METHODS else "generations"]
 
 
-@figure("searches", applies=lambda run: one_number(run) and bool(run.job["search"]))
+@figure("searches", applies=lambda run: one_number(run) and len(run.job["search"]) > 1)
 def searches_figure(tables: Tables) -> Plot:
     """Estimated error against the number of evaluations, relative to the best (paper, figure 2).
 
@@ -116,12 +118,12 @@ def _title(evaluations: pd.DataFrame, methods: Mapping[str, str]) -> str:
         curve = curve_of(method)(evaluations[evaluations["phase"] == name]).min(axis=1).dropna()
         if len(curve):
             near = curve.index[(curve <= 1.01 * curve.min()).argmax()]
-            parts.append(f"{name} after {near:,} of {curve.index[-1]:,}")
+            parts.append(f"{name} {near:,} of {curve.index[-1]:,}")
     if not parts:
         return "No search has a finite error."
     left_out = f" and {len(parts) - _MOST_IN_TITLE} more" * (len(parts) > _MOST_IN_TITLE)
     return (
-        "Evaluations until a search came within 1 % of the least error in its curve: "
+        "The searches came within 1 % of their lowest errors after so many evaluations: "
         f"{', '.join(parts[:_MOST_IN_TITLE])}{left_out}."
     )
 
@@ -131,8 +133,8 @@ def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tup
     mse = {name: float(np.nan_to_num(statistics.mse[name].mean, nan=np.inf)) for name in run.names}
     reference, best = run.names[0], min(mse, key=lambda name: mse[name])
     return {
-        "reference": (label_of(reference), mse[reference]),
-        "best": (label_of(best), mse[best]),
+        "reference": (phrase_of(run.labels[reference]), mse[reference]),
+        "best": (phrase_of(run.labels[best]), mse[best]),
     }
 
 
@@ -234,30 +236,37 @@ def searches(
     colours = {name: styles[name]["color"] for name in curves}
     if len({*colours.values()}) < len(curves):  # only a palette tells so many apart
         colours = {name: colormaps["viridis"](k / len(curves)) for k, name in enumerate(curves)}
+    handles, kinds = [], dict[str, str]()
     for position, (name, curve) in enumerate(curves.items()):
+        look = {"color": colours[name], "marker": _MARKERS[position % len(_MARKERS)], "mew": 0}
+        handles.append(Line2D([], [], label=verbatim(name), ms=marker(0.9), **look))
         for kind, errors in curve.items():
             above = 100 * (errors / base - 1)
             differences += above.dropna().tolist()
             dashes = "-" if kind == "average" else "--"
+            kinds["solid" if kind == "average" else "dashed"] = str(kind)
             ax.plot(
-                above.index, above, color=colours[name], ls=dashes,
-                label=f"{verbatim(name)}, {kind}", marker=_MARKERS[position % len(_MARKERS)],
-                markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), mew=0,
+                above.index, above, ls=dashes, label=f"{verbatim(name)}, {kind}",
+                markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), **look,
             )  # fmt: skip
-    by_label = {label_of(name): style["color"] for name, style in styles.items()}
+    by_label = {phrase_of(style["label"]): style["color"] for style in styles.values()}
     for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
         if line is not None and math.isfinite(line[1]):
             text = verbatim(f"{line[0]}: {line[1]:.4g}")
             differences.append(100 * (line[1] / base - 1))
             colour = by_label.get(line[0], GREY)
-            ax.axhline(differences[-1], color=colour, lw=thin(0.9), ls=dashes, label=text)
+            line_at = differences[-1]
+            handles.append(ax.axhline(line_at, color=colour, lw=thin(0.9), ls=dashes, label=text))
     _scale(ax, np.array(differences))
     ax.set_xlabel("number of evaluated sets")
-    of_what = "estimated error" if best is None else "expected MSE"
-    ax.set_ylabel(f"estimated error above\nthe least {of_what} [%]")
+    lowest = "the lowest one" if best is None else "lowest compared set"
+    ax.set_ylabel(f"estimated error above\n{lowest} [%]")
     ax.set_xlim(left=0)
     ax.margins(y=0.08)
-    legend_above(ax, columns=_columns(methods), title=title)
+    said = ", ".join(f"{dashes}: {kind}" for dashes, kind in kinds.items())
+    legend_above(
+        ax, handles, columns=_columns(methods), title="\n".join(filter(None, [title, said]))
+    )
     return ax
 
 
@@ -286,8 +295,8 @@ def _alike(groups: Mapping[str, list[str]], names: list[str]) -> tuple[str, list
 
 
 def legend_inches(names: Collection[str]) -> float:
-    """Height of a panel's legend over searches of these names, which have two curves at most."""
-    return _LEGEND_LINE * max(3, math.ceil(2 * (1 + len(names)) / _columns(names)))
+    """Height of a panel's legend over searches of these names, with its title."""
+    return _LEGEND_LINE * (2 + math.ceil((2 + len(names)) / _columns(names)))
 
 
 def _columns(names: Collection[str]) -> int:
@@ -297,16 +306,18 @@ def _columns(names: Collection[str]) -> int:
 @figure("compared", applies=lambda run: bool(named_sets(run)))
 def compared_figure(tables: Tables) -> Plot:
     """Expected MSE of each compared set, with the 95 % interval of its difference to the best."""
-    ranks = tables.run.table("ranks")
+    ranks, labels = table_of(tables.run, "run", "ranks"), tables.run.labels
     best, *others = ranks.to_dict("records")
-    rivals = [str(each["name"]) for each in others if each["best_rank"] == 1]
+    rivals = [labels[each["name"]] for each in others if each["best_rank"] == 1]
+    which = phrase_of(labels[best["name"]])
     if best["best_rank"] == best["worst_rank"]:
-        title = f"The times of {best['name']} are clearly the best of {len(ranks)} sets."
+        title = f"The lowest expected MSE of {len(ranks)} sets is clearly that of {which}."
     elif len(rivals) > _MOST_IN_TITLE:
         title = f"The best may be any of {1 + len(rivals)} of {len(ranks)} sets."
     else:
-        names = ", ".join([str(best["name"]), *rivals])
+        names = ", ".join([labels[best["name"]], *rivals])
         title = f"The best of {len(ranks)} sets may be any of these: {names}."
+    title += " Bars: 95 % intervals of the difference from the best."
     return Plot(_height(ranks), lambda panels: comparison(ranks, ax=panels[0]), title=title)
 
 
@@ -317,8 +328,8 @@ def _height(ranks: pd.DataFrame) -> float:
 def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """Draw the expected MSE of each set, the best on top, and how far it is from the best.
 
-    The bar of a set is the 95 % interval of the difference to the best set on the same draws. The
-    numbers on the right are the ranks.
+    The bar of a set is the 95 % interval of the difference to the best set on the same draws. Its
+    name is followed by its rank.
 
     Parameters
     ----------
@@ -342,20 +353,21 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     ax.axvline(least, color=GREY, lw=thin(0.6), ls=(0, (4, 1.5)), zorder=0)
     styles = styles_of(table, table["name"])
     for row, name in enumerate(table["name"]):
-        style = styles[name] | {"ls": "", "ms": marker(0.9)}
+        style = styles[name] | {"ls": "", "ms": marker(0.9), "label": None}
         ax.errorbar(
             at[row], row, xerr=np.nan_to_num(bars[:, [row]]), elinewidth=thin(1.2),
             capsize=marker(0.5), capthick=thin(), **style,
         )  # fmt: skip
     ax.set_ylim(len(table) - 0.5, -0.5)
-    beside = ax.twinx()
-    beside.set_ylim(ax.get_ylim())
-    beside.set_ylabel("rank")
     step = math.ceil(len(table) / _MOST_ROWS)
-    names = list(map(verbatim, table["name"]))
-    numbers = list(map(formatted_ranks, table["best_rank"], table["worst_rank"]))
-    for axis, labels in ((ax, names), (beside, numbers)):
-        axis.set_yticks(range(0, len(labels), step), labels[::step])
-        axis.tick_params(axis="y", length=0)
-    ax.set_xlabel("expected MSE (bars: 95 % of the difference to the best)")
+    ranks_of = map(formatted_ranks, table["best_rank"], table["worst_rank"])
+    named = [
+        f"{styles[name]['label']}, {rank}"
+        for name, rank in zip(table["name"], ranks_of, strict=True)
+    ]
+    ax.set_yticks(range(0, len(named), step), named[::step])
+    ax.tick_params(axis="y", length=0)
+    label_error(ax, table)
+    ax.set_xlabel(ax.get_ylabel())
+    ax.set_ylabel("set, rank")
     return ax

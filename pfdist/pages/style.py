@@ -31,10 +31,19 @@ if _backend:
     with contextlib.suppress(ValueError):  # an unknown backend is as good as none
         mpl.rcParams["backend"] = _backend
 
-BLUE, RED, ORANGE, GREEN, PURPLE = "#0077bb", "#bb2211", "#dd8800", "#228833", "#cc79a7"
-GREY = "#666666"
+PALETTE = {
+    "red": ("#df4d12", "#f05e39"),
+    "blue": ("#00519d", "#87b6f2"),
+    "ochre": ("#653700", "#ffd778"),
+    "green": ("#429b6b", "#6dca8e"),
+    "purple": ("#b462f0", "#a879ff"),
+    "grey": ("#535353", "#848484"),
+}
+"""Each colour on white paper and on a dark page. The plan is red, the reference blue; a bound and
+the truth have the colour of the text."""
+RED, BLUE, OCHRE, GREEN, PURPLE, GREY = (light for light, _ in PALETTE.values())
 SENSORS = ("o", "s", "^", "D", "v", "P", "X", "*")  # markers, one for each possible sensor
-SERIES = (RED, BLUE, ORANGE, GREEN, PURPLE)
+SERIES = (RED, BLUE, OCHRE, GREEN, PURPLE)
 
 COLUMN_INCHES = 3.5  # width of a printed figure
 PRINT, SCREEN = "pfdist.pages.print", "pfdist.pages.screen"
@@ -42,7 +51,7 @@ PRINT, SCREEN = "pfdist.pages.print", "pfdist.pages.screen"
 _SETS: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "ls": (0, (4, 1.5)), "marker": "o", "mfc": "white"},
     {"color": RED, "ls": "-", "marker": "o", "mfc": RED},
-    {"color": ORANGE, "ls": (0, (6, 1.5, 1, 1.5)), "marker": "s", "mfc": ORANGE},
+    {"color": OCHRE, "ls": (0, (6, 1.5, 1, 1.5)), "marker": "s", "mfc": OCHRE},
     {"color": GREEN, "ls": (0, (1, 1)), "marker": "^", "mfc": GREEN},
     {"color": PURPLE, "ls": (0, (7, 1)), "marker": "D", "mfc": "white"},
 )

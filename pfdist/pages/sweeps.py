@@ -9,7 +9,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.transforms import ScaledTranslation
 
-from pfdist.common.dotted_keys import short_names
 from pfdist.errors import ArgumentError, shown
 from pfdist.pages.panel import (
     Points,
@@ -26,6 +25,8 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, SERIES
+from pfdist.problem.set_key import labels_of
+from pfdist.results.runs_table import formatted_value, keys_of, shown_names
 from pfdist.results.studies import (
     SEED,
     SET,
@@ -37,7 +38,6 @@ from pfdist.results.studies import (
     still_varying,
     values_of,
 )
-from pfdist.results.table_cells import formatted_value, keys_of
 
 MOST_LINES = 20  # more could not be told apart
 _MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -111,7 +111,7 @@ def against(
     ax = axes_for(ax, 2.2 + 0.08 * len(lines))
     if not lines:
         return write_instead(ax, "no result is finite")
-    places, factor = _places(ax, values_of(frame, key)), _factor(value)
+    places, factor = _places(ax, values_of(frame, key)), 100.0 if value in _PER_CENT else 1.0
     colours, dashes = ([*dict.fromkeys(at[part] for at, _ in lines)] for part in _PARTS)
     curves = []
     for number, (at, line) in enumerate(lines):
@@ -126,7 +126,7 @@ def against(
         curves.append(_draw_line(ax, line, places, factor, style, aside))
     if value == "expected_mse":
         _draw_references(ax, frame, key, places)
-    ax.set_xlabel(verbatim(short_names(keys_of(frame))[key]))
+    ax.set_xlabel(verbatim(shown_names(keys_of(frame))[key]))
     ax.set_ylabel(_label(value))
     cut_outliers(ax, curves)
     if len(ax.get_legend_handles_labels()[1]) > 1:
@@ -159,10 +159,6 @@ def _label(value: str) -> str:
     return f"{words} [%]" if value in _PER_CENT else words
 
 
-def _factor(value: str) -> float:
-    return 100.0 if value in _PER_CENT else 1.0
-
-
 def _text(value: Any) -> str:
     return clipped(formatted_value(value) or "none", _LONGEST_TEXT)
 
@@ -181,7 +177,7 @@ def _draw_references(ax: Axes, frame: pd.DataFrame, key: str, places: dict[Any, 
     others = [name for name in still_varying(frame, [key]) if name not in (key, SET)]
     lines = _lines(frame, [key, "reference", *others], "reference_mse")
     names = {str(at[0]) for at, _ in lines}
-    label = names.pop() if len(names) == 1 else "references"
+    label = labels_of(names, {})[names.pop()] if len(names) == 1 else "references"
     for _, means in lines:
         line = [replace(each, low=math.nan, high=math.nan, replicates=()) for each in means]
         style = {"color": GREY, "marker": "_", "ls": _DASHES[1], "label": label}
@@ -215,7 +211,7 @@ def _draw_line(
     reached = np.concatenate([mean - ends[0], mean + ends[1], seeds])
     ax.update_datalim(np.column_stack([[*x, *x, *at], reached]))  # not done where axes are shifted
     ax.autoscale_view()
-    return points(x, mean, style["color"], style["label"])
+    return points(x, mean, style["color"], verbatim(style["label"]))
 
 
 def _places(ax: Axes, values: list[Any]) -> dict[Any, float]:

@@ -1,28 +1,36 @@
-"""An answer as lines of a terminal: paragraphs, facts, and tables that fit into 80 columns."""
+"""An answer as lines of a terminal: paragraphs, facts and tables that fit into its columns."""
 
 import re
+import shutil
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import zip_longest
 
 from pfdist.common.parts import Block, Code, Facts, Page, Table, Text, without_empty_columns
 from pfdist.errors import one_line
 
-COLUMNS = 80
+_NARROWEST, _USUAL, _WIDEST = 40, 80, 120  # columns of lines; the usual where there is no terminal
 _NAME = 21  # characters of a fact's name
-_LEAST = 24  # characters of a last column that is cut into lines
+_LEAST = 24  # characters of a column of text that is cut into lines
 _GAP = "  "
-_GLUED = re.compile(r"(?<=\d) (?=%)|(?<=\(95 %:) ")  # spaces at which no line ends
-_WORD, _PIECE = re.compile(r"[^ ]+ ?| "), re.compile(r"[^_. ]+[_. ]?|[_. ]")
+_GLUED = re.compile(r"(?<=\d) (?=%)|(?<=\(95 % CI) ")  # spaces at which no line ends
+_WORD, _PIECE = re.compile(r"[^ ]+ ?| "), re.compile(r"[^_./ ]+[_./ ]?|[_./ ]")
+
+
+def line_width() -> int:
+    """Columns of the terminal, or of the variable COLUMNS; 80 if the output is no terminal."""
+    return min(max(_NARROWEST, shutil.get_terminal_size((_USUAL, 1)).columns), _WIDEST)
 
 
 def lines_of(page: Page, *, verbose: bool = False) -> list[str]:
     """The lines of a page, without its pictures; without its details unless they are asked for."""
-    lines = [one_line(page.subtitle)]  # it may hold a path, which is not cut
+    is_path = "/" in page.subtitle  # which is not cut
+    lines = [one_line(page.subtitle)] if is_path else wrapped(page.subtitle)
     for section in page.sections:
         lines += lines_of_blocks(section.blocks, verbose=verbose)
     for warning in page.warnings:
         lines += ["", *wrapped(f"Note: {warning}")]
-    return lines
+    return [*lines, *["", one_line(page.place)] * bool(page.place)]
 
 
 def lines_of_blocks(blocks: Iterable[Block], *, verbose: bool = False) -> list[str]:
@@ -43,7 +51,7 @@ def wrapped(text: str, start: str = "") -> list[str]:
     """
     indent = " " * min(len(start), _NAME + 3)
     lines = textwrap.wrap(
-        _GLUED.sub("\xa0", one_line(text)), COLUMNS,
+        _GLUED.sub("\xa0", one_line(text)), line_width(),
         initial_indent=one_line(start), subsequent_indent=indent,
         break_on_hyphens=False, break_long_words="/" not in text,
     )  # fmt: skip
@@ -66,10 +74,10 @@ def _lines(block: Block) -> Iterator[str]:
 
 
 def aligned(table: Table) -> list[str]:
-    """The lines of a table; optional columns are left out, and named, until the others fit.
+    """The lines of a table.
 
-    Heads are cut within names only if the table does not fit otherwise. If the columns do not fit
-    either, the text of the last column goes on in the next lines.
+    Text is cut into lines, and optional columns are left out, until the columns fit. Heads are cut
+    within names only if the table does not fit otherwise.
 
     Examples
     --------
@@ -83,41 +91,38 @@ def aligned(table: Table) -> list[str]:
     bcd        10
     """
     table = without_empty_columns(table)
-    columns = _columns(table, _PIECE)
-    left_out = list[str]()
-    for name in table.optional:
-        if name in columns and _width(columns.values()) > COLUMNS:
-            del columns[name]
-            left_out.append(name)
-    whole = {name: column for name, column in _columns(table, _WORD).items() if name in columns}
-    columns = whole if _width(whole.values()) <= COLUMNS else columns
-    *others, last = columns.values()
-    room = COLUMNS - _width(columns.values()) + last.width
-    if room < last.width and not last.is_number:
-        last.width = max(room, _LEAST)
-    height = max(len(column.head) for column in columns.values())
-    heads = zip(
-        *([*[""] * (height - len(each.head)), *each.head] for each in (*others, last)), strict=True
-    )
-    lines = [_line(head, columns.values()) for head in heads]
-    for row in zip(*(column.cells for column in columns.values()), strict=True):
-        *cells, end = row
-        ends = textwrap.wrap(end, last.width) if len(end) > last.width else [end]
-        lines.append(_line([*cells, ends[0]], columns.values()))
-        lines += (_line([*[""] * len(cells), more], columns.values()) for more in ends[1:])
-    names = ", ".join(one_line(name) for name in left_out)
-    return lines + wrapped(f"Left out: {names}. See --json.") * bool(names)
+    for count in range(len(table.optional) + 1):
+        shown = _columns(table, _PIECE, table.optional[:count])
+        if _is_narrowed(shown):
+            break
+    whole = _columns(table, _WORD, table.optional[:count])
+    shown = whole if _is_narrowed(whole) else shown
+    height = max(len(each.head) for each in shown)
+    heads = ([*[""] * (height - len(each.head)), *each.head] for each in shown)
+    rows = zip(*(each.cells for each in shown), strict=True)
+    cut = (map(_cut, row, (each.width for each in shown)) for row in rows)
+    return [_line(line, shown) for row in (heads, *cut) for line in zip_longest(*row, fillvalue="")]
 
 
-def _columns(table: Table, piece: re.Pattern[str]) -> dict[str, "_Column"]:
-    return {
-        name: _Column(
+def _columns(table: Table, piece: re.Pattern[str], left_out: Sequence[str]) -> list["_Column"]:
+    return [
+        _Column(
             piece.findall(one_line(name)),
             [row[place].text for row in table.rows],
             all(row[place].is_number for row in table.rows),
         )
         for place, name in enumerate(table.head)
-    }
+        if name not in left_out
+    ]
+
+
+def _is_narrowed(columns: Sequence["_Column"]) -> bool:
+    """Narrow the widest columns of text, and say whether the columns fit then."""
+    excess = sum(each.width + len(_GAP) for each in columns) - len(_GAP) - line_width()
+    while excess > 0 and (wide := [each for each in columns if each.width > each.least]):
+        max(wide, key=lambda each: each.width).width -= 1
+        excess -= 1
+    return excess <= 0
 
 
 def _line(cells: Iterable[str], columns: Iterable["_Column"]) -> str:
@@ -126,24 +131,31 @@ def _line(cells: Iterable[str], columns: Iterable["_Column"]) -> str:
     return _GAP.join(texts).rstrip()
 
 
+def _cut(text: str, width: int) -> list[str]:
+    """A text in lines that end with words; within words, where one of them is too long."""
+    is_long = any(len(word) > width for word in text.split(" "))
+    pieces = (_PIECE if is_long else _WORD).findall(text)
+    return _lines_of(
+        [piece[at : at + width] for piece in pieces for at in range(0, len(piece), width)], width
+    )
+
+
+def _lines_of(pieces: Iterable[str], width: int) -> list[str]:
+    lines = [""]
+    for piece in pieces:
+        if len((lines[-1] + piece).rstrip()) > width and lines[-1]:
+            lines.append("")
+        lines[-1] += piece
+    return [line.rstrip() for line in lines]
+
+
 class _Column:
-    """A column of a table: its head is cut between some pieces."""
+    """A column of a table: its head is cut between some pieces, and its text may be narrowed."""
 
     def __init__(self, pieces: Sequence[str], cells: Sequence[str], is_number: bool) -> None:
         self.cells, self.is_number = [one_line(cell) for cell in cells], is_number
         longest = max(map(len, [*self.cells, *(piece.rstrip() for piece in pieces)]), default=0)
-        most = max(
-            longest, -(-sum(map(len, pieces)) // 2)
-        )  # so that most heads have two lines or fewer
-        lines = [""]
-        for piece in pieces:
-            if len((lines[-1] + piece).rstrip()) > most and lines[-1]:
-                lines.append("")
-            lines[-1] += piece
-        self.head = [line.rstrip() for line in lines]
+        # so that most heads have two lines or fewer
+        self.head = _lines_of(pieces, max(longest, -(-sum(map(len, pieces)) // 2)))
         self.width = max(map(len, [*self.head, *self.cells]), default=0)
-
-
-def _width(columns: Iterable[_Column]) -> int:
-    widths = [column.width for column in columns]
-    return sum(widths) + len(_GAP) * (len(widths) - 1)
+        self.least = self.width if is_number else max(_LEAST, *map(len, self.head))

@@ -9,7 +9,7 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 
 from pfdist.common.clock import Clock
-from pfdist.common.formatted_times import by_sensor
+from pfdist.common.formatted_times import by_sensor, formatted_time
 from pfdist.errors import JobError, shown
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.panel import (
@@ -32,7 +32,7 @@ from pfdist.pages.panel import (
     write_instead,
 )
 from pfdist.pages.style import GREY, set_style
-from pfdist.problem.set_key import label_of
+from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
 from pfdist.results.stored_run import problem_of
 from pfdist.store.schema import components_in
@@ -41,7 +41,6 @@ _MOST_LINES = 5  # sets that differ in colours and dashes
 _MOST_COMPONENTS = 3  # of z, each with a panel above the times
 _ROW, _PANEL = 0.17, 1.6  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
-_LONGEST_OF_TWO = 16  # characters of a name with which the legend has two columns
 _MARGIN = 0.03  # part of the axis beside times that are not whole
 _LEADING = 1.25  # distance of two names over the size of their font
 
@@ -50,47 +49,61 @@ _LEADING = 1.25  # distance of two names over the size of their font
 def times_figure(tables: Tables) -> Plot:
     """Root mean square error of the estimates over time, and the measurement times of every set."""
     run, sets = tables.run, tables.run.sets
-    rows = times_inches(sum(len(_rows_of(name, at)) for name, at in sets.items()))
+    rows = times_inches(sum(len(by_sensor(at)) for at in sets.values()))
     if "budget" in run.job or len(sets) < 2 or "trajectories" not in run.tables:
         numbers = sorted({len(times) for times in sets.values()})
         each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
         title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
         return Plot(rows, lambda panels: times(run, ax=panels[0]), title=title)
+    means = {name: each.mean for name, each in tables.statistics.mse.items()}
+    mse = {name: np.nan_to_num(mean, nan=np.inf) for name, mean in means.items()}
     reference, *others = run.names
-    mse = {name: tables.statistics.mse[name].mean for name in others}
-    best = min(mse, key=lambda name: np.nan_to_num(mse[name], nan=np.inf))
-    names = run.names if len(run.names) <= _MOST_LINES else [reference, best]
+    pair = [reference, min(others, key=lambda name: mse[name])]
+    best, worse = sorted(pair, key=lambda name: mse[name])
     components = components_in(tables.trajectories, "z_")
     number = min(len(components), _MOST_COMPONENTS)
 
     def draw(panels: Sequence[Axes]) -> None:
         *above, below = panels
         for component, ax in enumerate(above):
-            uncertainty(tables.trajectories, names, component=component, ax=ax)
+            uncertainty(tables.trajectories, pair, component=component, ax=ax)
         times(run, ax=below)
         stack([*above, below], 1 + len(components))
 
     return Plot(
         0.3 + _PANEL * number + rows, draw, number + 1, share_x=True,
-        title=_title(tables.trajectories, best, reference),
+        title=_title(tables.trajectories, best, worse, run.labels),
         heights=[*[_PANEL] * number, rows - 0.75],
     )  # fmt: skip
 
 
-def _title(trajectories: pd.DataFrame, best: str, reference: str) -> str:
-    """Say at how many instants the best set has the lower error."""
+def _title(trajectories: pd.DataFrame, best: str, reference: str, labels: Mapping[str, str]) -> str:
+    """Say in which stretches of time the best set lowers and raises the error most."""
     suffixes = [each.suffix for each in components_in(trajectories, "z_")]
-    errors = [
-        sum(_squared_errors(trajectories, name, suffix) for suffix in suffixes)
+    errors = {
+        name: sum(_squared_errors(trajectories, name, suffix) for suffix in suffixes)
         for name in (best, reference)
-    ]
-    both = pd.DataFrame({"t": trajectories["t"], "best": errors[0], "reference": errors[1]})
-    means = both.dropna().groupby("t").mean()
-    lower = int((means["best"] < means["reference"]).sum())
+    }
+    means = pd.DataFrame(errors).assign(t=trajectories["t"]).dropna().groupby("t").mean()
+    lower = np.nan_to_num(means[reference] - means[best], posinf=0.0, neginf=0.0)
+    unit = f" {trajectories.attrs.get('error_unit', '').strip('()')}".rstrip()
+    parts = list[str]()
+    for word, change in (("falls", lower), ("rises", -lower)):
+        if not (change > 0).any():
+            continue
+        total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
+        stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
+        first, end = np.unravel_index(stretches.argmax(), stretches.shape)
+        before, now = (
+            f"{np.sqrt(means[name].iloc[first:end].mean()):#.3g}".rstrip(".")
+            for name in (reference, best)
+        )
+        at = " to ".join(formatted_time(t) for t in dict.fromkeys(means.index[[first, end - 1]]))
+        parts.append(f"{word} most at t = {at} (from {before} to {now}{unit})")
     return (
-        f"The root mean square error with the times of {best} is lower than with "
-        f"{label_of(reference)} at {lower} of {len(means)} instants, over "
-        f"{trajectories['draw'].nunique()} fresh draws."
+        f"With {phrase_of(labels[best])} instead of {phrase_of(labels[reference])}, the root mean "
+        f"square error of the first {trajectories['draw'].nunique()} draws "
+        f"{' and '.join(parts) or 'is the same at all instants'}."
     )
 
 
@@ -159,15 +172,13 @@ def uncertainty(
         ax.fill_between(mean.index, low, high, color=style["color"], alpha=0.12, lw=0)
         ax.plot(
             mean.index, error, color=style["color"], ls=style["ls"], lw=thin(0.9),
-            label=verbatim(name),
+            label=style["label"],
         )  # fmt: skip
-        curves.append(points(mean.index, error, style["color"], name))
+        curves.append(points(mean.index, error, style["color"], style["label"]))
     cut_outliers(ax, curves, zero=True)
     label_quantity(ax, quantities, component, "root mean square error of {}")
     label_times(ax, table)
-    longest = max(map(len, names))
-    columns = 3 if longest <= 12 else 2 if longest <= _LONGEST_OF_TWO else 1
-    legend_above(ax, columns=columns, title="bands: 95 %")
+    legend_above(ax, title="bands: 95 % confidence")
     return ax
 
 
@@ -214,17 +225,18 @@ def times(
         references = {*run.names} - {*run.references}
     for name, at in sets.items():
         check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
-    rows = [row for name, at in sets.items() for row in _rows_of(name, at)]
+    labels = run.labels if is_of_run else {name: name for name in sets}
+    rows = [row for name, at in sets.items() for row in _rows_of(name, at, labels[name])]
     if clock is None:
         given = {t for _, _, at in rows for t in at} or {0}
         clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
     ax = axes_for(ax, times_inches(len(rows)))
-    others = [name for name in sets if name not in references]
     size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(rows)))
-    each_differs = len(references) < 2
+    styles = styles_of(labels, ())
+    if len(references) > 1:  # sets of several numbers of measurements
+        styles = {name: set_style(name not in references) for name in sets}
     for row, (name, _, at) in enumerate(rows):
-        position = 1 + others.index(name) * each_differs if name in others else 0
-        style = set_style(position) | {"ls": ""}
+        style = styles[name] | {"ls": "", "label": None}
         if len(rows) <= _MOST_NAMED:
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
         ax.plot(
@@ -240,8 +252,8 @@ def times(
     inches = ax.get_window_extent().height / ax.figure.dpi
     room = 72 * inches / (_LEADING * 0.875 * rcParams["font.size"])
     step = -(-len(rows) // max(1, int(room)))
-    labels = [verbatim(label) for _, label, _ in rows]
-    ax.set_yticks(range(0, len(rows), step), labels[::step])
+    named = [verbatim(label) for _, label, _ in rows]
+    ax.set_yticks(range(0, len(rows), step), named[::step])
     if step > 1:
         ax.set_ylabel(f"{len(rows)} sets, 1 of {step} is named")
     ax.tick_params(axis="y", length=0)
@@ -255,10 +267,12 @@ def times_inches(sets: int) -> float:
     return height_of_rows(min(sets, _MOST_NAMED), _ROW)
 
 
-def _rows_of(name: str, measurements: Iterable[float | str]) -> list[tuple[str, str, list[float]]]:
+def _rows_of(
+    name: str, measurements: Iterable[float | str], label: str
+) -> list[tuple[str, str, list[float]]]:
     """Name, label and times of each row of a set: one row, or one for each of its sensors."""
     return [
-        (name, f"{name}, {sensor}" if sensor else name, at)
+        (name, f"{label}, {sensor}" if sensor else label, at)
         for sensor, at in by_sensor(measurements).items()
     ]
 

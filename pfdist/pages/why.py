@@ -8,12 +8,13 @@ from matplotlib.axes import Axes
 
 from pfdist.common.formatted_times import formatted_time, measurement_of
 from pfdist.pages.figure import Plot, Tables, figure
-from pfdist.pages.measurements import shifts, worth
+from pfdist.pages.measurements import worth
 from pfdist.pages.panel import (
     BAND,
     axes_for,
     check_kind,
     cut_outliers,
+    label_error,
     label_times,
     legend_above,
     marker,
@@ -22,11 +23,10 @@ from pfdist.pages.panel import (
     stack,
     table_of,
     thin,
-    verbatim,
     write_instead,
 )
 from pfdist.pages.style import set_style
-from pfdist.problem.set_key import label_of
+from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
 from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
 
@@ -44,44 +44,48 @@ def _has_particles(run: Run) -> bool:
 
 @figure("why", applies=_is_explained, each_set=True)
 def why_figure(tables: Tables, name: str) -> Plot:
-    """Expected error over time, and its rise if a measurement is removed or shifted."""
+    """Expected error of a set over time, and its rise if a measurement is left out."""
     run = tables.run
-    profile, measurements, names = run.table("profile"), run.table("worth"), (run.names[0], name)
-    of_both = measurements[measurements["name"].isin(names)]  # a set may measure nothing
+    profile, measurements = (table_of(run, "run", table) for table in ("profile", "worth"))
+    of_set = measurements[measurements["name"] == name]  # it may measure nothing
 
     def draw(panels: Sequence[Axes]) -> None:
-        error_profile(profile, names, ax=panels[0])
-        worth(of_both, ax=panels[1])
-        shifts(of_both, ax=panels[2])
+        error_profile(profile, [name], ax=panels[0])
+        worth(of_set, ax=panels[1])
         stack(panels)
 
-    return Plot(5.2, draw, panels=3, share_x=True, title=_title(measurements, names))
+    mean = _mean_error(profile[profile["name"] == name])
+    return Plot(4.0, draw, panels=2, share_x=True, title=_title(of_set, mean, run.labels[name]))
 
 
-def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
-    """Say which measurement of each set is worth most."""
-    reference, name = names
-    rows = measurements.dropna(subset="removed").sort_values("removed").groupby("name").last()
-    if name not in rows.index:
-        return f"The set {name} measures nothing."
-    most = rows.loc[name].to_dict()
-    at = formatted_time(measurement_of(most))
-    title = (
-        f"The measurement of {name} at t = {at} is worth most: without it, the expected MSE rises "
-        f"by {most['removed']:.3g}."
+def _title(measurements: pd.DataFrame, mean: float, label: str) -> str:
+    """Say which measurement is worth most, and which least."""
+    rows = measurements.dropna(subset="removed").sort_values("removed").to_dict("records")
+    if not rows:
+        return f"There is no measurement of {phrase_of(label)}."
+    least, most = (
+        f"t = {formatted_time(measurement_of(row))} ({100 * row['removed'] / mean:.3g} %)"
+        for row in (rows[0], rows[-1])
     )
-    if reference not in rows.index:
-        return title
-    most = rows.loc[reference].to_dict()
-    rise = f"at most {most['removed']:.3g}, without t = {formatted_time(measurement_of(most))}"
-    return f"{title[:-1]}; that of {label_of(reference)} rises by {rise}."
+    return (
+        f"The measurement of {phrase_of(label)} that matters most is at {most}, and that which "
+        f"matters least at {least}: so much higher is the expected MSE without it."
+    )
+
+
+def _mean_error(rows: pd.DataFrame) -> float:
+    """The mean over time of an error profile, weighted as the MSE is."""
+    error = rows["error"].to_numpy()
+    weights = rows["weight"].to_numpy() if "weight" in rows else np.ones(len(rows))
+    counts = weights > 0  # an error of weight 0 may be unknown
+    return float(np.average(error[counts], weights=weights[counts]))
 
 
 @figure("filters", applies=_has_particles)
 def filters_figure(tables: Tables) -> Plot:
     """Effective sample size of the filters over time, and degenerate draws if there are any."""
     run = tables.run
-    profile, particles = run.table("profile"), run.job["filter"]["particles"]
+    profile, particles = table_of(run, "run", "profile"), run.job["filter"]["particles"]
     sizes = profile.dropna(subset="effective_sample_size")
     names = [name for name in run.names if name in set(sizes["name"])][:_MOST_SETS]
     sizes = sizes[sizes["name"].isin(names)]
@@ -95,8 +99,9 @@ def filters_figure(tables: Tables) -> Plot:
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
     title = (
-        f"The fewest particles count at t = {formatted_time(least['t'])} of {least['name']}: on "
-        f"average {least['effective_sample_size']:.0f} of {particles}."
+        f"The effective sample size is least at t = {formatted_time(least['t'])} with "
+        f"{phrase_of(run.labels[least['name']])}: on average "
+        f"{least['effective_sample_size']:.0f} of {particles} particles."
     )
     if is_degenerate:
         return Plot(3.4, draw, panels=2, share_x=True, title=title)
@@ -135,25 +140,23 @@ def error_profile(
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of errors over time")
-    for name, rows, style in sets:
+    for _, rows, style in sets:
         t, error = rows["t"].to_numpy(), rows["error"].to_numpy()
-        weights = rows["weight"].to_numpy() if "weight" in rows else np.ones(len(rows))
-        counts = weights > 0  # an error of weight 0 may be unknown
-        mean = np.average(error[counts], weights=weights[counts])
+        label = f"{style['label'] or ''}, mean {_mean_error(rows):.4g}".removeprefix(", ")
         half = BAND * rows["standard_error"].to_numpy()
         ax.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
         ax.plot(
             t, error, markevery=np.flatnonzero(rows["measured"]), ms=marker(0.9), lw=thin(0.9),
-            label=f"{verbatim(name)}, mean {mean:.4g}", **style,
+            **(style | {"label": label}),
         )  # fmt: skip
-        curves.append(points(t, error, style["color"], name))
+        curves.append(points(t, error, style["color"], style["label"] or ""))
     cut_outliers(ax, curves, zero=True)
-    ax.set_ylabel("expected error $e(t)$")
+    label_error(ax, table, "expected error $e(t)$")
     label_times(ax, table)
     if draws is None:
         draws = int(table["draws"].max()) if "draws" in table else 0
-    drawn = f"on {draws:,} draws of their own; " if draws else ""
-    legend_above(ax, title=f"{drawn}band: 95 %; markers: measured there")
+    drawn = f"{draws:,} draws; " if draws else ""
+    legend_above(ax, title=f"{drawn}band: 95 % confidence\nmarkers: measured there")
     return ax
 
 
@@ -194,9 +197,9 @@ def effective_sample_size(
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "exact filters have no effective sample size")
-    for name, rows, style in sets:
+    for _, rows, style in sets:
         size = rows["effective_sample_size"].to_numpy()
-        ax.plot(rows["t"], size, ms=marker(), lw=thin(), label=verbatim(name) or None, **style)
+        ax.plot(rows["t"], size, ms=marker(), lw=thin(), **style)
     sizes = table["effective_sample_size"]
     is_logarithmic = sizes.max() > _LINEAR * sizes.min()
     ax.set_yscale("log" if is_logarithmic else "linear")
@@ -205,7 +208,7 @@ def effective_sample_size(
     ax.set_ylim(bottom=float(is_logarithmic))  # last: the upper end no longer follows the lines
     ax.set_ylabel("effective sample size")
     label_times(ax, table)
-    legend_above(ax, columns=3)
+    legend_above(ax)
     return ax
 
 
@@ -236,11 +239,11 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "exact filters have no degenerate draws")
-    for name, rows, style in sets:
+    for _, rows, style in sets:
         share = 100 * rows["degenerate_draws"].to_numpy() / rows["draws"].to_numpy()
         ax.step(
             rows["t"], share, where="post", color=style["color"], ls=style["ls"], lw=thin(),
-            label=f"{verbatim(name)}, in the end {share[-1]:.2g} %" if name else None,
+            label=style["label"] and f"{style['label']}, in the end {share[-1]:.2g} %",
         )  # fmt: skip
     ax.set_ylim(0, ax.get_ylim()[1] if table["degenerate_draws"].any() else 1.0)
     ax.set_ylabel("degenerate draws [%]")

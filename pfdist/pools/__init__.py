@@ -1,5 +1,4 @@
-"""Pools: they apply functions to works, here, on threads, in other processes or on Ray.
+"""Pools: they apply functions to works in this process, on threads, in other processes or on Ray.
 
-A pool knows nothing of models, searches or files. Only the modules whose names begin
-with ``ray_`` know Ray.
+A pool depends on no model, search or file. Only modules named ``ray_...`` import Ray.
 """

@@ -1,4 +1,4 @@
-"""The contract of pools, and the serial pool, which does all tasks in this process."""
+"""The contract of pools, and the serial pool, which runs all tasks in this process."""
 
 import os
 import platform
@@ -24,7 +24,7 @@ STILL_SECONDS = 5.0  # between two looks: after longer, this process itself was 
 
 
 def patience(seconds: float) -> float:
-    """Seconds that a task may take which should take so many seconds."""
+    """The time limit, in seconds, of a task that is expected to take so many seconds."""
     return max(PATIENCE_SECONDS, PATIENCE_TIMES * seconds)
 
 
@@ -54,22 +54,22 @@ class Outcome:
 
 
 def pause(task: object) -> float:
-    """Seconds to wait for an answer before the pool asks for tasks again; None was no task."""
+    """Seconds to wait before the pool asks for tasks again; None: it was given no task."""
     return PAUSE_SECONDS if task is None else WAIT_SECONDS
 
 
 class Silence:
-    """The seconds for which nobody was heard, without those in which this process stood still."""
+    """Seconds without an answer, not counting those in which this process was suspended."""
 
     def __init__(self) -> None:
         self.seconds, self._looked = 0.0, time.monotonic()
 
     def end(self) -> None:
-        """Begin anew, because somebody was heard."""
+        """Restart the count after an answer."""
         self.seconds = 0.0
 
     def check(self, most: float, who: str = "any worker") -> None:
-        """Raise a `SilenceError` after more than so many seconds."""
+        """Raise a `SilenceError` if more than so many seconds have passed."""
         now = time.monotonic()
         passed, self._looked = now - self._looked, now
         self.seconds += passed if passed < STILL_SECONDS else 0.0
@@ -78,20 +78,20 @@ class Silence:
 
 
 class Pool(AbstractContextManager["Pool"], Protocol):
-    """Workers that do tasks; a context manager."""
+    """Workers that run tasks; a context manager."""
 
     workers: int
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Yield the outcomes in any order; tasks are taken from the iterable only as needed.
 
-        None in place of a task says that there is none now. The pool asks again while a task is in
+        None instead of a task means that there is none now. The pool asks again while a task is in
         flight, and ends when none is.
         """
 
 
 def do(function: Function, work: Any) -> tuple[Any, float, str, str, str | None]:
-    """The fields of an `Outcome` from value to error: the function is applied in this process."""
+    """The fields of an `Outcome` from value to error: the function runs in this process."""
     start = time.perf_counter()
     value, error = None, None
     try:
@@ -114,7 +114,7 @@ class SerialPool:
         pass
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Yield the outcomes of the tasks, which are done one after another."""
+        """Yield the outcomes of the tasks, which run one after another."""
         for task in tasks:
             if task is None:  # no task is in flight that could bring another
                 return

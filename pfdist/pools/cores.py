@@ -1,4 +1,4 @@
-"""The cores and the memory that this process may use, and limits of control groups."""
+"""The cores and the memory that this process may use, with the limits of control groups."""
 
 import math
 import os
@@ -9,12 +9,12 @@ _ROOT, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may use, by affinity, control group and Slurm task."""
+    """Number of cores that this process may use: the least limit of those in `limits`."""
     return max(1, min(limits().values()))
 
 
 def affinity() -> int:
-    """Number of cores on which this process may run; macOS does not tell, so all cores."""
+    """Number of cores on which this process may run; on macOS, the number of all cores."""
     known = getattr(os, "sched_getaffinity", None)
     return len(known(0)) if known else os.cpu_count() or 1
 

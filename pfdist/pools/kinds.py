@@ -26,9 +26,9 @@ class PoolKind:
     isolated: bool = False
 
     def make(self, **settings: int | str) -> Pool:
-        """The pool, which starts when it is entered; it ignores the settings that it does not take.
+        """The pool, which starts when it is entered. Settings that it does not take are ignored.
 
-        0 leaves the number of workers to the pool.
+        With 0 workers, the pool chooses their number.
         """
         taken = {name: settings[name] for name in self.takes if name in settings}
         pool: Pool = pkgutil.resolve_name(self.factory)(**taken)
@@ -62,12 +62,12 @@ POOLS = {
 
 
 def cluster_at_hand(address: str) -> str:
-    """Why a cluster is at hand, as a phrase; empty if there is none.
+    """A phrase that says why a cluster is available; empty if none is.
 
     Parameters
     ----------
     address : str
-        That of the job.
+        The address in the job.
     """
     if address:
         return "an address is given"

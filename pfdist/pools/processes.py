@@ -1,4 +1,4 @@
-"""The pool of processes of this machine, for formulas that keep Python's lock or may crash."""
+"""A pool of processes on this machine, for formulas that hold Python's lock or may crash."""
 
 import contextlib
 import multiprocessing
@@ -28,8 +28,8 @@ _END = object()  # there are no more tasks
 class ProcessPool:
     """A pool of processes; without a number, one for each core that this process may use.
 
-    If a process dies, all tasks in flight are done again, one at a time: then a task whose process
-    dies was the reason.
+    If a process dies, all tasks in flight run again, one at a time, so that a second death
+    identifies the faulty task.
     """
 
     def __init__(self, workers: int = 0) -> None:
@@ -46,7 +46,7 @@ class ProcessPool:
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Yield the outcomes in any order, with two tasks for each process in flight.
 
-        Raises `PoolError` if no process can start, and `SilenceError` if none answers any more.
+        Raises `PoolError` if no process can start, and `SilenceError` if none answers.
         """
         todo, in_flight, suspects = iter(tasks), dict[Future[Answer], Sent](), list[Task]()
         silence = Silence()
@@ -93,7 +93,7 @@ class ProcessPool:
 
     def _start_again(self) -> None:
         if not self._processes.ids():
-            raise PoolError("no process can start here: is there enough memory?", argument="pool")
+            raise PoolError("no process can start; is there enough memory?", argument="pool")
         self._processes.end()
         self._processes = _Processes(self.workers)
 

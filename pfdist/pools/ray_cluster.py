@@ -1,7 +1,7 @@
 """Starts a local Ray cluster or joins an existing one, and leaves it.
 
-A cluster of our own obeys only those who have its token, which is in the environment of this
-command. It ends with this command.
+A cluster that pfdist starts accepts only processes with its token, which is in the environment of
+this command. It ends with this command.
 """
 
 import atexit
@@ -48,9 +48,9 @@ _SETTINGS = {
 
 
 def load_ray(*, own: bool = False) -> Any:
-    """Ray, which reads its environment when it is imported: it gets a token if the cluster is ours.
+    """The imported Ray; it reads a token from its environment if pfdist starts the cluster.
 
-    The variables that the user has set stay. If Ray was imported before, all stay.
+    Variables that the user has set are kept. If Ray was imported before, all are kept.
     """
     if "ray" not in sys.modules:
         for name, value in _SETTINGS.items():
@@ -69,11 +69,11 @@ def is_own(address: str) -> bool:
 
 @contextlib.contextmanager
 def connected(address: str, cores: int = 0) -> Iterator[bool]:
-    """Be connected to a Ray cluster inside a with statement; whether it is our own.
+    """A connection to a Ray cluster, as a context whose value is whether pfdist started it.
 
     The address of an existing cluster is host:port, ray://host:port, or auto. If it is empty or
     local, pfdist starts a cluster, which offers so many cores; 0 offers all that this process may
-    use. If this process has already joined a cluster, that cluster is used, and not left.
+    use. If this process has already joined a cluster, that cluster is used, and is not left.
 
     Raises `PoolError` if the cluster cannot be joined, or does not start.
     """
@@ -134,7 +134,7 @@ def _start(start: Callable[[], Any], left: threading.Event, most: float) -> None
     threading.Thread(target=begin, daemon=True).start()
     while not started.done() and exit_code() is None:
         if time.monotonic() > deadline:
-            raise TimeoutError(f"no answer in {most:.0f} s (does it want another RAY_AUTH_TOKEN?)")
+            raise TimeoutError(f"no answer in {most:.0f} s (is another RAY_AUTH_TOKEN needed?)")
         with contextlib.suppress(TimeoutError):
             started.exception(_LOOK_SECONDS)
     with contextlib.suppress(TimeoutError):
@@ -160,9 +160,9 @@ def _leave(ray: Any, left: threading.Event, kind: object, *_: object) -> None:
 
 
 def reach(address: str) -> None:
-    """Connect to an address and send nothing, because Ray would wait for minutes.
+    """Check that an address accepts connections; Ray itself would wait for minutes.
 
-    Raises `PoolError` if it is no address, or if nobody listens there. Ray itself resolves auto.
+    Raises `PoolError` if it is not an address, or does not answer. Ray itself resolves auto.
     """
     if address == "auto":
         return
@@ -197,7 +197,7 @@ def shortened(address: str) -> str:
 
 
 def about() -> dict[str, Any]:
-    """Host, Python and pfdist of the process that calls this."""
+    """Host, Python version and pfdist version of the calling process."""
     return {
         "host": platform.node(),
         "python": platform.python_version(),
@@ -206,7 +206,7 @@ def about() -> dict[str, Any]:
 
 
 def describe_nodes(address: str) -> list[dict[str, Any]]:
-    """Host, Python and pfdist of every node of an existing cluster.
+    """Host, Python version and pfdist version of every node of an existing cluster.
 
     Raises `PoolError` if the cluster, or one of its nodes, does not answer.
     """

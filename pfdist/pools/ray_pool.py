@@ -1,4 +1,4 @@
-"""The pool of Ray tasks: Ray schedules them, repeats those of lost workers, and uses new nodes."""
+"""A pool of Ray tasks: Ray schedules them, repeats those of lost workers, and uses new nodes."""
 
 import contextlib
 import pickle
@@ -29,7 +29,7 @@ _END = object()  # there are no more tasks
 
 
 class RayPool:
-    """Tasks of a Ray cluster: the one that this process has joined, an existing, or an own one.
+    """A pool on a Ray cluster: one that this process has joined, an existing one, or a new one.
 
     `workers` tasks run at the same time; by default, one for each core, also of nodes that join.
     `wait_for_cores` is the number of cores that a cluster must have before the first task.
@@ -63,7 +63,7 @@ class RayPool:
         """Yield the outcomes in any order, with a bounded number in flight.
 
         Raises `PoolError` if a node has another version of pfdist, and `SilenceError` if the
-        cluster or its workers do not answer any more.
+        cluster or its workers no longer answer.
         """
         todo, in_flight, silence, remote = iter(tasks), dict[Any, Sent](), Silence(), _remote()
         answers: SimpleQueue[Any] = SimpleQueue()
@@ -97,7 +97,7 @@ class RayPool:
                 raise SilenceError(f"{lacks} after {CORES_SECONDS:.0f} s")
             if cores >= 0 and not told:
                 warnings.warn(
-                    f"{lacks}: waiting {CORES_SECONDS:.0f} s at most", EngineWarning, stacklevel=4
+                    f"{lacks}; waiting at most {CORES_SECONDS:.0f} s", EngineWarning, stacklevel=4
                 )
                 told = True
             sleep(PAUSE_SECONDS)
@@ -178,6 +178,6 @@ def _remote() -> Any:
 
 
 def answer_of(key: str, content: list[Any], work: bytes, most: float) -> Answer:
-    """The answer of a worker."""
+    """The answer of a worker to a task."""
     (stored,) = content
     return answer(key, lambda: load_ray().get(stored), pickle.loads(work), most)  # noqa: S301

@@ -1,4 +1,4 @@
-"""The pool of threads in the process of the driver. Compiled filters release Python's lock."""
+"""A pool of threads in the driver's process. Compiled filters release Python's lock."""
 
 import contextlib
 import sys
@@ -26,8 +26,8 @@ _BUSY = object()  # no thread was free to take another task
 class ThreadPool:
     """A pool of threads of this process; without a number, one for each core that it may use.
 
-    A formula that crashes ends the whole process, and a thread that hangs cannot be ended. So a
-    thread that is silent for too long ends the run; the thread itself ends with the process.
+    A formula that crashes ends the whole process, and a thread that hangs cannot be stopped. So the
+    run ends if a thread gives no answer for too long; the thread itself ends with the process.
     """
 
     def __init__(self, workers: int = 0) -> None:
@@ -54,7 +54,7 @@ class ThreadPool:
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Yield the outcomes as threads finish tasks, with a bounded number in flight.
 
-        Raises `SilenceError` if a thread is silent for too long.
+        Raises `SilenceError` if a thread gives no answer for too long.
         """
         self._forget_tasks()  # an earlier run may have been broken off
         todo, answers, in_flight = iter(tasks), SimpleQueue[Outcome](), 0

@@ -1,7 +1,7 @@
 """The work of a worker in another process.
 
-It makes a function once for all its tasks, and keeps the last 32 functions. A task has a limited
-time, after which the process ends itself, even if a formula never gives Python's lock back.
+A worker unpickles a function once for all its tasks, and keeps the last 32 functions. If a task
+exceeds its time limit, the process ends itself, even if a formula never releases Python's lock.
 """
 
 import faulthandler
@@ -21,8 +21,9 @@ from pfdist.pools.base import Function, Outcome, Task, do, patience
 
 START_SECONDS = 60.0  # for which a worker may start and make a function
 _SHOWN = 300  # characters of an error
+_ONE_THREAD = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false", "NPROC": "1"}  # as JAX reads it
 FUNCTIONS = 32
-"""Functions that a worker keeps; the oldest is forgotten."""
+"""Number of functions that a worker keeps; the oldest is dropped."""
 
 Answer = tuple[Any, float, str, str, str | None, bool]
 """The fields of `pfdist.pools.base.Outcome` but the task."""
@@ -31,9 +32,9 @@ _functions: dict[str, Function] = {}
 
 
 def answer(key: str, content: Callable[[], bytes], work: Any, most: float) -> Answer:
-    """The answer to a task that may take so many seconds.
+    """The answer to a task, which may take so many seconds.
 
-    `content` gives the pickled function, which is asked for if the worker does not have it.
+    `content` gives the pickled function; it is called only if the worker lacks the function.
     """
     try:
         function = _functions.get(key) or _made(key, content())
@@ -56,7 +57,7 @@ class Sent(NamedTuple):
 
 
 def failed(sent: Sent, error: BaseException | None = None) -> Outcome:
-    """The outcome of a task whose workers died, or that cannot be sent."""
+    """The outcome of a task whose worker died, or that cannot be sent."""
     why = f": {type(error).__name__}: {' '.join(str(error).split())[:_SHOWN]}" if error else ""
     text = (
         "its worker ended: it crashed, ran out of memory, or took longer than "
@@ -66,12 +67,12 @@ def failed(sent: Sent, error: BaseException | None = None) -> Outcome:
 
 
 def silence_limit(sent: Iterable[Sent]) -> float:
-    """Seconds after which some task must have an answer, because it ends its worker in time."""
+    """Seconds within which some task must have an answer, given the time limits of tasks."""
     return 2 * max([START_SECONDS, *(patience(each.task.seconds) for each in sent)])
 
 
 def pickled(function: Function) -> tuple[str, bytes]:
-    """The key of a function for workers, and its content."""
+    """The key of a function for workers, and its pickled content."""
     content = cloudpickle.dumps(function)
     return hashlib.blake2b(content, digest_size=16).hexdigest(), content
 
@@ -79,8 +80,10 @@ def pickled(function: Function) -> tuple[str, bytes]:
 def _made(key: str, content: bytes) -> Function:
     if len(_functions) == FUNCTIONS:
         del _functions[next(iter(_functions))]
+    for name, value in _ONE_THREAD.items():  # each core has a worker
+        os.environ.setdefault(name, value)
     function: Function = cloudpickle.loads(content)
-    threadpool_limits(1)  # of BLAS, which may be loaded only now: each core has a worker
+    threadpool_limits(1)  # of BLAS and OpenMP, which may be loaded only now
     _functions[key] = function
     return function
 

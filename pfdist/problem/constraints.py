@@ -1,7 +1,8 @@
-"""Constraints on a set of measurement times: which times, how many or at what price, how far apart.
+"""Constraints on a set of measurement times: allowed times, number or price, and spacing.
 
-Every error and every sentence begins with the name of the value that is wrong, so that a caller can
-add where the value came from: ``forbidden must lie in 0..60, got 61``.
+`check` finds constraints that contradict each other, or that no set satisfies. Every message begins
+with the name of the wrong value, so that a caller can put its place before it: ``forbidden must lie
+in 0..60, got 61``.
 """
 
 from bisect import bisect_left
@@ -16,6 +17,7 @@ from math import gcd, lcm
 from pfdist.common.clock import Clock
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
+from pfdist.errors import MeasurementTimesError
 from pfdist.problem.spacing import Spacing
 
 Money = int | Decimal
@@ -23,7 +25,7 @@ Money = int | Decimal
 
 
 def money(number: float) -> Money:
-    """The exact price that a number is written for: 0.1 means one tenth, not its binary value."""
+    """A price as an exact fraction: 0.1 is one tenth, not the binary value of the float."""
     return number if isinstance(number, int) else Decimal(repr(number))
 
 
@@ -37,13 +39,12 @@ class Limit:
 
 @dataclass(frozen=True)
 class Constraints:
-    """The constraints on a set of N times in 0..T, or of as many times as a sum of money buys.
+    """The constraints on a set of N times in 0..T, or on a set that a total price pays for.
 
     With S sensors, the clock names them, and a time is the number ``t * S + sensor`` of a possible
     measurement. So the measurements of an instant follow each other in the order of the sensors.
 
-    They are not checked here: `Feasible` refuses constraints that contradict
-    each other, or that no set satisfies.
+    The constructor does not check them; `Feasible` does, by `check`.
     """
 
     horizon: int
@@ -57,18 +58,18 @@ class Constraints:
     # largest price of all measurements together; given with `price`, in place of N
     total_price: Money | None = None
     clock: Clock | None = None  # by default instants are counted
-    # Constraints on each sensor alone; none if no sensor has any. The bound leaves them out.
+    # Constraints on each sensor alone; none if no sensor has any
     limits: tuple[Limit, ...] = ()
     cheapest: int = 0  # number of the sensor that measures at regular times
 
     @property
     def counted(self) -> bool:
-        """Whether the number of measurements is given, and not their total price."""
+        """Whether the number of measurements is given, rather than their total price."""
         return self.measurement_budget is not None
 
     @cached_property
     def spacing(self) -> Spacing:
-        """Which times are far enough apart; with sensors, 0 allows several at one instant."""
+        """The spacing of times; with sensors, 0 allows several measurements at one instant."""
         if self.clock is None:
             return Spacing.constant(int(self.minimum_spacing), self.horizon)
         if self.sensors > 1 and not self.minimum_spacing:
@@ -79,6 +80,16 @@ class Constraints:
     def sensors(self) -> int:
         """The number S of ways to measure at an instant."""
         return 1 if self.clock is None else max(1, len(self.clock.sensors))
+
+    @cached_property
+    def most(self) -> dict[int, int]:
+        """The largest number of measurements of each sensor with such a limit."""
+        return {s: each.most for s, each in enumerate(self.limits) if each.most is not None}
+
+    @property
+    def has_spaced_sensors(self) -> bool:
+        """Whether single sensors have minimum spacings; the bound checks them only in windows."""
+        return any(limit.spacing is not None for limit in self.limits)
 
     @property
     def possible(self) -> int:
@@ -98,20 +109,20 @@ class Constraints:
 
     @cached_property
     def optional(self) -> Times:
-        """Allowed times that are not required."""
+        """The allowed times that are not required."""
         return tuple(time for time in self.allowed if time not in self.required)
 
     @cached_property
     def units(self) -> tuple[int, ...]:
-        """Price of each possible measurement, in units of `total`; 1 if times are counted."""
+        """Price of each possible measurement, in the unit of `total`; 1 if times are counted."""
         prices = self.price or (1,) * self.possible
         return tuple(int(Fraction(price) / self.unit) for price in prices)
 
     @cached_property
     def total(self) -> int:
-        """The sum to spend: N, or money in the largest unit in which all prices are whole.
+        """The sum to spend: N, or the money in the largest unit in which all prices are whole.
 
-        Money is at most the price of all allowed times together.
+        A total price is capped at the price of all allowed times.
         """
         if self.measurement_budget is not None:
             return self.measurement_budget
@@ -158,7 +169,7 @@ class Constraints:
         return self.spent(complete) <= self.total and self.compatible(complete)
 
     def moved(self, times: Times, t: int, to: int) -> Times | None:
-        """The set whose measurement at t is made at another instant; None if that is not allowed.
+        """The set with the measurement at t moved to another instant; None if that is not allowed.
 
         A required measurement never moves, and two measurements need two instants.
 
@@ -179,7 +190,7 @@ class Constraints:
     def broken(self, times: Iterable[int]) -> list[str]:
         """The constraints that a set of times in 0..T breaks, one sentence each.
 
-        Each sentence begins with the name of the constraint. A set may leave money over.
+        Each sentence begins with the name of the constraint. A set need not spend all of the money.
 
         >>> Constraints(horizon=9, measurement_budget=2, forbidden=(4,)).broken([1, 4, 9])
         ['measurement_budget is 2, got 3 times', 'forbidden: 4 is measured']
@@ -250,10 +261,9 @@ class Constraints:
         return self._capacities[first, last]
 
     def fitting(self, times: Times, among: Times) -> Times:
-        """As many of some allowed times as fit beside these; all are sorted.
+        """A largest subset of some allowed times that fits beside these; all are sorted.
 
-        With limits the sensors do not depend on each other, because these are asked without a
-        spacing of all.
+        With limits, sensors do not depend on each other, because limits exclude a common spacing.
         """
         if not self.limits:
             return self.spacing.fitting(times, among)
@@ -281,3 +291,126 @@ class Constraints:
     @cached_property
     def _allowed(self) -> frozenset[int]:
         return frozenset(self.allowed)
+
+
+# --- contradictions -------------------------------------------------------------------------------
+
+_MOST_UNITS = 10_000  # of money; the memory of the searches grows with their number
+
+
+def check(constraints: Constraints) -> None:
+    """Raise an error if constraints contradict each other, or if no set satisfies them.
+
+    The message of the `MeasurementTimesError` begins with the name of the wrong value.
+    """
+    _check_times(constraints)
+    _check_limits(constraints)
+    _check_budget_or_price(constraints)
+    (_check_number if constraints.counted else _check_money)(constraints)
+
+
+def _check_times(constraints: Constraints) -> None:
+    """Refuse forbidden and required times that are outside, both, or too near to each other."""
+    for name in ("forbidden", "required"):
+        times, last = getattr(constraints, name), constraints.possible - 1
+        outside = [time for time in times if not 0 <= time <= last]
+        if outside:
+            raise MeasurementTimesError(f"{name} must lie in 0..{last}, got {outside[0]}")
+    both = {*constraints.forbidden} & {*constraints.required}
+    if both:
+        raise MeasurementTimesError(
+            f"forbidden and required must have no time in common, got {min(both)} in both"
+        )
+    for time, later in pairwise(constraints.required):
+        if not constraints.spacing.apart((time, later)):
+            raise MeasurementTimesError(
+                "required must have times that differ by at least minimum_spacing = "
+                f"{constraints.minimum_spacing}, got {constraints.formatted(time)} and "
+                f"{constraints.formatted(later)}"
+            )
+
+
+def _check_limits(constraints: Constraints) -> None:
+    """Refuse N measurements under limits and a spacing of all, and required times beyond limits.
+
+    How many measurements fit beside others would depend on all sensors together. Money needs no
+    such number, because it may be left over.
+    """
+    if constraints.limits and constraints.counted and not constraints.spacing.is_free:
+        raise MeasurementTimesError(
+            "minimum_spacing must be left out if a sensor has most or minimum_spacing, unless "
+            f"total_price is given, got {constraints.minimum_spacing}"
+        )
+    if not constraints.is_within_limits(constraints.required):
+        raise MeasurementTimesError("required must keep the limits of each sensor")
+
+
+def _check_budget_or_price(constraints: Constraints) -> None:
+    """Refuse a budget with prices, and prices without a sum, not above 0 or of a wrong number."""
+    given = (constraints.measurement_budget, constraints.price, constraints.total_price)
+    if given == (None, None, None):
+        raise MeasurementTimesError(
+            "measurement_budget must be given, or instead price and total_price"
+        )
+    if constraints.counted and given[1:] != (None, None):
+        name = "price" if constraints.total_price is None else "total_price"
+        raise MeasurementTimesError(
+            "measurement_budget must be given without price and total_price, "
+            f"got measurement_budget and {name}"
+        )
+    if None in given[1:] and not constraints.counted:
+        got, lacks = (
+            ("price", "total_price") if constraints.price is not None else ("total_price", "price")
+        )
+        raise MeasurementTimesError(f"{lacks} must be given with {got}")
+    price, instants = constraints.price, constraints.possible
+    if price is not None and len(price) != instants:
+        raise MeasurementTimesError(
+            f"price needs {instants} values, one for each instant, got {len(price)}"
+        )
+    if price is not None and min(price) <= 0:
+        raise MeasurementTimesError(f"price must be above 0, got {min(price)}")
+
+
+def _check_number(constraints: Constraints) -> None:
+    """Refuse a number of measurements that no set has."""
+    budget, possible = constraints.total, constraints.possible
+    if budget > possible:
+        what = "instants" if constraints.sensors == 1 else "possible measurements"
+        raise MeasurementTimesError(
+            f"measurement_budget must be at most the number of {what}, {possible}, got {budget}"
+        )
+    required = len(constraints.required)
+    if budget < required:
+        raise MeasurementTimesError(
+            f"measurement_budget must be at least {required}, the number of required times, got "
+            f"{budget}"
+        )
+    capacity = constraints.capacity(())
+    if budget > capacity:
+        raise MeasurementTimesError(
+            f"measurement_budget must be at most {capacity}, the number of times that fit with "
+            f"forbidden, required and minimum_spacing = {constraints.minimum_spacing}, got {budget}"
+        )
+
+
+def _check_money(constraints: Constraints) -> None:
+    """Refuse money that pays for no set, or that has too many units."""
+    money, required = constraints.total_price or 0, constraints.price_of(constraints.required)
+    if money < required:
+        raise MeasurementTimesError(
+            f"total_price must pay for the required times, whose price is {required}, got {money}"
+        )
+    if not constraints.allowed:
+        raise MeasurementTimesError("forbidden must leave a time, got all times")
+    least = min(constraints.price_of((time,)) for time in constraints.allowed)
+    if money < least:
+        raise MeasurementTimesError(
+            f"total_price must pay for a measurement, and the cheapest has the price {least}, "
+            f"got {money}"
+        )
+    if constraints.total > _MOST_UNITS:
+        raise MeasurementTimesError(
+            f"total_price must be at most {_MOST_UNITS:,} times the largest unit in which every "
+            f"price is whole, {float(constraints.unit):.15g}, got {money}: give rounder prices"
+        )

@@ -1,6 +1,6 @@
-"""Parameters of a job's models that are columns of tables: covariates, a value for each instant.
+"""Covariates: parameters of a job's models from columns of tables, a value for each instant.
 
-A job then holds the values, so its identity does, too. A run needs the table no more.
+The job then holds the values, and so does its identity. A run no longer needs the table.
 """
 
 from pathlib import Path
@@ -15,10 +15,10 @@ _KEYS = {"file", "column"}
 
 
 def with_columns(section: Any, folder: Path, key: str = "model") -> Any:
-    """A section [model] or [model.filter] of a job, with the values of the columns that it names.
+    """A section [model] or [model.filter] of a job, with values instead of names of columns.
 
-    Paths are relative to the folder. `key` names the section in the job. A `JobError` says that a
-    table cannot be read, that it has no such column, or that a value is no finite number.
+    Paths are relative to the folder. `key` names the section in the job. Raises `JobError` if a
+    table cannot be read or lacks the column, or if a value is not a finite number.
     """
     if not isinstance(section, dict):
         return section
@@ -49,10 +49,9 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
 
     def check_header(header: list[str]) -> None:
         if column not in header:
-            raise ValueError(
-                f"the table must have the column {shown(column)}, got the columns "
-                f"{', '.join(header)}{did_you_mean(column, header)}"
-            )
+            meant = did_you_mean(column, header) or "."
+            columns = ", ".join(header)
+            raise ValueError(f"the table has no column {shown(column)}{meant} Columns: {columns}")
 
     path = folder / file
     try:

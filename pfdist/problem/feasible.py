@@ -1,13 +1,14 @@
 """The feasible sets of measurement times: all, random and regular ones, neighbours, and repair.
 
-With prices, a set is feasible only if no measurement can be added to it.
+With prices, a set is feasible only if no measurement can be added to it. After some measurements,
+the feasible sets of what is left are those of a shorter horizon.
 """
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from heapq import merge
 from itertools import chain, combinations, cycle, pairwise
 from math import comb
@@ -16,20 +17,19 @@ import numpy as np
 
 from pfdist.common.measurement_times import Times, random, random_below, regular
 from pfdist.errors import MeasurementTimesError
-from pfdist.problem.affordable import Affordable, nearest
-from pfdist.problem.completions import Completions
-from pfdist.problem.constraints import Constraints
-from pfdist.problem.contradictions import check
+from pfdist.problem.affordable import Affordable, Completions, nearest
+from pfdist.problem.constraints import Constraints, Limit, check
+from pfdist.problem.spacing import Spacing
 
 _MOST_COUNTED = 1_000_000  # sets that are counted one by one
 
 
 @dataclass(frozen=True)
 class Feasible(Constraints):
-    """The feasible sets, all sorted: N times, or as many times as a sum of money pays for.
+    """The feasible sets, all sorted: N times, or as many times as a total price pays for.
 
-    A `MeasurementTimesError` says that the constraints contradict each other, or that no set
-    satisfies them. It begins with the name of the wrong parameter.
+    Raises `MeasurementTimesError` if the constraints contradict each other, or if no set satisfies
+    them. The message begins with the name of the wrong parameter.
     """
 
     # Only with money: whether a set is feasible to which a measurement can be added, even the empty
@@ -49,12 +49,12 @@ class Feasible(Constraints):
 
     @cached_property
     def measurements(self) -> int:
-        """N; with money the number of times in the set that `regular` gives."""
+        """The number N of measurements; with prices, that of the set `regular`."""
         return len(self.regular())
 
     @cached_property
     def size(self) -> int:
-        """Number of feasible sets; if sensors have limits, many sets are only bounded above."""
+        """Number of feasible sets; for many sets and sensors with limits, an upper bound."""
         if self._free:
             return comb(len(self.optional), self.total - len(self.required))
         size = sum(completions.size for completions in self._completions)
@@ -83,7 +83,7 @@ class Feasible(Constraints):
         return [self._at(random_below(self.size, rng)) for _ in range(sets)]
 
     def regular(self) -> Times:
-        """The regular times, or in their place a feasible set like them.
+        """The regular times, or the feasible set nearest to them.
 
         With N measurements these are the times of the paper's equation 13; a single time is in the
         middle. On an uneven clock they are the instants nearest to evenly spaced times. With money,
@@ -93,9 +93,9 @@ class Feasible(Constraints):
 
     @cached_property
     def references(self) -> dict[str, Times]:
-        """Other sets to compare with, by name: each sensor alone at regular times, and in rotation.
+        """Further reference sets by name: each sensor alone at regular times, and all in rotation.
 
-        There are none without sensors. A set that cannot be made is left out.
+        Without sensors there are none. Sets that are not feasible are left out.
         """
         every = tuple(range(self.sensors)) if self.sensors > 1 else ()
         turns: dict[str, Times] = {f"alone_{self._sensor(sensor)}": (sensor,) for sensor in every}
@@ -111,7 +111,7 @@ class Feasible(Constraints):
         return times == self._regular_times(len(times))
 
     def additions(self, times: Times) -> list[Times]:
-        """The sets with one time more that can still be completed to a feasible set."""
+        """The sets with one more time that can still be completed to a feasible set."""
         if not self.allows(times):
             return []
         lacking = {*self.required} - {*times}
@@ -122,7 +122,7 @@ class Feasible(Constraints):
         return [*filter(self._can_be_completed, larger)] if self.limits else larger
 
     def removals(self, times: Times) -> list[Times]:
-        """The sets with one time less that still contain a feasible set."""
+        """The sets with one time fewer that still contain a feasible set."""
         contained = self._contained_in(times)
         if contained is None:
             return []
@@ -162,9 +162,9 @@ class Feasible(Constraints):
 
         `reach` is the largest distance between the two; by default it is not limited. With money, a
         new time may be too expensive or lie too near to others. Then the times nearest to it are
-        removed. In every case the money left buys other times, each as far from the rest as can be.
-        The exchanged time may come back. If smaller sets are feasible, nothing is bought, and the
-        sets with one time more or less follow, however far that time lies.
+        removed. In every case the money left buys other times, each as far from the rest as
+        possible. The exchanged time may come back. If smaller sets are feasible, nothing is bought,
+        and the sets with one time more or fewer follow, whatever the distance of that time.
         """
         exchanged = [
             neighbour
@@ -183,7 +183,7 @@ class Feasible(Constraints):
         """A feasible set with these and the required times, which can be paid for together.
 
         Unless smaller sets are feasible, the money left over buys times, each as far from the rest
-        as can be.
+        as possible.
         """
         completed = self.with_required(times)
         while not self.smaller and (more := self.affordable(completed)):
@@ -194,9 +194,9 @@ class Feasible(Constraints):
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
         """A feasible set that shares times with a given set of times in 0..T.
 
-        The given times are tried in random order. A time is accepted if a feasible set can contain
-        it with those accepted before; another order may accept more. Then random times are added
-        until the set is feasible. A feasible set is returned unchanged, and draws no random number.
+        The given times are tried in random order. A time is kept if a feasible set can contain it
+        and those kept before; another order may keep more. Then random times are added until the
+        set is feasible. A feasible set is returned unchanged, without drawing a random number.
         """
         repaired, original = Times(), tuple(sorted(times))
         if self.accepts(original):
@@ -357,3 +357,53 @@ class Feasible(Constraints):
         while leaving and not self.allows({*others, new}):
             others = others - {leaving.pop()}
         return self.completed({*others, new}) if self.allows({*others, new}) else None
+
+
+def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
+    """The feasible sets of what is left after the measurements that were taken.
+
+    `taken` is sorted, and need not be the start of a feasible set. `first` is the first instant
+    that may still be measured, and the times of the result count from it. The result is None if no
+    measurement is left or fits. If fewer fit than are left, the sets have as many as fit. A
+    required time that can no longer be measured is left out.
+
+    >>> rest = rest_of(Feasible(horizon=9, measurement_budget=3, minimum_spacing=3), (4,), 5)
+    >>> rest.allowed, rest.total  # 7, 8 and 9 may be measured, and no two of them
+    ((2, 3, 4), 1)
+    """
+    if first > feasible.horizon:
+        return None
+    start = first * feasible.sensors
+    left = range(start, feasible.possible)
+    barred = feasible.spacing.near(taken).union(feasible.forbidden)
+    limits = list[Limit]()
+    for sensor, limit in enumerate(feasible.limits):
+        own, spacing = feasible.of_sensor(sensor, taken), limit.spacing
+        if spacing is not None:
+            barred |= {t * feasible.sensors + sensor for t in spacing.near(own)}
+            spacing = Spacing(tuple(t - first for t in spacing.successors[first:]))
+        most = None if limit.most is None else max(0, limit.most - len(own))
+        limits.append(Limit(most, spacing))
+    required = [time for time in feasible.required if time in left and time not in barred]
+    make = partial(
+        replace,
+        feasible,
+        horizon=feasible.horizon - first,
+        forbidden=tuple(time - start for time in left if time in barred),
+        clock=None if feasible.clock is None else feasible.clock.since(first),
+        limits=tuple(limits),
+    )
+    if feasible.price is not None and feasible.total_price is not None:
+        money, price = feasible.total_price - feasible.price_of(taken), feasible.price[start:]
+        required = required if feasible.price_of(required) <= money else []
+        least = min((feasible.price[time] for time in left if time not in barred), default=None)
+        if least is None or least > money:
+            return None
+        return make(
+            required=tuple(time - start for time in required), price=price, total_price=money
+        )
+    number = max(0, feasible.total - len(taken))
+    times = tuple(time - start for time in required[:number])
+    capacity = make(required=times, measurement_budget=len(times)).capacity(())
+    number = min(number, capacity)
+    return make(required=times, measurement_budget=number) if number else None

@@ -1,4 +1,4 @@
-"""A job: all sections of a job file, checked together, and the functions that read it."""
+"""The job: all sections of a job file, checked together, and the functions that read it."""
 
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
@@ -13,17 +13,19 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.measurement_times import REGULAR, Times
-from pfdist.common.nearest import did_you_mean, did_you_mean_path
+from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
 from pfdist.common.section import Section, checked, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.filters.engines import is_exact
 from pfdist.problem.covariates import with_columns
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.methods import DEFAULT_METHOD, METHODS
+from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online, Search
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import (
+    DEFAULT_METHOD,
     RESERVED,
     Budget,
     Comparison,
@@ -41,8 +43,8 @@ if TYPE_CHECKING:  # a job is read without Numba
 def override(data: dict[str, Any], change: str) -> None:
     """Change a value in the data of a job file, in place.
 
-    The change is ``key=value``, with a dotted key and a TOML value; see `load_job`.
-    Raises `JobError` if it is no such text, or if the job has no such section or search.
+    The change is ``key=value``, with a dotted key and a TOML value; see `load_job`. Raises
+    `JobError` if the text has another form, or if the job has no such section or search.
     """
     key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".")]
@@ -62,7 +64,7 @@ def override(data: dict[str, Any], change: str) -> None:
     for part in path[:-1]:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
-            raise _wrong(change, f"{shown_text(part)} is no section, so it has no keys")
+            raise _wrong(change, f"{shown_text(part)} is not a section and has no keys")
     if not path:
         raise _wrong(change, "name a key of the search, search.NAME.KEY=value")
     section[path[-1]] = value
@@ -76,7 +78,7 @@ def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
     """Set typed values in the data of a job file, in place, and return the changes as text.
 
     `settings` has a value for each key, or a mapping of keys to values for each section. An empty
-    mapping makes a section. None leaves the value as it is. The texts are for errors.
+    mapping makes a section. None leaves the value unchanged. The texts are for error messages.
     """
     changes = []
     for name, value in settings.items():
@@ -113,9 +115,10 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
     searches = [search for search in searches if isinstance(search, dict)]
     names = [str(search.get("name", search.get("method"))) for search in searches]
     if name not in names:
-        allowed = ", ".join(names) or "none, there is no [[search]]"
-        meant = did_you_mean(name, names)
-        raise _wrong(change, f"the job has no search {shown(name)}, allowed: {allowed}{meant}")
+        allowed = allowed_names(
+            names or ["none, there is no [[search]]"], did_you_mean(name, names)
+        )
+        raise _wrong(change, f"the job has no search {shown(name)}{allowed}")
     section: dict[str, Any] = searches[names.index(name)]
     return section
 
@@ -123,13 +126,13 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
 # --- the job --------------------------------------------------------------------------------------
 
 ONLINE: Final = "online"
-"""Name of the times that are chosen one after another; no search has it."""
+"""Name of the times that are chosen online; no search may have it."""
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
 
 
 class Origin(NamedTuple):
-    """Where a job comes from."""
+    """The source of a job."""
 
     path: Path = Path("job.toml")  # paths of models are relative to its folder; a run has its name
     names_searches: bool = False  # whether the file has a [[search]]; else the job has the default
@@ -143,7 +146,7 @@ _NO_FILE = Origin()
 
 
 class Job(Section):
-    """A validated job: everything that identifies a run, and where to compute it.
+    """A validated job: everything that identifies a run, and where it is computed.
 
     Use `load_job` to read a job file.
 
@@ -152,7 +155,7 @@ class Job(Section):
     origin : Origin
         Where the job comes from.
     seed : int
-        The number from which every random number follows.
+        The seed of all random numbers.
     **data
         The sections, as in a job file.
 
@@ -224,8 +227,11 @@ class Job(Section):
     def _can_have_scenarios(self) -> Self:
         if self.scenarios is None:
             return self
-        if self.online is not None:
-            raise ValueError("a job with scenarios must have no section online, got one")
+        if self.online is not None and not self.scenarios.is_learned:
+            raise ValueError(
+                "a job with a section online must have no scenarios, or scenarios.filter = "
+                f"'learned', got {self.scenarios.filter!r}"
+            )
         if self.budget is not None and self.scenarios.is_worst:
             raise ValueError("a job with the worst scenario must have no section budget, got one")
         for search in self.search:
@@ -234,7 +240,7 @@ class Job(Section):
                 raise ValueError(
                     "scenarios.criterion = 'worst' needs searches that compare whole sets "
                     f"({others}), or polish = true, got {search.name} of method {search.method!r}: "
-                    "it adds errors of instants, so it seeks the best mean"
+                    "it adds errors of instants, so it can only optimise the mean"
                 )
         return self
 
@@ -268,7 +274,7 @@ class Job(Section):
         if self.budget is not None:
             raise ValueError("online needs a job with one measurement budget, got a budget section")
         if not self.search:
-            raise ValueError("online needs a search, whose times are the plan, got search = []")
+            raise ValueError("online needs a search for the first plan, got search = []")
         if any(search.name == ONLINE for search in self.search):
             raise ValueError(f"online needs searches of other names, got a search {ONLINE!r}")
         if ONLINE in self.comparison.named:
@@ -284,6 +290,37 @@ class Job(Section):
                 f"{self.comparison.until.half_width:g}: the comparison must not end early"
             )
         return self
+
+    @model_validator(mode="after")
+    def _can_have_a_control(self) -> Self:
+        if self.comparison.control and (why := self._without_control):
+            raise ValueError(f"comparison.control = true needs {why}")
+        return self
+
+    @property
+    def _without_control(self) -> str:
+        """Why the comparison cannot have a control; empty if it can."""
+        model, scenarios = self.model.filter, self.scenarios
+        if is_exact(self.filter.engine):
+            return f"an engine with particles, got filter.engine = {self.filter.engine!r}"
+        if model.name or model.parameters:
+            return "a filter with the true model, got a section model.filter"
+        if scenarios is not None and scenarios.filter == "nominal":
+            return "scenarios.filter = 'told' or 'learned', got 'nominal'"
+        if scenarios is not None and scenarios.motion:
+            return f"a filter without scenarios.motion, got {scenarios.motion}"
+        return ""
+
+    @property
+    def is_controlled(self) -> bool:
+        """Whether questions about the job use a control: if it can have one and allows it."""
+        return self.comparison.control is not False and not self._without_control
+
+    def with_control(self) -> "Job":
+        """The job whose comparison has a control, if it can have one and allows it."""
+        if not self.is_controlled:
+            return self
+        return self.with_changes(settings={"comparison": {"control": True}})
 
     @model_validator(mode="after")
     def _compares_sensors(self) -> Self:
@@ -308,10 +345,10 @@ class Job(Section):
 
     @cached_property
     def given_sets(self) -> dict[str, Times | None]:
-        """Instants of the sets that the job gives, the reference first; None: regular times.
+        """Instants of the sets that the job gives, the reference first; None means regular times.
 
-        Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock,
-        or stands twice; it names the key.
+        Raises `MeasurementTimesError`, which names the key, if a time lies outside the horizon, is
+        not on the clock, or is given twice.
         """
         comparison, references = self.comparison, self.problem.feasible.references
         first, named = comparison.reference_name, comparison.named
@@ -325,7 +362,7 @@ class Job(Section):
         }  # fmt: skip
 
     def feasible(self, measurement_budget: int) -> Feasible:
-        """The feasible sets of another number of measurements."""
+        """The feasible sets for another number of measurements."""
         return replace(self.problem.feasible, measurement_budget=measurement_budget)
 
     @property
@@ -340,7 +377,7 @@ class Job(Section):
 
     @property
     def judged_apart(self) -> int:
-        """Number of scenarios that are judged each by its own draws; 1 if a mean decides."""
+        """Number of scenarios that are each judged by separate draws; 1 if a mean decides."""
         return len(self.scenarios.each) if self.scenarios and self.scenarios.is_worst else 1
 
     def with_changes(
@@ -349,7 +386,7 @@ class Job(Section):
         sections: Mapping[str, Any] = _NOTHING,
         settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
-        """The job with some keys changed; parameters and errors as of `load_job`."""
+        """The job with some keys changed; parameters and errors as in `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True)
         return _validated(data, self._origin, overrides, sections, settings)
 
@@ -377,7 +414,7 @@ def load_job(
         Whole sections that replace those of the file, before the overrides.
     settings : mapping of str to object, optional
         Values that replace those of the file, after the overrides: by section and key, as in
-        ``{"filter": {"particles": 100}, "seed": 3}``. None leaves the value as it is.
+        ``{"filter": {"particles": 100}, "seed": 3}``. None leaves the value unchanged.
 
     Returns
     -------
@@ -386,7 +423,7 @@ def load_job(
     Raises
     ------
     JobError
-        The file cannot be read or is no TOML, a value is wrong, or values contradict each other.
+        The file cannot be read or is not TOML, a value is wrong, or values contradict each other.
     """
     path = path_argument("path", path)
     if path.is_dir():
@@ -405,7 +442,7 @@ def load_job(
 def toml_of_file(path: Path) -> dict[str, Any]:
     """The data of a job file or a sweep file.
 
-    Raises `JobError` if the file cannot be read, or is no TOML.
+    Raises `JobError` if the file cannot be read or is not TOML.
     """
     try:
         return parse_toml(read_text(path))
@@ -420,7 +457,7 @@ def toml_of_file(path: Path) -> dict[str, Any]:
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:
-    """The identity of a run as TOML. The same identity gives the same text."""
+    """The identity of a run as TOML text; equal identities give equal texts."""
     return tomli_w.dumps(identity)
 
 

@@ -1,6 +1,6 @@
-"""The search methods that a job file can name. Each is declared where it is defined.
+"""The search methods that a job file can name; each is declared where it is defined.
 
-The registry imports `pfdist.search`, which stands on a higher floor, and installed entry points.
+The registry imports `pfdist.search`, which is on a higher floor, and installed entry points.
 """
 
 import sys
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any, Final, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 from pydantic import Field, create_model
 from pydantic.fields import FieldInfo
@@ -23,7 +23,6 @@ from pfdist.problem.search_section import (
     SearchSection,
 )
 
-DEFAULT_METHOD: Final = "relaxation"
 C = TypeVar("C", bound=type[Any])
 Curve = Literal["generations", "trials", "best so far"]
 
@@ -51,10 +50,10 @@ class Method:
         settings: dict[str, Any],
         start: Times | None = None,
     ) -> Any:
-        """The optimiser with these settings, a `pfdist.search.Optimiser`.
+        """An optimiser with these settings: a `pfdist.search.Optimiser`.
 
         `draws` is the number of simulated systems on which a set is evaluated. Methods that search
-        around a set start from `start`, a good feasible set. Raises `JobError` if the method cannot
+        around a set begin at `start`, a good feasible set. Raises `JobError` if the method cannot
         search this problem.
         """
         if "draws" in self.optimiser.__annotations__:
@@ -75,14 +74,14 @@ def method(
     online: bool = True,
     additive: bool = False,
 ) -> Callable[[C], C]:
-    """Declare an optimiser as a search method.
+    """A decorator that declares an optimiser as a search method.
 
     The optimiser is a frozen dataclass. Fields that are annotated with a type of
     `pfdist.problem.search_section`, such as ``Count``, are the settings of the method, with their
-    defaults. The first field, ``feasible``, receives the object that knows all feasible sets. A
-    field ``draws``, if there is one, receives the number of draws of an evaluation. A field
-    ``start``, if there is one, receives a set to start from, or None. The first line of the
-    docstring is the description of the method, and the section Parameters describes the settings.
+    defaults. The first field, ``feasible``, receives the feasible sets. An optional field ``draws``
+    receives the number of draws of an evaluation. An optional field ``start`` receives a set to
+    begin with, or None. The first line of the docstring is the description of the method, and the
+    section Parameters describes the settings.
 
     Parameters
     ----------
@@ -95,10 +94,10 @@ def method(
     curve : str
         The curve of the search in the figure ``searches``, which shows expected MSE by evaluation.
     online : bool
-        Whether the method can plan the remaining measurements. A method that asks for the errors
-        of each instant cannot. It takes a whole number of blocks of 24 draws.
+        Whether the method can plan the remaining measurements. A method that needs the error of
+        each instant cannot, because it takes a whole number of blocks of 24 draws.
     additive : bool
-        Whether the method adds errors of instants or of prefixes. Then errors must be means.
+        Whether the method adds errors of instants or prefixes, so that errors must be means.
     """
 
     def declare(optimiser: C) -> C:
@@ -134,7 +133,7 @@ def method(
 def any_section(*, online: bool = False) -> Any:
     """The type of the section [[search]]: the union of all methods' sections.
 
-    If `online`, only methods count that can plan the remaining measurements.
+    With `online`, only methods that can plan the remaining measurements are included.
     """
     methods = [method for method in METHODS.values() if method.online or not online]
     sections = reduce(or_, (method.section for method in methods))

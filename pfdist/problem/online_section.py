@@ -1,4 +1,4 @@
-"""The section [online] of a job file: times that are chosen one after another."""
+"""The section [online] of a job file: online choice of measurement times."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -22,7 +22,7 @@ else:
 
 
 class Online(Section):
-    """Times that are chosen one after another, each when the last measurement has been seen.
+    """Online choice: each time is chosen after the measurement before it is known.
 
     The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` have no effect.
     Unless it names another method, the keys that are not given are those of a quick corridor
@@ -31,10 +31,10 @@ class Online(Section):
     Parameters
     ----------
     draws : int
-        Number of first draws of the comparison whose times are chosen one after another; at most
+        Number of draws, the first of the comparison, whose times are chosen online; at most
         ``comparison.draws``.
     judging_draws : int
-        Number of fresh simulated systems that decide between the plan at hand and a new plan.
+        Number of fresh simulated systems that decide between the current plan and a new plan.
     search : section
         The search that plans the remaining measurements: the keys of a ``[[search]]``.
     """

@@ -1,4 +1,4 @@
-"""The points of a sweep: for each of its runs, the changes of the job, and the run's name."""
+"""The points of a sweep: the changes of the job and the name of each run."""
 
 import hashlib
 import itertools
@@ -31,7 +31,7 @@ class Point(NamedTuple):
 
     @property
     def changes(self) -> list[str]:
-        """The changes of the job, as `pfdist.load_job` takes them."""
+        """The changes of the job, in the form that `pfdist.load_job` takes."""
         return [f"{key}={_text(key, value)}" for key, value in self.chosen.items()]
 
 
@@ -54,8 +54,8 @@ def points_of(
     Raises
     ------
     JobError
-        Values are no list, lists that change together differ in length, a point or a key stands
-        twice, or there are no points or more than 10,000.
+        Values are not a list, lists that change together differ in length, a point or a key is
+        given twice, or the number of points is not 1 to 10,000.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def points_of(
 def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
     """The values of each key from texts such as ``seed=1:10``; see `values_in`.
 
-    Raises `JobError` if a text is not ``KEY=VALUES``, or if a key stands twice.
+    Raises `JobError` if a text is not ``KEY=VALUES``, or if a key is given twice.
     """
     pairs = [values_in(text) for text in texts]
     _check_keys([key for key, _ in pairs])
@@ -144,7 +144,7 @@ def dotted(values: Values, before: str = "") -> dict[str, Any]:
         is_section = isinstance(value, Mapping)
         added = dotted(value, f"{before}{key}.") if is_section else {f"{before}{key}": value}
         if twice := joined.keys() & added.keys():
-            raise JobError(f"a key of a sweep must stand once, got {shown(min(twice))} twice")
+            raise JobError(f"each key of a sweep must be given once, got {shown(min(twice))} twice")
         joined |= added
     return joined
 
@@ -173,7 +173,7 @@ def _values(key: str, values: Any) -> Sequence[Any]:
 def _check_keys(keys: Sequence[str]) -> None:
     for position, key in enumerate(keys):
         if key in keys[:position]:
-            raise JobError(f"a key of a sweep must stand once, got {shown(key)} twice")
+            raise JobError(f"each key of a sweep must be given once, got {shown(key)} twice")
         if key.partition(".")[0] == "execution":
             raise JobError(
                 f"a sweep must go over keys that change results, got {shown(key)}: all points "
@@ -192,7 +192,7 @@ def _named(chosen: Sequence[Values]) -> Iterator[Point]:
         content = tuple(sorted(texts.items()))
         if content in seen:
             twice = shown_text(", ".join(f"{key}={value}" for key, value in texts.items()))
-            raise JobError(f"a point of a sweep must stand once, got {twice} twice")
+            raise JobError(f"each point of a sweep must be given once, got {twice} twice")
         name = "_".join(f"{short[key]}={_slug(texts[key])}" for key in values)
         if name in names or len(name) > _LONGEST_NAME:
             name = f"{name[:_LONGEST_NAME]}-{_hash(str(texts))}"

@@ -1,17 +1,21 @@
-"""A problem, as a user hands it over in Python: a model, and constraints on its measurements."""
+"""A problem in Python: a model, and constraints on its measurements.
+
+Public functions take a problem, a job, or a path; `as_job` makes a job of each.
+"""
 
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import ValidationError
 
 from pfdist.common import parts
-from pfdist.common.arguments import listed_argument
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.arguments import listed_argument, texts_argument
+from pfdist.common.nearest import allowed_names, did_you_mean
 from pfdist.common.section import Section, explained
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, ModelError, shown
@@ -23,7 +27,7 @@ from pfdist.models import (
     installed_name,
     load_model,
 )
-from pfdist.problem.job import Job, Origin
+from pfdist.problem.job import Job, Origin, load_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import Filter
 
@@ -33,11 +37,10 @@ _STRANGE = re.compile(r"[^\w.-]+")
 
 
 class Problem(Shown):
-    """A model, and how often and when it may be measured: what a job file says, in Python.
+    """A model, and how often and when it may be measured: the Python form of a job file.
 
-    The keys are those of the sections [problem] and [filter] of a job file. All of them are checked
-    at once. The formulas of a model that was defined in a notebook or a script are recorded each
-    time that something is computed.
+    The keys are those of the sections [problem] and [filter] of a job file. All are checked at
+    once. The formulas of a model from a notebook or script are recorded at each computation.
 
     Parameters
     ----------
@@ -51,8 +54,8 @@ class Problem(Shown):
     horizon : int or float
         T: the instants are 0..T. With a clock, the time of the last instant.
     time_step, time_unit, times : float, str and sequence of float, optional
-        The clock: the time from an instant to the next, the name of the unit, and in the place of
-        the horizon the time of every instant. With a clock, all times are times on the clock.
+        The clock: the time from an instant to the next, the name of the unit, or, instead of the
+        horizon, the time of every instant. With a clock, all times are times on the clock.
     instant_weights : sequence of float, optional
         Weight of the error of each instant in the MSE.
     measurement_budget : int, optional
@@ -66,13 +69,13 @@ class Problem(Shown):
         Price of a measurement at each instant, or in each range, as in ``{"0:30": 1, "31:60": 2}``.
         Decimals are exact.
     total_price : float, optional
-        Largest sum of prices, in the place of the measurement budget.
+        Largest sum of prices, instead of the measurement budget.
     sensors : mapping of str to mapping, optional
         For each sensor of the model its price, forbidden times, the largest number of its
-        measurements (most) and their minimum_spacing. By default the prices that the model gives.
+        measurements (most) and their minimum_spacing. By default, the prices of the model.
     particles : int or "auto"
-        "auto": a number that is enough is found when something is computed.
-    resampling, resample, engine, dtype : str
+        "auto" finds a sufficient number when something is computed.
+    resampling, resample, engine, dtype, proposal : str
         The filter, as in the section [filter] of a job file. `resample` is "always" by default.
 
     Raises
@@ -136,9 +139,9 @@ class Problem(Shown):
         return _STRANGE.sub("-", name).strip("-.") or "model"
 
     def with_changes(self, **arguments: Any) -> "Problem":
-        """The problem with some arguments changed; parameters and errors as of the class.
+        """The problem with some arguments changed; parameters and errors as in the class.
 
-        A model that is not changed stays as it was when this problem was made.
+        An unchanged model stays as it was when this problem was made.
         """
         return Problem(**{**self._arguments, **arguments})
 
@@ -160,10 +163,9 @@ class Problem(Shown):
         allowed = [name for name in Job.model_fields if name not in _OWN]
         for name in sections:
             if name not in allowed:
-                raise JobError(
-                    f"sections must be {', '.join(allowed)}, got {shown(name)}: all else is an "
-                    f"argument of pfdist.Problem{did_you_mean(name, allowed)}"
-                )
+                listed = allowed_names(allowed, did_you_mean(name, allowed))
+                other = "all other keys are arguments of pfdist.Problem"
+                raise JobError(f"unknown section {shown(name)}{listed}; {other}")
         given = {"model": self._model, "filter_model": self._filter_model}
         models = {part: each for part, each in given.items() if isinstance(each, NamedModel)}
         origin = Origin(
@@ -242,10 +244,8 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     for key in keys:
         if key not in allowed:
             names = ["filter_model", "scenarios", *allowed]
-            raise JobError(
-                f"unknown argument {shown(key)} of Problem, allowed: {', '.join(names)}"
-                f"{did_you_mean(key, names)}"
-            )
+            allowed_here = allowed_names(names, did_you_mean(key, names))
+            raise JobError(f"unknown argument {shown(key)} of Problem{allowed_here}")
     sections = {}
     for name, section in _SECTIONS.items():
         sections[name] = {
@@ -328,3 +328,34 @@ def _signature() -> inspect.Signature:
 
 
 Problem.__signature__ = _signature()
+
+
+# --- a problem, a job, or a path of one -----------------------------------------------------------
+
+JobSource = Problem | Job | str | Path
+"""A problem, a job, or the path of a job file or of a run's folder."""
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+def as_job(
+    source: JobSource,
+    overrides: Iterable[str] = (),
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
+) -> Job:
+    """The job of a problem or a file, or a given job, with changes.
+
+    The arguments and errors are those of `pfdist.load_job`.
+    """
+    overrides = texts_argument("changes", overrides)
+    if isinstance(source, str | Path):
+        return load_job(source, overrides, sections, settings)
+    if not isinstance(source, Problem | Job):
+        raise JobError(
+            "a job must be a pfdist.Problem, a pfdist.Job or the path of a job file, got "
+            f"{shown(source)}",
+            argument="job",
+        )
+    job = source.job() if isinstance(source, Problem) else source
+    changed = overrides or sections or settings
+    return job.with_changes(overrides, sections, settings) if changed else job

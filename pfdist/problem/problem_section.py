@@ -42,7 +42,7 @@ def _priced(name: str, former: str) -> Any:
 class SensorSection(Section):
     """The price of a sensor's measurements, and constraints on them.
 
-    The lower bound leaves out `most` and `minimum_spacing`.
+    The lower bound relaxes `most` and `minimum_spacing`.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class SensorSection(Section):
 
 
 class ProblemSection(Section):
-    """The horizon, and constraints on the measurement times: how many, at what price, and when.
+    """The horizon, and constraints on the measurement times: number, price, and allowed times.
 
     Without a clock, the horizon and all times count instants. With `time_step`, `time_unit` or
     `times` there is a clock, and all times are times on the clock.
@@ -79,7 +79,7 @@ class ProblemSection(Section):
     time_unit : str
         Name of the unit of time, such as "h", for tables, figures and reports.
     times : list of numbers, time_unit
-        The time of every instant, 2 to 32,001 in ascending order, in the place of ``horizon``.
+        The time of every instant, 2 to 32,001 in ascending order, instead of ``horizon``.
     instant_weights : list of numbers
         Weight of the error of each instant in the MSE, at least 0; only ratios matter.
     measurement_budget : int
@@ -93,7 +93,7 @@ class ProblemSection(Section):
     price : list or section of ranges
         Price of a measurement at each instant, or in each range: numbers above 0.
     total_price : number, that of price
-        Largest sum of the prices of a set, in the place of ``measurement_budget``.
+        Largest sum of the prices of a set, instead of ``measurement_budget``.
     sensors : section of sections
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     """
@@ -142,7 +142,7 @@ class ProblemSection(Section):
     def clock(self) -> Clock:
         """The time of each instant, and the sensors; without a clock, the number of the instant.
 
-        Raises `MeasurementTimesError` if the values contradict each other; it begins with the key.
+        Raises `MeasurementTimesError`, which begins with the key, if values contradict each other.
         """
         clock = replace(self._clock, sensors=tuple(self.sensors or ()))
         if clock.possible > _MOST_POSSIBLE:
@@ -157,12 +157,12 @@ class ProblemSection(Section):
             for name in ("horizon", "time_step"):
                 if getattr(self, name) is not None:
                     raise MeasurementTimesError(
-                        f"{name} must be left out, because times say every instant; got "
+                        f"{name} must be left out, because times gives every instant; got "
                         f"{getattr(self, name):g}"
                     )
             return Clock(tuple(map(float, self.times)), self.time_unit or "")
         if self.horizon is None:
-            raise MeasurementTimesError("horizon must be given, or times in the place of it")
+            raise MeasurementTimesError("horizon must be given, or times instead")
         if not self.has_clock:
             return Clock.counting(self._whole("horizon", self.horizon))
         step = self.time_step or 1.0
@@ -243,7 +243,7 @@ class ProblemSection(Section):
         weights = np.array(given, np.float64)
         if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):
             raise MeasurementTimesError(
-                "instant_weights must be finite, none below 0 and one above, got "
+                "instant_weights must be finite, at least 0, and not all 0, got "
                 f"{shown(list(given))}"
             )
         return tuple((weights / weights.mean()).tolist())
@@ -270,7 +270,7 @@ class ProblemSection(Section):
             return None if self.price is None else self._prices("price", self.price)
         if self.price is not None:
             raise MeasurementTimesError(
-                "price must be left out with sensors: each has a price of its own, "
+                "price must be left out with sensors, because each has its own: "
                 f"sensors.{next(iter(self.sensors))}.price"
             )
         if self.total_price is None:

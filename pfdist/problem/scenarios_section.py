@@ -25,12 +25,12 @@ _Numbers = Listed[_Above0]
 
 
 class Scenarios(Section):
-    """Parameters that the truth may have. Each draw has those of one scenario.
+    """Possible parameters of the truth; each draw has those of one scenario.
 
-    Scenarios are a list of parameters. They may also have a distribution for each parameter: then
-    each of ``count`` scenarios has the median of one of ``count`` parts of equal probability. The
-    parts of the first parameter are in order, and those of each other parameter in an order that
-    its name gives (a Latin hypercube).
+    Scenarios are a list of parameters, or a distribution for each parameter. A distribution is cut
+    into ``count`` equally likely parts, and each scenario has the median of one. The parts of the
+    first parameter are in order; the order of every other parameter depends on its name (a Latin
+    hypercube).
 
     Parameters
     ----------
@@ -40,14 +40,18 @@ class Scenarios(Section):
     weights : list of float
         Above 0, for each scenario of a list; only ratios matter. By default all are equal.
     scales : list of float
-        Above 0, for each scenario: its squared errors are divided by this number, for instance by
+        A number above 0 for each scenario, by which its squared errors are divided: for instance
         the expected MSE of the best times for this scenario alone. By default 1.
     count : int
         Number of scenarios, of distributions alone.
+    motion : float, standard deviations
+        The size of the random step that a learning filter adds to each parameter; for
+        distributions.
     criterion : str
-        Whether the mean of the scenarios' expected MSEs decides, or the largest of them.
+        Whether the mean of the scenarios' expected MSEs decides, or the largest.
     filter : str
-        Whether the filter has the parameters of the job, or is told those of the draw's scenario.
+        Whether the filter uses the parameters of the job, is given those of the draw's scenario, or
+        learns them from measurements.
     """
 
     parameters: (
@@ -58,7 +62,8 @@ class Scenarios(Section):
     scales: _Numbers | None = None
     count: Annotated[int, Field(ge=2, le=MOST_SCENARIOS)] | None = None
     criterion: Literal["mean", "worst"] = "mean"
-    filter: Literal["nominal", "told"] = "nominal"
+    filter: Literal["nominal", "told", "learned"] = "nominal"
+    motion: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] = 0.0
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -83,13 +88,16 @@ class Scenarios(Section):
                     f"scenarios.{key} must have a number for each of {count} scenarios, got "
                     f"{len(given)}"
                 )
-        if isinstance(self.parameters, dict):
+        self._check_learned()
+        if isinstance(self.parameters, dict) and not self.is_learned:
             if self.count is None or self.weights is not None:
                 got = "no count" if self.count is None else "weights"
                 raise ValueError(
                     "scenarios of distributions need scenarios.count, as count = 8, and no "
                     f"scenarios.weights, got {got}"
                 )
+            return self
+        if isinstance(self.parameters, dict):
             return self
         if self.count is not None:
             raise ValueError(f"a list of scenarios has no scenarios.count, got {self.count}")
@@ -98,14 +106,50 @@ class Scenarios(Section):
             raise ValueError(f"every scenario must have the same parameters, got some of {names}")
         return self
 
+    def _check_learned(self) -> None:
+        """Raise a `ValueError` if a key does not fit a filter that learns."""
+        has_distributions = isinstance(self.parameters, dict)
+        if self.is_learned:
+            for key, got, needed in (
+                ("criterion", self.criterion, "mean"), ("scales", self.scales, None),
+                ("count", self.count, None),
+                ("weights", self.weights, None if has_distributions else self.weights),
+            ):  # fmt: skip
+                if got != needed:
+                    instead = "no" if needed is None else f"{needed!r} as"
+                    raise ValueError(
+                        f"scenarios.filter = 'learned' takes {instead} scenarios.{key}, got "
+                        f"{shown(got)}"
+                    )
+        if self.motion and not (self.is_learned and has_distributions):
+            raise ValueError(
+                "scenarios.motion needs scenarios.filter = 'learned' and distributions, got "
+                f"{self.motion}"
+            )
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the parameters are components of the state, and no draw has a scenario."""
+        return self.filter == "learned"
+
     @property
     def is_worst(self) -> bool:
         """Whether the scenario with the largest expected MSE decides."""
         return self.criterion == "worst"
 
     @property
+    def of_draws(self) -> tuple[Scenario, ...]:
+        """The scenarios that draws have; none if the parameters are learned."""
+        return () if self.is_learned else self.each
+
+    @property
+    def prior(self) -> Mapping[str, Mapping[str, _Pair]] | tuple[Scenario, ...]:
+        """The distributions of the parameters, or the scenarios of a list."""
+        return self.parameters if isinstance(self.parameters, dict) else self.each
+
+    @property
     def each(self) -> tuple[Scenario, ...]:
-        """The scenarios, whose shares have the sum 1."""
+        """The scenarios; their shares sum to 1."""
         parameters = self._listed
         ones = (1.0,) * len(parameters)
         weights = np.array(self.weights or ones)

@@ -29,7 +29,7 @@ class EvaluationSettings(Section):
     draws : int
         Number of draws on which the search evaluates a set.
     noise : str
-        Whether each evaluation has draws of its own, or all share theirs.
+        Whether each evaluation has fresh draws, or all share the same draws.
     particles : int
         Number of particles of the filters of the search. By default that of the job, or under
         common noise a fifth of it, at least 100.
@@ -38,7 +38,7 @@ class EvaluationSettings(Section):
     estimator : str
         How the error of a draw is estimated; "auto" chooses by the model.
     degenerate_draws : str
-        Whether a degenerate draw makes the error of a set infinite ("kill").
+        With "kill", a degenerate draw makes the error of a set infinite.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
@@ -49,15 +49,15 @@ class EvaluationSettings(Section):
     degenerate_draws: Degenerate | None = None
 
     def particles_of(self, job_particles: int) -> int:
-        """Number of particles of the search, from that of the job."""
+        """Number of particles of the search, given that of the job."""
         return self.particles or job_particles
 
 
 class CommonNoiseSettings(EvaluationSettings):
     """Default evaluation settings of searches that use common random numbers.
 
-    The filter has a fifth of the job's particles, but at least 100 if the job has as many. With
-    fewer particles, other sets would be the best.
+    The filter has a fifth of the job's particles, but at least 100 if the job has that many. With
+    fewer particles, other sets would look best.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
@@ -67,7 +67,7 @@ class CommonNoiseSettings(EvaluationSettings):
     degenerate_draws: Degenerate = "continue"
 
     def particles_of(self, job_particles: int) -> int:
-        """Number of particles of the search, from that of the job."""
+        """Number of particles of the search, given that of the job."""
         fewest = min(job_particles, max(_FEWEST_PARTICLES, job_particles // _SHARE))
         return self.particles or fewest
 

@@ -1,4 +1,4 @@
-"""The sections of a job file, without [problem] and [[search]], with bounds and defaults."""
+"""The sections of a job file other than [problem] and [[search]], with bounds and defaults."""
 
 import re
 from collections.abc import Sequence
@@ -18,9 +18,10 @@ from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
 from pfdist.problem.search_section import Degenerate
 
+DEFAULT_METHOD: Final = "relaxation"  # of a search; the name of its set, too
 REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
 MOST_SETS: Final = 100
-"""Largest number of sets that a job may give by name: these have almost 5000 pairs."""
+"""Largest number of sets that a job may give by name; they form almost 5,000 pairs."""
 LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
 _SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{LONGEST_SET_NAME - 1}}}")
 RESERVED: Final = (REGULAR, REFERENCE, "comparison")
@@ -49,7 +50,7 @@ def is_list_of(value: Any, *kinds: type) -> bool:
 
 
 def checked_parameters(values: Any, section: str) -> Any:
-    """Parameters, with tuples for lists; others than numbers and lists of numbers are refused."""
+    """Parameters, with tuples for lists; only numbers and lists of numbers are accepted."""
     if not isinstance(values, dict):
         return values
     checked = {}
@@ -104,9 +105,9 @@ class FilterModel(Section):
     Parameters
     ----------
     name : str
-        The model of the filter, named as the truth is. It starts from its own parameters.
+        The model of the filter, named like the truth. Its default parameters are its own.
     parameters : dict of str to float
-        Parameters of the filter's model that replace its own, or those of the truth.
+        Values that replace parameters of the filter's model.
     """
 
     name: Text = ""
@@ -119,13 +120,13 @@ class FilterModel(Section):
 
 
 class Model(Section):
-    """The system: a model that ships, an entry point, or ``path/file.py:object``.
+    """The system: a built-in model, an entry point, or ``path/file.py:object``.
 
     Parameters
     ----------
     name : str
-        A model that ships, an entry point of the group ``pfdist.models``, or
-        ``path/file.py:object``, relative to the job file.
+        A built-in model, an entry point of the group ``pfdist.models``, or ``path/file.py:object``,
+        relative to the job file.
     parameters : dict of str to float, the model's unit
         Values that replace those of the model: a number, a list with a number for each instant, or
         a column of a table, as in ``{file = "weather.csv", column = "rain"}``.
@@ -144,22 +145,26 @@ class Model(Section):
 class Filter(Section):
     """The particle filter.
 
-    `pfdist.runner.build.build` puts a number in the place of ``particles = "auto"``. So particles
-    are an integer wherever something is computed.
+    `pfdist.runner.build.build` replaces ``particles = "auto"`` by a number, so particles are an
+    integer wherever something is computed.
 
     Parameters
     ----------
     particles : int or "auto"
-        Number of particles; "auto" finds a number that is enough. Exact engines have none.
+        Number of particles; "auto" finds a sufficient number. Exact engines have none.
     resampling : str
         The resampling scheme.
     resample : str
-        "always" (by default), or "below 0.5": only if fewer than this share of the particles count.
+        "always" (by default), or "below 0.5": only if the effective sample size falls below this
+        share of the particles.
     engine : str
-        The engine, which computes the filter.
+        The engine that computes the filter.
     dtype : str
-        "float32" computes states and log-likelihoods with half the digits, in less time. Errors and
-        sums of weights are float64. It is for the engines "auto" and "compiled".
+        "float32" computes states and log-likelihoods in single precision, which is faster. Errors
+        and sums of weights stay float64. For the engines "auto" and "compiled".
+    proposal : str
+        "guided" redraws the noise since the last measurement when the next one is known; "plain"
+        does not. "auto" takes "guided" if it has less particle loss with a third of the particles.
     """
 
     particles: Particles = 500
@@ -167,10 +172,11 @@ class Filter(Section):
     resample: str | None = None  # None stands for "always", which is not written into a job
     engine: EngineName = AUTO
     dtype: Literal["float64", "float32"] = "float64"
+    proposal: Literal["auto", "plain", "guided"] = AUTO
 
     @property
     def is_automatic(self) -> bool:
-        """Whether the number of particles is still to be found."""
+        """Whether the number of particles is still "auto"."""
         return isinstance(self.particles, str)
 
     @field_validator("resample", mode="before")
@@ -183,7 +189,7 @@ class Filter(Section):
 
     @property
     def threshold(self) -> float:
-        """The share of the particles below which the effective sample size must fall."""
+        """The share of the particles; below it, an effective sample size leads to resampling."""
         return threshold_of(self.resample or "always")
 
 
@@ -195,10 +201,10 @@ class EvaluationSection(Section):
     draws : int
         K, the number of draws on which a set of times is evaluated.
     noise : str
-        Whether each evaluation has draws of its own, or all share theirs.
+        Whether each evaluation has fresh draws, or all share the same draws.
     degenerate_draws : str
-        Whether a degenerate draw makes the error of a set infinite ("kill"). By default only
-        genetic and random searches read it.
+        With "kill", a degenerate draw makes the error of a set infinite. By default, only genetic
+        and random searches use this key.
     estimator : str
         How the error of a draw is estimated.
     """
@@ -215,8 +221,8 @@ class Until(Section):
     Parameters
     ----------
     half_width : float, gain (0.01 is 1 %)
-        The comparison ends when the 95 % intervals of the mean relative gains are this narrow on
-        each side. 0 means after all draws.
+        The comparison ends when the half width of every 95 % interval is at most this: of the mean
+        relative gains, or with ``control = true`` of the gains of means. 0 takes all draws.
     """
 
     half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
@@ -226,8 +232,8 @@ class Comparison(Section):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
     The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
-    "regular", which stands for the feasible set nearest to the regular times, or any set of times
-    in 0..T, or on the clock, or the name of a given set. A given set may break constraints.
+    "regular", the feasible set nearest to the regular times; or a set of times in 0..T or on the
+    clock; or the name of a given set. A given set may break constraints.
 
     Parameters
     ----------
@@ -236,13 +242,18 @@ class Comparison(Section):
     reference : str or list of times, clock
         The set with which the others are compared.
     sets : dict of str to times, clock
-        At most 100 sets of your own, by names of lower-case letters, digits and underscores.
+        At most 100 sets by name; names are lower-case letters, digits and underscores.
+    control : bool
+        Whether a second filter, with the truth among its particles, reduces the variance of means
+        for twice the work. By default, `compare`, `budget` and `why` use it where the filter's
+        model is the truth.
     """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
     reference: str | tuple[Time | str, ...] = REGULAR
     sets: dict[str, Literal["regular"] | tuple[Time | str, ...]] | None = None
+    control: bool | None = None
 
     @field_validator("reference", mode="before")
     @classmethod
@@ -268,7 +279,7 @@ class Comparison(Section):
 
     @property
     def named(self) -> dict[str, str | tuple[Time | str, ...]]:
-        """The sets that the job gives by name, as it writes them; "regular": its regular times."""
+        """The sets that the job gives by name, as written; "regular" means regular times."""
         return {**(self.sets or {})}
 
     @property
@@ -278,7 +289,7 @@ class Comparison(Section):
 
 
 class Budget(Section):
-    """The numbers of measurements of a budget study; `pfdist budget` writes them.
+    """The numbers of measurements of a budget study; `pfdist budget` writes this section.
 
     They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
 
@@ -289,7 +300,7 @@ class Budget(Section):
     most : int
         Largest number of measurements.
     numbers : list of int
-        These numbers alone, in ascending order from ``least`` to ``most``. If it is not given, all.
+        Only these numbers, in ascending order from ``least`` to ``most``; by default all.
     """
 
     least: Annotated[int, Field(ge=1, lt=2**63)]
@@ -320,12 +331,12 @@ class Budget(Section):
 
 
 class Execution(Section):
-    """Where a run is computed; not a part of the identity of a run.
+    """Where a run is computed; not part of the run's identity.
 
     Parameters
     ----------
     pool : str
-        The pool, which computes the tasks.
+        The pool that computes the tasks.
     workers : int
         Number of workers or threads, at most 1,000 on one machine; 0 means all cores that the
         process may use.
@@ -334,7 +345,7 @@ class Execution(Section):
     wait_for_cores : int
         Number of cores that the Ray cluster must have before the command begins.
     failures : int
-        Number of tasks that may fail. Each is done once more.
+        Number of tasks that may fail; each runs once more.
     """
 
     pool: PoolName = AUTO_POOL

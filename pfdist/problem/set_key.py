@@ -1,15 +1,18 @@
-"""The key of a compared set: who gave its times, and their number in a run of several numbers.
+"""The key of a compared set: the origin of its times, and their number if a run has several.
 
-The key decides the noise of the set's filter and the id of its evaluations, and it is the set's
-name in tables. Labels are what people see, so other words change no number.
+The key determines the noise of the set's filter and the id of its evaluations, and it is the set's
+name in tables. Users see labels, so a new label changes no number.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pfdist.common.measurement_times import REGULAR
-from pfdist.problem.sections import REFERENCE
+from pfdist.problem.sections import DEFAULT_METHOD, REFERENCE
+
+PLAN, EVENLY_SPACED = "plan", "evenly spaced"
+"""Labels of the set that a search found, and of the regular times."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +42,43 @@ class SetKey:
         return f"{self.origin}_{self.number}" if self.number else self.origin
 
 
-def label_of(column: str) -> str:
-    """The set as sentences and figures call it.
+def labels_of(columns: Iterable[str], job: Mapping[str, Any]) -> dict[str, str]:
+    """The labels of sets in tables and figures, by name.
 
-    >>> label_of("regular"), label_of("genetic")
-    ('regular times', 'the times of genetic')
+    The set of a single search is the plan. Sets of several searches keep their names.
+
+    >>> job = {"search": [{"name": "genetic"}]}
+    >>> labels_of(["regular", "genetic", "mine"], job)
+    {'regular': 'evenly spaced', 'genetic': 'plan', 'mine': 'mine'}
+    >>> labels_of(["regular_05", "genetic_05"], {**job, "budget": {}})
+    {'regular_05': '5 evenly spaced', 'genetic_05': 'plan of 5'}
     """
-    labels = {REGULAR: "regular times", REFERENCE: f"the {REFERENCE}"}
-    return labels.get(column, f"the times of {column}")
+    keys = {column: key_of(column, job) for column in columns}
+    # A comparison has no search of its own, but sets of runs.
+    searches = [search["name"] for search in job.get("search", ())] or [DEFAULT_METHOD]
+    labels = {REGULAR: EVENLY_SPACED}
+    if len(searches) == 1 and PLAN not in keys:
+        labels[searches[0]] = PLAN
+    return {column: _label(labels.get(key.origin, key.origin), key) for column, key in keys.items()}
+
+
+def phrase_of(label: str) -> str:
+    """The phrase for a set in sentences, from its label.
+
+    >>> phrase_of("plan"), phrase_of("5 evenly spaced"), phrase_of("mine")
+    ('the plan', '5 evenly spaced times', 'the set mine')
+    """
+    if label.endswith(EVENLY_SPACED):
+        return f"{label} times"
+    is_title = label.partition(" of ")[0] in (PLAN, REFERENCE)
+    return f"the {label}" if is_title else f"the set {label}"
+
+
+def _label(origin: str, key: SetKey) -> str:
+    if not key.number:
+        return origin
+    number = key.number.lstrip("0")
+    return f"{number} {origin}" if origin == EVENLY_SPACED else f"{origin} of {number}"
 
 
 def key_of(column: str, job: Mapping[str, Any]) -> SetKey:
@@ -60,7 +92,7 @@ def key_of(column: str, job: Mapping[str, Any]) -> SetKey:
 def references_of(columns: Sequence[str], job: Mapping[str, Any]) -> dict[str, str]:
     """The reference of each compared set that is not a reference, by name.
 
-    With several numbers of measurements, it has as many as the set.
+    With several numbers of measurements, it has the number of the set.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from pfdist.common.measurement_times import Times
 
 @dataclass(frozen=True)
 class Spacing:
-    """Which instants are far enough apart for both to be measured.
+    """The rule for which instants are far enough apart for both to be measured.
 
     >>> spacing = Spacing.constant(3, horizon=5)
     >>> spacing.successors
@@ -26,12 +26,12 @@ class Spacing:
 
     @classmethod
     def constant(cls, difference: int, horizon: int) -> "Spacing":
-        """The spacing where two measurement times differ by at least so many instants."""
+        """The spacing in which measurement times differ by at least so many instants."""
         return cls(tuple(t + difference for t in range(horizon + 1)))
 
     @classmethod
     def of_sensors(cls, successors: Sequence[int], sensors: int) -> "Spacing":
-        """The spacing of possible measurements, by the successors of instants.
+        """The spacing of possible measurements, from the successors of instants.
 
         At most one sensor measures at an instant.
 
@@ -42,13 +42,13 @@ class Spacing:
 
     @cached_property
     def is_free(self) -> bool:
-        """Whether all instants are far enough apart, so that spacing is no constraint."""
+        """Whether all instants are far enough apart, so that spacing does not constrain."""
         return all(later == t + 1 for t, later in enumerate(self.successors))
 
     def after(self, time: int) -> int:
         """The first instant that is far enough after a time.
 
-        The time -1 stands for the start, from which every instant is far enough.
+        The time -1 is the start, from which every instant is far enough.
         """
         if time < 0:
             return 0
@@ -57,7 +57,7 @@ class Spacing:
     def before(self, time: int) -> int:
         """The last instant that is far enough before a time; -1 if there is none.
 
-        The time T + 1 stands for the end, from which every instant is far enough.
+        The time T + 1 is the end, from which every instant is far enough.
         """
         return self._predecessors[time] if time < len(self.successors) else time - 1
 
@@ -72,7 +72,7 @@ class Spacing:
         return set(chain.from_iterable(ranges))
 
     def packed(self, first: int, last: int, among: Times) -> Times:
-        """As many of some sorted times as fit between two times, each as early as can be."""
+        """As many of some sorted times as fit between two times, each as early as possible."""
         chosen: list[int] = []
         index, latest = bisect_left(among, self.after(first)), self.before(last)
         while index < len(among) and among[index] <= latest:
@@ -81,7 +81,7 @@ class Spacing:
         return tuple(chosen)
 
     def fitting(self, times: Times, among: Times) -> Times:
-        """As many of some sorted times as fit beside these, each as early as can be."""
+        """As many of some sorted times as fit beside these, each as early as possible."""
         gaps = pairwise((-1, *times, len(self.successors)))
         return tuple(chain.from_iterable(self.packed(*gap, among) for gap in gaps))
 

@@ -1,4 +1,4 @@
-"""A sweep: a job, the points at which it is run, and jobs that judge all found times there."""
+"""A sweep: a job, the points at which it is run, and jobs that compare all found times there."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,12 +15,12 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.problem.job import Job, toml_of_file
 from pfdist.problem.points import Point, Values, dotted, points_of
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.sections import Execution
-from pfdist.problem.source import JobSource, as_job
 from pfdist.store import folder_of_run
 
 START_SECONDS = 10.0
-"""About how long a process takes on a new node until it has loaded and compiled what it needs."""
+"""Rough time that a process on a new node needs to load and compile everything."""
 
 
 Part = Annotated[Listed[Whole], Field(min_length=2, max_length=2)]
@@ -35,7 +35,7 @@ class SweepFile(Section):
     job : str
         Path of the job file, relative to the folder of the sweep file.
     change : dict of str to value
-        Values of keys of the job that all points share.
+        Values of job keys that all points share.
     over : dict of str to list
         Values of each key; every combination is a point, and the last key changes fastest.
     parallel : list of dict
@@ -43,7 +43,7 @@ class SweepFile(Section):
     point : list of dict
         Further points.
     judge : bool
-        Whether the times found at each point are judged at every point.
+        Whether the times found at each point are compared at every point.
     """
 
     job: str
@@ -92,9 +92,9 @@ class SweepJob:
 
 
 def parts_that_pay(seconds: Sequence[float]) -> int:
-    """The largest number of parts of a sweep that compute for at least half of their time.
+    """The largest number of parts of a sweep that are busy for at least half of their time.
 
-    Parts begin together. The others wait for the longest, and each needs a while to start.
+    Parts begin together. Each needs some time to start, and then all wait for the longest.
 
     Parameters
     ----------
@@ -122,12 +122,12 @@ def read_sweep(
     changes: Iterable[str],
     settings: Mapping[str, Any],
 ) -> SweepJob:
-    """The sweep of a sweep file, or of a job as for `pfdist.problem.source.as_job`.
+    """The sweep of a sweep file, or of a job as for `pfdist.problem.problem.as_job`.
 
-    `over`, `parallel` and `points` are as for `points_of`; those of a sweep file
-    come first. The changes ``key=value`` and the settings, as for `pfdist.load_job`, apply at all
-    points. Raises `JobError` if a file cannot be read, if a key or a value is wrong, or if the job
-    of a point is wrong; then it names the point.
+    `over`, `parallel` and `points` are as for `points_of`; those of a sweep file come first.
+    Changes ``key=value`` and settings, as for `pfdist.load_job`, apply at all points. Raises
+    `JobError` if a file cannot be read, if a key or a value is wrong, or if the job of a point is
+    wrong; then it names the point.
     """
     changes = texts_argument("changes", changes)
     name, file = None, _sweep_file(source)
@@ -142,7 +142,7 @@ def read_sweep(
     for key in dict.fromkeys(key for point in sweep_points for key in point.chosen):
         if key in given:
             raise JobError(
-                f"a key of a sweep must not be changed at all points, too, got {shown_text(key)}",
+                f"a key of the sweep must not also be changed at all points, got {shown_text(key)}",
                 argument="changes",
             )
     jobs = {}
@@ -181,9 +181,9 @@ TimesByPoint = Mapping[str, Mapping[str, tuple[Time, ...]]]
 def judging(sweep: SweepJob, times_by_point: TimesByPoint) -> SweepJob:
     """The sweep that compares, at every point, the times found at all points.
 
-    Its jobs have no search. They compare the sets of `judged_sets`. The sets give the sweep its
-    name, so other sets give another name. Raises `JobError` if there are too many sets, or if a
-    point's times are no times of another point.
+    Its jobs have no search; they compare the sets of `judged_sets`. The sweep's name depends on the
+    sets. Raises `JobError` if there are too many sets, or if times of one point are not on the
+    clock of another.
     """
     sets = judged_sets(times_by_point)
     if len(sets) > MOST_JUDGED:
@@ -206,13 +206,13 @@ def judging(sweep: SweepJob, times_by_point: TimesByPoint) -> SweepJob:
 def check_comparable(sweep: SweepJob) -> None:
     """Raise a `JobError` if the points of a sweep have different horizons or clocks.
 
-    Times of a point would mean nothing at another.
+    Otherwise, times of one point would be meaningless at another.
     """
     first, *others = sweep.jobs.items()
     for name, job in others:
         if job.problem.clock != first[1].problem.clock:
             raise JobError(
-                "a sweep that judges must have the same horizon and clock at all points, but "
+                "judge needs the same horizon and clock at all points, but "
                 f"{first[0]} and {name} differ",
                 argument="judge",
             )

@@ -1,4 +1,4 @@
-"""Times as users write them: numbers, ranges such as ``20:30``, and lists of these."""
+"""Times that users write: numbers, ranges such as ``20:30``, and lists of these."""
 
 import math
 import re
@@ -23,13 +23,13 @@ _NUMBER = (*_WHOLE, float, np.floating)
 
 
 def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
-    """The instants of a number, of a text, or of several of these, in the order of writing.
+    """The instants of a number, a text, or several of these, in the order written.
 
     A text has times and ranges, with commas or spaces between them. ``FIRST:LAST`` and
-    ``FIRST-LAST`` stand for all instants from FIRST to LAST, and ``FIRST:LAST:STEP`` for the times
-    FIRST, FIRST + STEP, ... If the clock counts instants, only whole numbers are times, and they
-    may lie outside 0..T. A `MeasurementTimesError`, which begins with `name`, says what else is
-    written, or names the nearest times of the clock.
+    ``FIRST-LAST`` mean all instants from FIRST to LAST, and ``FIRST:LAST:STEP`` the times FIRST,
+    FIRST + STEP, ... If the clock counts instants, only whole numbers are times, and they may lie
+    outside 0..T. Raises `MeasurementTimesError`, which begins with `name`, for any other text, or
+    for a time that is not on the clock.
 
     >>> instants_of([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
     [2, 5, 6, 7, 8]
@@ -49,7 +49,7 @@ def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> 
 def measurements_of(
     written: Any, clock: Clock, name: str = "measurement_times", *, of_all: bool = False
 ) -> list[int]:
-    """The possible measurements that a text, or several entries, name.
+    """The possible measurements that a text or several entries list.
 
     Without sensors these are instants; see `instants_of`. With sensors, the name of a sensor
     follows the times at which it measures. If `of_all`, times without a name mean all sensors.
@@ -90,7 +90,7 @@ def validated_instants(
     name: str = "measurement_times",
     where: str = "",
 ) -> Times:
-    """A set of measurement times on a clock, as sorted instants after a check.
+    """A checked set of measurement times on a clock, as sorted instants.
 
     Errors are those of `instants_of`, `pfdist.common.arguments.listed_argument` and
     `pfdist.common.measurement_times.validated`.
@@ -114,9 +114,9 @@ def validated_instants(
 def clock_of(text: str) -> Clock:
     """The clock whose instants a text lists, as times and ranges in ascending order.
 
-    ``FIRST:LAST`` has an instant at each unit of time, and ``FIRST:LAST:STEP`` at each step. A
-    `MeasurementTimesError` says that something else is written, that there are fewer than two
-    times, or another order, or that no step leads to the end of a range.
+    ``FIRST:LAST`` has an instant at each unit of time, and ``FIRST:LAST:STEP`` at each step. Raises
+    `MeasurementTimesError` for any other text, for fewer than two times, for another order, or if
+    the steps of a range do not lead to its end.
 
     >>> clock_of("0 0.25 0.5 1:3").times
     (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
@@ -127,7 +127,7 @@ def clock_of(text: str) -> Clock:
         raise MeasurementTimesError(f"times {error}") from error
     times = [time for entry in entries for time in _stepped(*entry, text)]
     if len(times) < 2:
-        raise MeasurementTimesError(f"times must be at least two, got {shown(text)}")
+        raise MeasurementTimesError(f"times must have at least two times, got {shown(text)}")
     return Clock(tuple(times))
 
 

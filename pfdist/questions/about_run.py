@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 from typing import Any
 
 import tomli_w
@@ -12,16 +13,16 @@ from pfdist.common.parts import Code, Facts, Section, Text
 from pfdist.filters.engines import is_exact
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
-from pfdist.results import read_recorded
+from pfdist.results import Run, read_recorded
 from pfdist.results.stored_run import problem_of, version_of
 from pfdist.store import run_key
 
 _WHAT = (
-    "A filter follows a quantity that it cannot see, by a few measurements and a model of the "
-    "system. This report says at which times to measure so that the filter's error is least on "
-    "average: the mean squared error (MSE) of its estimate over all instants. A draw is one "
-    "simulated system with its measurements. The errors are averages over draws that were "
-    "simulated afresh, after the times had been chosen."
+    "A particle filter estimates a quantity from a few measurements and a model of the system. Its "
+    "error is the mean squared error (MSE) of the estimate over all instants; the typical error is "
+    "the root of the expected MSE. A draw is one simulated system with its measurements. No "
+    "real measurement was used: all results hold as far as the model is right. Errors are means "
+    "over new draws, which were simulated after the times had been chosen."
 )
 _MOST_VALUES = 8  # of a parameter that are shown
 _LOAD = """\
@@ -49,6 +50,39 @@ def problem(subject: Subject) -> Section:
     return Section("What was asked", [Text(_WHAT), Facts(list(_facts(subject)))])
 
 
+def question(subject: Subject) -> str:
+    """The question of a run in a sentence."""
+    job, problem = subject.run.job, problem_of(subject.run)
+    z = ", ".join(each.name for each in subject.quantities if each.name) or "the estimate"
+    first, last = (
+        formatted_times([time], problem.clock.unit)
+        for time in problem.clock.times[:: problem.clock.horizon]
+    )
+    between = f"between t = {first} and {last}"
+    if "budget" in job:
+        return f"How many measurements {between} are enough to estimate {z}?"
+    if not subject.found_rows and subject.rows:
+        return f"Which of these times {between} give the lowest expected MSE of {z}?"
+    if problem.total_price is not None:
+        which = f"Which times {between}, for a total price of at most {problem.total_price:,},"
+    else:
+        number = number_of(problem.feasible.measurements, "time")
+        which = f"Which {number} of {problem.clock.horizon + 1} {between}"
+    return f"{which} give the lowest expected MSE of {z}?"
+
+
+def made(subject: Subject) -> str:
+    """Name the run, the day on which it was started, and the version of pfdist."""
+    run = subject.run
+    return f"Run {run.path.name}, {run_day(run)}, pfdist {version_of(run)}."
+
+
+def run_day(run: Run) -> str:
+    """The day on which a run was started."""
+    started = datetime.fromisoformat(read_recorded(run.path)[0]["provenance"]["started"])
+    return f"{started.day} {started:%B %Y}"
+
+
 def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     job, problem = subject.run.job, subject.run.job["problem"]
     yield "system", _model(job["model"])
@@ -61,13 +95,12 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
-    for key, name in (("forbidden", "not measured at"), ("required", "always measured at")):
+    for key, name in (("forbidden", "forbidden times"), ("required", "required times")):
         if problem.get(key):
             yield name, formatted_spelling(problem[key], subject.unit)
     if problem.get("minimum_spacing"):
-        what = "time" if problem_of(subject.run).has_clock else "instants"
         spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
-        yield f"{what} between measurements, at least", spacing
+        yield "distance of measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
         text = "; ".join(f"{key} {formatted_spelling(value, '')}" for key, value in keys.items())
         yield f"sensor {name}", text or "no price"
@@ -132,7 +165,7 @@ def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tu
 def formatted_spelling(value: Any, unit: str) -> str:
     """Times as the job spells them, with the unit."""
     entries = value if isinstance(value, list | tuple) else [value]
-    text = ", ".join(map(str, entries))
+    text = ", ".join(str(entry).replace(":", " to ", 1).replace(":", " by ") for entry in entries)
     return f"{text} {unit}" if unit else text
 
 
@@ -171,7 +204,12 @@ def _versions(about: dict[str, Any]) -> list[tuple[str, str]]:
     provenance = about["provenance"]
     libraries = ", ".join(f"{name} {version}" for name, version in provenance["libraries"].items())
     processor = provenance["processor"]
+    declared = [
+        (f"model {name}", f"declared as {text}; its code is not part of the identity")
+        for name, text in provenance.get("declared", {}).items()
+    ]
     return [
+        *declared,
         ("pfdist", f"{about['pfdist']}, kernel {about['kernel']}"),
         ("Python and libraries", f"Python {provenance['python']}, {libraries}"),
         ("processor", f"{processor['model']} ({processor['compiled_for']})"),
@@ -193,7 +231,7 @@ def _work(subject: Subject) -> list[tuple[str, str]]:
         facts.append(("saved by resuming", f"{_seconds(sum(earlier))}, in {starts} of the program"))
     failures = int(rows["failures"].sum())
     if failures:
-        facts.append(("tasks that failed and were done again", f"{failures:,}"))
+        facts.append(("failed tasks, repeated", f"{failures:,}"))
     return facts
 
 

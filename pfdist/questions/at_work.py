@@ -12,7 +12,7 @@ from pfdist.pools.kinds import POOLS
 from pfdist.problem.sections import Execution
 from pfdist.runner.build import chosen_pool, make_pool
 from pfdist.runner.door import Session
-from pfdist.runner.progress import Say
+from pfdist.runner.progress import Detail, Say
 from pfdist.store import remove_file, write_file
 
 _BEGUN = ".begun"
@@ -39,12 +39,12 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
     PoolError
         The pool does not start. If its workers fall silent, the error says what to do.
     """
-    start, threaded = perf_counter(), _release_the_lock(engines)
+    start, threaded = perf_counter(), release_the_lock(engines)
     execution, reason = chosen_pool(execution, threaded=threaded)
     kind, why = POOLS[execution.pool], f" ({reason})" if reason else ""
     with make_pool(execution) as pool:
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
-        say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s{why}")
+        say(Detail(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s{why}"))
         try:
             yield pool
         except SilenceError as error:
@@ -63,7 +63,7 @@ def noted(session: Session) -> Iterator[None]:
     begun = session.store.path / _BEGUN
     if os.path.lexists(begun):
         session.say(_CRASHED)
-    threaded = _release_the_lock([session.built.evaluator.engine])
+    threaded = release_the_lock([session.built.evaluator.engine])
     execution, _ = chosen_pool(session.built.job.execution, threaded=threaded)
     if not POOLS[execution.pool].isolated:
         write_file(begun, lambda path: path.write_text(_SAYS, encoding="utf-8"))
@@ -73,6 +73,6 @@ def noted(session: Session) -> Iterator[None]:
         remove_file(begun)
 
 
-def _release_the_lock(engines: Iterable[str]) -> bool:
+def release_the_lock(engines: Iterable[str]) -> bool:
     """Whether the formulas of all engines are compiled, and so release Python's lock."""
     return all(ENGINES.get(name, COMPILED).compiled for name in engines)

@@ -1,21 +1,20 @@
 """A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Unpack
 
 from pfdist.common.parts import Page
 from pfdist.common.shown import Shown
-from pfdist.problem.source import JobSource
+from pfdist.problem.problem import JobSource
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.bound_page import bound_page
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import finished_run, own_store, run_and_job
 from pfdist.results import Run, finite
-from pfdist.results.particle_loss import ParticleLoss
-from pfdist.results.stored_run import particle_losses_of
+from pfdist.results.particle_loss import ParticleLoss, particle_losses_of
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import Session, complete
@@ -47,8 +46,8 @@ class Bound(Shown):
         where it is not known.
     is_constrained : bool
         Whether the job excludes some times, beside their number or price.
-    leaves_out_limits : bool
-        Whether sensors have limits of their own, which the bound leaves out.
+    leaves_out_spacing : bool
+        Whether a sensor has a spacing of its own, which the bound checks only within windows.
     has_scenarios : bool
         Whether the job has scenarios. Then the bound is that of a filter that is told the scenario.
     shares : tuple of float
@@ -56,6 +55,8 @@ class Bound(Shown):
         empty.
     within : float or None
         The limit of the gaps that was demanded.
+    labels : mapping of str to str
+        The sets as pages call them, by name.
     """
 
     run: Path
@@ -69,14 +70,15 @@ class Bound(Shown):
     gaps: list[Gap]
     losses: dict[str, ParticleLoss]
     is_constrained: bool = False
-    leaves_out_limits: bool = False
+    leaves_out_spacing: bool = False
     has_scenarios: bool = False
     shares: tuple[float, ...] = ()
     within: float | None = None
+    labels: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
-        apart = ("run", "gaps", "losses", "within")
+        apart = ("run", "gaps", "losses", "within", "labels")
         own = {key: value for key, value in vars(self).items() if key not in apart}
         sets = {gap.name: gap.columns() for gap in self.gaps}
         for row in sets.values():
@@ -86,7 +88,7 @@ class Bound(Shown):
         return finite({"run": str(self.run), **own, "sets": sets})
 
     def _page(self) -> Page:
-        return bound_page(self.as_json(), self.within)
+        return bound_page(self.as_json(), self.labels, self.within)
 
 
 @with_options
@@ -199,8 +201,9 @@ def bound(
         ],
         particle_losses_of(proved),
         built.job.problem.is_constrained,
-        bool(built.feasible.limits),
-        built.job.scenarios is not None,
+        built.feasible.has_spaced_sensors,
+        bool(built.evaluator.scenarios),
         prover.shares,
         within,
+        proved.labels,
     )

@@ -9,8 +9,8 @@ from pydantic import Field
 from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.common.section import Arguments, Number, Whole, checked
 from pfdist.errors import ArgumentError, JobError, shown
-from pfdist.problem.methods import DEFAULT_METHOD
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.options import Chosen, ComparedDraws, Options, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run import run
@@ -75,7 +75,7 @@ def budget(
     Returns
     -------
     Run
-        Its table ``budget`` has a row for each number of measurements and each kind of times, with
+        Its table ``sets`` has a row for each number of measurements and each kind of times, with
         the lower bound beside the found times.
 
     Raises
@@ -95,6 +95,7 @@ def budget(
         )
     # The run must not depend on the measurement budget that the job file names.
     job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
+    job = job.with_control()
     chosen = Chosen(**options)
     if target is not None:
         options["report"] = False  # it is written below: the run knows no target

@@ -10,16 +10,18 @@ from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_interval
-from pfdist.questions.subject import Subject, all_sets, number_of
+from pfdist.problem.set_key import EVENLY_SPACED, PLAN
+from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of
 from pfdist.results.budget_curve import FOUND
-from pfdist.results.columns import COLUMNS, Row, interval_cell
+from pfdist.results.columns import COLUMNS, Row
 
-_KINDS = (REGULAR, FOUND)
-_HEAD = ("N", "regular times", "found times", "lower bound")
+_KINDS = {REGULAR: EVENLY_SPACED, FOUND: PLAN}
+_ERROR = COLUMNS["expected_mse"]
+_HEAD = ("N", *_KINDS.values(), "as good, evenly spaced", "lower bound (95 % limit)")
 _BOUND = (
-    "No times of the same number have a lower expected error than the lower bound, with any filter "
-    "of the same model. The bound was computed on other draws. So an estimated error can lie below "
-    "it by chance."
+    "No times of the same number have a lower expected MSE than the lower bound, with any filter "
+    "of the same model. A plan is as good as the numbers of evenly spaced measurements whose error "
+    "on the same draws does not differ clearly (95 %)."
 )
 
 
@@ -32,7 +34,7 @@ def budget(subject: Subject) -> Section | None:
         *_answer(subject),
         *_target(subject),
         Figures(["budget"]),
-        Table("Expected error with its 95 % interval", _HEAD, _cells(rows), optional=_HEAD[3:]),
+        Table("Expected MSE ± standard error", _HEAD, _cells(rows)),
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(rows),
         *_estimated([row for row in rows if row.kind == FOUND]),
@@ -42,7 +44,7 @@ def budget(subject: Subject) -> Section | None:
 
 
 def _answer(subject: Subject) -> list[Text]:
-    """How many found times do what the largest number of regular times does."""
+    """How many chosen measurements do as well as the largest number of evenly spaced ones."""
     regular = [row for row in subject.rows.values() if row.kind == REGULAR]
     most = max(regular, key=lambda row: int(row.measurements))
     if most.expected_mse is None or math.isinf(most.expected_mse):
@@ -50,14 +52,17 @@ def _answer(subject: Subject) -> list[Text]:
     reached = subject.reaching(most.expected_mse)["found"]
     if reached["measurements"] is None:
         return []
-    number, regular_times = reached["measurements"], f"{most.measurements} regular times"
+    number = reached["measurements"]
     if number < most.measurements:
-        reach = "time reaches" if number == 1 else "times reach"
-        text = f"{number} found {reach} the error of {regular_times} on these draws."
+        chosen = number_of(number, "chosen measurement")
+        do = "does" if number == 1 else "do"
+        text = f"{chosen} {do} at least as well as {most.measurements} evenly spaced ones"
+        text += f"{_of_number(subject, number)}."
     else:
-        text = f"No smaller number of found times reaches the error of {regular_times}."
+        text = f"Fewer chosen measurements do worse than {most.measurements} evenly spaced ones."
     if reached["impossible"] is not None:
-        text += f" Proved: no {number_of(reached['impossible'], 'time')} can (95 % confidence)."
+        too_few = number_of(reached["impossible"], "measurement")
+        text += f" Proved: {too_few} cannot, at any times (95 % confidence)."
     if untried := _untried(subject, number):
         text += f" {untried}."
     return [Text(text, prominent=True)]
@@ -67,31 +72,39 @@ def _target(subject: Subject) -> Iterator[Text]:
     """How many measurements reach the expected MSE that the user asks for."""
     if subject.target is None:
         return
-    for kind, reached in subject.reaching(subject.target).items():
-        number, text = reached["measurements"], _reached(kind, reached, subject.target)
+    reaching = subject.reaching(subject.target)
+    for kind in (FOUND, REGULAR):
+        number = reaching[kind]["measurements"]
+        where = _of_number(subject, number) if number and kind == FOUND else ""
+        text = _reached(kind, reaching[kind], subject.target, where)
         untried = "" if number is None else _untried(subject, number)
-        yield Text(f"{text}; {untried}" if untried else text, prominent=True)
-        if reached["measurement_times"] is not None and kind == "found":
-            times = subject.listed(reached["measurement_times"])
-            yield Text(f"To reach {subject.target:g}, measure at t = {times}.")
+        text = f"{text}; {untried}." if untried else f"{text}."
+        yield Text(text, prominent=True)
 
 
-def _reached(kind: str, reached: Mapping[str, Any], target: float) -> str:
-    number = reached["measurements"]
+def _of_number(subject: Subject, number: int) -> str:
+    """The times and the typical error of the plan of so many measurements."""
+    rows = [row for row in subject.rows.values() if row.kind == FOUND]
+    row = next(row for row in rows if row.measurements == number)
+    typical = subject.typical_errors(row)
+    error = f" (typical error {typical})" if typical else ""
+    return f": t = {subject.listed(row.measurement_times)}{error}"
+
+
+def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -> str:
+    number, tried = reached["measurements"], "evenly spaced " * (kind == REGULAR)
     low, high = ("more" if bound is None else str(bound) for bound in reached["interval"])
-    text = f"target {target:g}: "
     if number is None:
-        text += f"none of these numbers of {kind} times reaches it"
+        text = f"None of these numbers of {tried}measurements reaches an MSE of {target:g}"
     else:
-        reach = "time reaches" if number == 1 else "times reach"
-        text += f"{number} {kind} {reach} it (95 %: {low} to {high})"
-    others = reached["larger_that_do_not"]
-    if others:
-        text += f", but not {', '.join(map(str, others))}"
+        needed = number_of(number, f"{tried}measurement")
+        interval = "" if low == high else f" (95 % CI {low} to {high})"
+        text = f"To reach an MSE of {target:g} you need {needed}{interval}{where}"
+    if others := reached["larger_that_do_not"]:
+        text += f", but {', '.join(map(str, others))} do not reach it"
     impossible = reached.get("impossible")
-    times = "time" if impossible == 1 else "times"
-    proved = f"proved: no {impossible} {times} can (95 % confidence)"
-    return text if impossible is None else f"{text}; {proved}"
+    are = "is" if impossible == 1 else "are"
+    return text if impossible is None else f"{text}; {impossible} {are} provably too few"
 
 
 def _untried(subject: Subject, number: int) -> str:
@@ -111,15 +124,20 @@ def _cells(rows: Sequence[Row]) -> list[list[Cell]]:
     return [
         [
             Cell(str(number), number),
-            *(_error(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS),
+            *(_ERROR.cell(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS),
+            _as_good(kinds[FOUND]) if FOUND in kinds else Cell(""),
             _bound(kinds[FOUND]) if FOUND in kinds else Cell(""),
         ]
         for number, kinds in sorted(numbers.items())
     ]
 
 
-def _error(row: Row) -> Cell:
-    return interval_cell(row.expected_mse, row.expected_mse_low, row.expected_mse_high)
+def _as_good(row: Row) -> Cell:
+    """The numbers of evenly spaced measurements that do as well."""
+    numbers = row.evenly_spaced or []
+    if row.evenly_spaced_between:
+        return Cell(f"above {numbers[0]}", numbers[0])
+    return Cell(ranges_of(numbers) or "above all", (numbers or [math.inf])[0])
 
 
 def _bound(row: Row) -> Cell:
@@ -129,12 +147,12 @@ def _bound(row: Row) -> Cell:
         return COLUMNS["bound"].cell(row)
     text, low, _ = with_interval(bound, limit, 2 * bound - limit)
     floor = Decimal(limit).quantize(Decimal(low), ROUND_FLOOR)
-    return Cell(f"{text} (from {floor})".lower(), bound)  # Decimal writes E for e
+    return Cell(f"{text} ({floor})".lower(), bound)  # Decimal writes E for e
 
 
 def _worse(rows: Sequence[Row]) -> Iterator[Text]:
     """Name the numbers of measurements that are worse than a smaller number."""
-    for kind in _KINDS:
+    for kind, label in _KINDS.items():
         worse = [
             f"{row.measurements} than {row.worse_than}"
             for row in rows
@@ -142,8 +160,8 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
         ]
         if worse:
             yield Text(
-                f"{kind} times: more measurements are worse (95 % for all pairs together), "
-                f"N = {', '.join(worse)}"
+                f"More measurements are worse, {label} (95 % for all pairs together): "
+                f"{', '.join(worse)}."
             )
 
 
@@ -156,9 +174,9 @@ def _estimated(rows: Sequence[Row]) -> Iterator[Text]:
     reasons = "; ".join(filter(None, [max(causes, key=causes.count), rows[0].search_settings]))
     side = "below" if mean < 0 else "above"
     yield Text(
-        f"found times: the search's estimates lie on average {percent(abs(mean))} {side} the fresh "
-        f"errors ({reasons})",
+        f"The search's estimates lie on average {percent(abs(mean))} {side} the errors on fresh "
+        f"draws ({reasons}).",
         detail=True,
     )
     if distrust := rows[0].search_distrust:
-        yield Text(f"searched again: {distrust}", detail=True)
+        yield Text(f"The search ran twice: {distrust}.", detail=True)

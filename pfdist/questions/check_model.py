@@ -11,12 +11,10 @@ from pydantic import Field
 
 from pfdist.common.section import Whole, checked
 from pfdist.errors import ArgumentError, ModelError, shown
-from pfdist.models import StateSpaceModel
+from pfdist.models import StateSpaceModel, load_model
 from pfdist.problem.job import Job
-from pfdist.problem.problem import Problem
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, Problem, as_job
 from pfdist.questions.model_checks import EVERY_INSTANT, Check, check_filter, check_loaded
-from pfdist.questions.model_checks import check_model as check_named
 from pfdist.runner.build import evaluator_of, models_of
 from pfdist.runner.searches import comparing_of
 
@@ -90,7 +88,7 @@ def checks_of(
             raise ArgumentError("a job has a clock of its own, got times, too", argument="times")
         return _checks_of_job(job, horizon, particles)
     if isinstance(model, str):
-        return check_named(model, horizon, particles, times=times)
+        return check_loaded(lambda: load_model(model), horizon, particles, times)
     if isinstance(model, StateSpaceModel):
         return check_loaded(lambda: model, horizon, particles)
     raise ArgumentError(

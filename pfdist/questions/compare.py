@@ -10,9 +10,9 @@ from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.errors import JobError, shown
 from pfdist.problem.job import Job
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
-from pfdist.problem.source import JobSource, as_job
 from pfdist.questions.evaluate import OneSet, instants_of
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.run import run_built
@@ -149,7 +149,7 @@ class SetsToCompare:
                 "online": None,
                 "comparison": comparison | {"reference": reference, "sets": named},
             }
-        )
+        ).with_control()
 
     def _add(self, name: str, instants: Times) -> None:
         is_regular = name == REGULAR and instants == self._regular
@@ -231,7 +231,8 @@ def compare(
     The comparison is a run of its own, without a search, and the same call goes on where it was
     stopped. Its tables ``pairs`` and ``ranks`` are the
     answers. All sets filter the same draws of the job's problem. The first set is the reference of
-    the gains.
+    the gains. If the filter knows the true model, means are those of mse - control, unless the job
+    has comparison.control = false.
 
     Parameters
     ----------

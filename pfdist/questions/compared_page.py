@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pfdist.common.estimate import Estimate
@@ -13,29 +13,31 @@ from pfdist.common.parts import (
     Section,
     Table,
     Text,
+    without_column,
     without_empty_columns,
 )
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
-from pfdist.questions.subject import ERROR_HEAD, Subject, effect, number_of
+from pfdist.problem.set_key import phrase_of
+from pfdist.questions.subject import ERROR_HEAD, Subject, change_of, effect, number_of
 from pfdist.results.columns import COLUMNS, Row, interval_cell, rows_of
 from pfdist.results.pairs import formatted_ranks
 from pfdist.results.stored_run import named_sets
 
-_OF_A_SET = ("name", "measurements", "price", "expected_mse")
+_OF_A_SET = ("label", "measurements", "price", "expected_mse")
 _PAIRS_HEAD = (
-    "first", "second", "first less second", "clear", "in % of second",
+    "first", "second", "first minus second", "clear", "in % of second",
     "draws where first is lower, %",
 )  # fmt: skip
-_PAIRS_MEANING = (
-    "All sets filter the same draws, so differences are far more exact than the errors. A negative "
-    "difference says that the first set of a pair has the lower error. Intervals in brackets hold "
-    "with 95 % for one pair alone. A difference is clear if its sign holds with 95 % for all pairs "
-    "together. The best rank of a set counts the sets that are clearly better, the worst rank all "
-    "that are not clearly worse. A number without an interval is exact."
+_RANKS_MEANING = (
+    "All sets filter the same draws, so differences are far more exact than the errors. A rank is "
+    "that of a set among those from which it differs clearly, so several may have the same. "
+    "Intervals in brackets are 95 % CIs for one set alone."
 )
-_MOST_OPEN = 28
-"""Pairs of 8 sets; a table of more pairs is folded away."""
+_PAIRS_MEANING = (
+    "A negative difference says that the first set of a pair has the lower error. A difference is "
+    "clear if its sign holds with 95 % for all pairs together."
+)
 
 
 def compared(subject: Subject) -> Section | None:
@@ -44,50 +46,89 @@ def compared(subject: Subject) -> Section | None:
     if not (subject.is_compared and named_sets(run)):
         return None
     ranks, pairs = (rows_of(run.table(name)) for name in ("ranks", "pairs"))
-    draws = number_of(run.draws_compared, "draw")
-    head = ("rank", *(COLUMNS[name].head for name in _OF_A_SET), "above the best by")
-    sets = Table(f"Ranks on {draws}", head, [_set_row(subject, row) for row in ranks])
-    rows = [_pair_row(pair) for pair in pairs]
+    best_is_reference = ranks[0].name == subject.reference_row.name
+    last = f"lower than {subject.reference_row.label} by, %"
+    head = ["rank", *(COLUMNS[name].head for name in _OF_A_SET), "above the best by, %", last]
+    cells = [_set_row(subject, row, pairs, ranks[0].name) for row in ranks]
+    sets = Table(f"Ranks on {number_of(run.draws_compared, 'draw')}", head, cells, optional=[last])
+    sets = without_column(sets, *([last] if best_is_reference else []))
+    rows = [_pair_row(subject, pair) for pair in pairs]
+    is_answer = not (subject.worst_decides or subject.found_rows)
+    best = _best(subject, ranks, pairs) if is_answer else ""
     blocks: list[Block] = [
+        *([Text(best, prominent=True)] if best else []),
         without_empty_columns(sets),
-        Text(_PAIRS_MEANING, detail=True),
+        Text(_RANKS_MEANING, detail=True),
         Figures(["compared"] if subject.found_rows else ["times", "compared"]),
-        Table(
-            "Pairs of sets", _PAIRS_HEAD, rows, len(rows) > _MOST_OPEN, optional=_PAIRS_HEAD[:-4:-1]
-        ),
+        Table("Pairs of sets", _PAIRS_HEAD, rows, detail=True, optional=_PAIRS_HEAD[:-4:-1]),
+        Text(_PAIRS_MEANING, detail=True),
     ]
     return Section("How the sets compare", blocks)
 
 
-def _set_row(subject: Subject, row: Row) -> list[Cell]:
+def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
+    """Say which set is best and by how much, or which sets the draws leave in question."""
+    best, second, *_ = ranks
+    phrases = {name: phrase_of(row.label) for name, row in subject.rows.items()}
+    gain, *ends = _lower(pairs, second.name, best.name)
+    if gain is None:
+        return ""
+    together = ", all pairs together" * (len(pairs) > 1)
+    joint = "exact" if gain == ends[0] == ends[1] else f"95 % confidence{together}"
+    among = [phrases[row.name] for row in ranks if row.best_rank == 1]
+    own = subject.rows[best.name]
+    said = f"Best of {len(ranks)} sets ({joint}): {among[0]}"
+    if len(among) > 1:
+        listed = f"{', '.join(among[:-1])} and {among[-1]}"
+        said = f"The best of {len(ranks)} sets do not differ clearly ({joint}): {listed}"
+    else:
+        said += f", t = {subject.listed(own.measurement_times)}"
+    typical = subject.typical_errors(own, subject.rows[second.name])
+    typical = f" The typical error is {typical}." if typical else ""
+    higher = f"The expected MSE of {phrases[second.name]}, the second, is {change_of(gain, ends)}."
+    return f"{said}. {higher}{typical}"
+
+
+def _lower(pairs: Iterable[Row], name: str, other: str) -> tuple[Any, Any, Any]:
+    """The share of another set's error by which a set's is lower, and this pair's 95 % interval."""
+    for pair in pairs:
+        gains = pair.gain_of_means, pair.gain_of_means_low, pair.gain_of_means_high
+        if (pair.first, pair.second) == (name, other):
+            return gains
+        if (pair.second, pair.first) == (name, other):
+            gain, high, low = (None if each in (None, 1.0) else each / (each - 1) for each in gains)
+            return gain, low, high
+    return 0.0, 0.0, 0.0
+
+
+def _set_row(subject: Subject, row: Row, pairs: Sequence[Row], best: str) -> list[Cell]:
+    of_set = subject.rows[row.name]
+    gain, low, high = _lower(pairs, row.name, best)
+    above = (None if each is None else -each for each in (gain, high, low))
     return [
         Cell(formatted_ranks(row.best_rank, row.worst_rank), row.best_rank),
-        *(COLUMNS[name].cell(subject.rows[row.name]) for name in _OF_A_SET),
-        _difference(row) if row.difference else Cell(""),
+        *(COLUMNS[name].cell(of_set) for name in _OF_A_SET),
+        interval_cell(*above, is_percent=True) if row.difference else Cell(""),
+        COLUMNS["gain_of_means"].cell(of_set),
     ]
 
 
-def _pair_row(pair: Row) -> list[Cell]:
+def _pair_row(subject: Subject, pair: Row) -> list[Cell]:
     gains = (pair.gain_of_means, pair.gain_of_means_high, pair.gain_of_means_low)
     relative = (None if gain is None else -gain for gain in gains)
     wins = (pair.first_wins, pair.first_wins_low, pair.first_wins_high)
     return [
-        Cell(pair.first),
-        Cell(pair.second),
-        _difference(pair),
+        *(Cell(subject.rows[name].label) for name in (pair.first, pair.second)),
+        interval_cell(pair.difference, pair.low, pair.high),
         Cell("yes" if pair.clear else "no"),
         interval_cell(*relative, is_percent=True),
         interval_cell(*wins, is_percent=True),
     ]
 
 
-def _difference(row: Row) -> Cell:
-    return interval_cell(row.difference, row.low, row.high)
-
-
 # --- scenarios ------------------------------------------------------------------------------------
 
-_THE_WORST = "the expected error of the worst scenario"
+_THE_WORST = "the expected MSE in the worst scenario"
 
 _SCENARIOS_MEANING = (
     "The true model of each draw has the parameters of one scenario, with the probability of its "
@@ -102,14 +143,15 @@ def scenarios(subject: Subject) -> Section | None:
     if not subject.scenarios:
         return None
     shown = [subject.reference_row.name, *reversed(subject.shown)]
-    head = ("scenario", "share, %", *shown, COLUMNS["gain_of_means"].head)
+    labels = [subject.rows[name].label for name in shown]
+    head = ("scenario", "share, %", *labels, COLUMNS["gain_of_means"].head)
     rows = defaultdict[int, dict[str, Any]](dict)
     for row in subject.scenarios:
         rows[row.scenario][row.name] = row
     cells = [_cells(of_set, shown) for _, of_set in sorted(rows.items())]
     texts = [Text(sentence, prominent=True) for sentence in _sentences(subject, shown[-1])]
     table = Table(
-        "Expected error ± standard error in each scenario", head, cells, optional=shown[1:-1]
+        "Expected MSE ± standard error in each scenario", head, cells, optional=labels[1:-1]
     )
     return Section("In each scenario", [*texts, table, Text(_SCENARIOS_MEANING, detail=True)])
 
@@ -140,10 +182,11 @@ def _sentences(subject: Subject, best: str) -> Iterator[str]:
         return
     errors = [with_error(each.expected_mse, each.standard_error) for each in (worst, reference)]
     first, second = (parameters_text(each.parameters) for each in (worst, reference))
-    where = "there, too" if first == second else f"in its worst scenario, {second}"
+    where = "there" if first == second else f"in the worst scenario of these, {second}"
+    own, other = (phrase_of(subject.rows[name].label) for name in names)
     yield (
-        f"The worst scenario of {best} is {first}, with an expected error of {errors[0]}; "
-        f"{reference.name} has {errors[1]} {where}."
+        f"The worst scenario of {own} is {first}: the expected MSE is {errors[0]}; with {other} "
+        f"it is {errors[1]} {where}."
     )
 
 
@@ -167,8 +210,8 @@ def worst_effect(subject: Subject, name: str) -> str | None:
         errors = (each.standard_error / each.value for each in (mse, of_reference))
         apart = Estimate(math.log(mse.value / of_reference.value), math.hypot(*errors))
         ends = [1 - math.exp(end) for end in reversed(apart.interval())]
-    phrase, left_open = effect(1 - mse.value / of_reference.value, ends, _THE_WORST)
-    return f"{phrase}, from {of_reference.text} to {mse.text}. {left_open}".rstrip()
+    said = effect(1 - mse.value / of_reference.value, ends, subject.reference, _THE_WORST)
+    return f"{said}: {mse.text} instead of {of_reference.text}."
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
@@ -181,7 +224,7 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 
 # --- times chosen one after another ---------------------------------------------------------------
 
-_SHOWN = ("name", "expected_mse", "gain_of_means", "positive_fraction")
+_SHOWN = ("label", "expected_mse", "gain_of_means", "positive_fraction")
 _NOTHING = dict.fromkeys(_SHOWN)
 _FIGURES = ("online_gain", "online_times", "online_draw")
 
@@ -192,17 +235,18 @@ def online(subject: Subject) -> Section | None:
     if result is None:
         return None
     plan = result["plan"]
+    labels = subject.run.labels | {"online": "online"}
     sets = [{"name": "online", **result}, plan, result["reference"]]
-    rows = [Row(**_NOTHING | each) for each in sets]
+    rows = [Row(**_NOTHING | each | {"label": labels[each["name"]]}) for each in sets]
     table = Table(
-        f"Expected error on {number_of(result['draws'], 'draw')}",
+        f"Expected MSE on {number_of(result['draws'], 'draw')}",
         ("times", ERROR_HEAD, "online is lower by, %", "draws where online is lower, %"),
         [[COLUMNS[name].cell(row) for name in _SHOWN] for row in rows],
     )
     meaning = (
         "Each time is chosen when the measurement before it is known: the rest of the plan is made "
-        f"anew from what the filter then believes. In {percent(result['differs_from_plan'], 0)} of "
-        f"the draws the times differ from those of {plan['name']}."
+        f"again from what is then known. In {percent(result['differs_from_plan'], 0)} of "
+        f"the draws the times differ from those of {phrase_of(labels[plan['name']])}."
     )
     return Section("Times chosen one after another", [Text(meaning), table, Figures(_FIGURES)])
 
@@ -215,8 +259,7 @@ def online_sentence(subject: Subject) -> str:
     if not math.isfinite(gain := plan["gain_of_means"]):
         return ""
     ends = [plan["gain_of_means_low"], plan["gain_of_means_high"]]
-    lowers, left_open = effect(gain, ends)
-    return (
-        f"Choosing each time only when the last measurement is known {lowers}, compared with the "
-        f"times of {plan['name']}. {left_open}"
-    ).rstrip()
+    label = phrase_of(subject.run.labels[plan["name"]])
+    draws = number_of(subject.online["draws"], "draw")
+    said = effect(gain, ends, label)
+    return f"Online times ({draws}): {said[0].lower()}{said[1:]}."

@@ -18,8 +18,8 @@ from rich.table import Column
 
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import one_line
+from pfdist.runner.progress import Detail, SetGain
 from pfdist.runner.progress import Progress as State
-from pfdist.runner.progress import SetGain
 
 
 class _Line:
@@ -79,14 +79,18 @@ class Display:
         By default, the console of standard error.
     after : float
         Seconds before the progress is shown. If there are any, there are no plain lines.
+    verbose : bool
+        Whether lines that are a `pfdist.runner.progress.Detail` are printed.
     """
 
-    def __init__(self, console: Console | None = None, after: float = 0.0) -> None:
+    def __init__(
+        self, console: Console | None = None, after: float = 0.0, *, verbose: bool = False
+    ) -> None:
         self._console = console or Console(stderr=True, highlight=False)
         self._bar = Progress(
             *_columns(self._console.width >= WIDE), console=self._console, transient=True
         )
-        self._live = self._console.is_terminal
+        self._live, self._verbose = self._console.is_terminal, verbose
         self._cell: Callable[[str], Any] | None = None
         self._may_be_cell = console is None
         self._begins, self._has_lines = time.monotonic() + after, not after
@@ -109,7 +113,8 @@ class Display:
 
     def say(self, line: str) -> None:
         """Print one line."""
-        self._console.print(one_line(line), soft_wrap=not self._live, markup=False, emoji=False)
+        if self._verbose or not isinstance(line, Detail):
+            self._console.print(one_line(line), soft_wrap=not self._live, markup=False, emoji=False)
 
     def show(self, state: State) -> None:
         """Show the progress of a run."""

@@ -1,5 +1,6 @@
 """The expected MSE of sets of measurement times, computed in this process."""
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,20 +10,23 @@ from typing import Any, overload
 import numpy as np
 
 from pfdist.common.clock import Time
+from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import REGULAR, Times
-from pfdist.common.parts import Cell, Page, Section, Table
+from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import Result, joined
+from pfdist.models import squared_error
 from pfdist.problem.job import Job, load_job
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.written import validated_instants
 from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import following
-from pfdist.questions.subject import mse_cell
+from pfdist.questions.subject import change_of, is_clear, mse_cell, number_of
+from pfdist.results import Gain
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, silent
@@ -89,7 +93,7 @@ def evaluate(
     JobError, ModelError, MeasurementTimesError
         The job, the model or the times are not possible.
     """
-    compute = prepare(job, measurement_times, draws, particles, seed)
+    _, compute = prepare(job, measurement_times, draws, particles, seed)
     return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
 
 
@@ -99,8 +103,8 @@ def prepare(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> Callable[[], dict[str, Evaluation]]:
-    """Compile what `evaluate` needs, and return a function that evaluates without delay.
+) -> tuple[Built, Callable[[], dict[str, Evaluation]]]:
+    """The compiled job, and a function that evaluates without delay.
 
     The name of a set without a name is empty.
     """
@@ -115,7 +119,8 @@ def prepare(
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    return partial(_evaluated, build(job), sets, stream)
+    built = build(job)
+    return built, partial(_evaluated, built, sets, stream)
 
 
 def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
@@ -179,6 +184,7 @@ class Evaluated:
     broken: Mapping[str, Sequence[str]]
     parameters: Sequence[Mapping[str, Any]]  # of each scenario
     seconds: float
+    quantity: Component | None  # z, if the root of an expected MSE is in its unit
 
     def as_json(self) -> dict[str, Any]:
         """The estimates of each set, or of the one that has no name."""
@@ -191,13 +197,43 @@ class Evaluated:
         return answer | {"seconds": round(self.seconds, 3)}
 
     def _page(self) -> Page:
-        line, rows = "", [_row(name, evaluation) for name, evaluation in self.evaluations.items()]
+        rows = [_row(name, evaluation) for name, evaluation in self.evaluations.items()]
         if list(self.evaluations) == [UNNAMED]:
-            _, _, mse, draws = (cell.text for cell in rows.pop())
-            line = f"expected MSE {mse}" + f", {draws} draws" * bool(draws)
+            number = len(self.evaluations[UNNAMED].measurement_times)
+            *_, mse, draws = (cell.text for cell in rows.pop())
+            about = [number_of(number, "measurement"), *([f"{draws} draws"] if draws else [])]
+            said = f"Expected MSE {mse} ({', '.join(about)})"
+            said += f"; typical error {self._typical(UNNAMED)}" * (self.quantity is not None)
+        else:
+            said = self._lowest()
         tables = [Table("", _HEAD, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
-        return Page("", line, [Section("", tables)], [*self._warnings()])
+        return Page("", "", [Section("", [Text(f"{said}.", prominent=True), *tables])],
+                    [*self._warnings()])  # fmt: skip
+
+    def _lowest(self) -> str:
+        """Say which set has the lowest expected MSE, and how far below the second lowest."""
+        each = self.evaluations
+        ranked = sorted(each, key=lambda name: each[name].expected_mse)
+        if len(ranked) == 1:
+            return f"Expected MSE of {ranked[0]}: {_row(ranked[0], each[ranked[0]])[2].text}"
+        best, other = ranked[:2]
+        gain = Gain.of_draws(each[best].mse, each[other].mse)
+        value, interval = gain.of_means, gain.of_means_interval
+        if each[best].exact is not None:
+            value = 1 - each[best].expected_mse / each[other].expected_mse
+            interval = value, value
+        said = f"{change_of(value, interval)} than {other}"
+        typical = f": typical error {self._typical(best)}" * (self.quantity is not None)
+        if each[best].is_worst:
+            return f"{best} has the lowest expected MSE in its worst scenario"
+        if is_clear(interval):
+            return f"{best} has the lowest expected MSE, {said}{typical}"
+        return f"No clear difference: the expected MSE of {best} is {said}{typical}"
+
+    def _typical(self, name: str) -> str:
+        unit = self.quantity.unit if self.quantity else ""
+        return f"{rounded(math.sqrt(self.evaluations[name].expected_mse), 3)} {unit}".rstrip()
 
     def _warnings(self) -> Iterator[str]:
         for name, evaluation in self.evaluations.items():
@@ -240,7 +276,7 @@ def evaluated(
     """
     loaded = load_job(job, changes)
     written = times[UNNAMED] if list(times) == [UNNAMED] else times
-    compute = prepare(loaded, written, draws, particles, seed)
+    built, compute = prepare(loaded, written, draws, particles, seed)
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
@@ -248,8 +284,21 @@ def evaluated(
         name: loaded.problem.broken(evaluation.measurement_times)
         for name, evaluation in evaluations.items()
     }
-    scenarios = loaded.scenarios.each if loaded.scenarios else ()
-    return Evaluated(evaluations, broken, [each.parameters for each in scenarios], seconds)
+    scenarios = loaded.scenarios.of_draws if loaded.scenarios else ()
+    parameters = [each.parameters for each in scenarios]
+    return Evaluated(evaluations, broken, parameters, seconds, _quantity(built))
+
+
+def _quantity(built: Built) -> Component | None:
+    """The only component of z, if errors are its squared differences, neither weighted nor scaled.
+
+    Its typical error is the root of the expected MSE.
+    """
+    evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
+    is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
+    is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
+    is_plain = is_squared and not (is_scaled or evaluator.weights or built.is_worst)
+    return quantities[0] if is_plain and len(quantities) == 1 else None
 
 
 def _of_scenarios(

@@ -1,7 +1,7 @@
 """Real measurements of one system, filtered as a run filters its draws."""
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,18 @@ from numpy.typing import ArrayLike
 from pfdist.common.arguments import path_argument
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
-from pfdist.common.parts import Page
+from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.parts import (
+    Block,
+    Cell,
+    Facts,
+    Page,
+    Section,
+    Table,
+    Text,
+    without_empty_columns,
+)
+from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
@@ -23,24 +34,26 @@ from pfdist.filters.filter import Filter
 from pfdist.filters.filter_estimate import Estimate
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.models.base import within_half_turn
-from pfdist.problem.source import JobSource
-from pfdist.questions.filtered import filtered_answer, filtered_page
+from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
-    Table,
+    UserTable,
     filter_of,
     planned_run,
-    prior_argument,
     table_argument,
 )
 from pfdist.questions.report import write_page
-from pfdist.questions.run_of_job import run_and_job
+from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, ClockColumns, filtered_schema, frame_of
 from pfdist.store.folder import check_page_replaceable
+from pfdist.store.schema import components_in
 from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
+_P_DIGITS = 2
+_BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
+_SIZE = "Effective sample size of the filter's particles at each instant."
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,6 +98,11 @@ class FilteredMeasurements(Shown):
     time_unit: str = ""
 
     @property
+    def marked(self) -> tuple[tuple[Time, ...], ...]:
+        """The times that a figure marks, each kind in its way."""
+        return self.measured, self.missing, self.extra, self.to_come
+
+    @property
     def most_surprising(self) -> tuple[Time, float] | None:
         """Time and p-value of the most surprising measurement, if there is a measurement."""
         if not self.measured:
@@ -127,15 +145,23 @@ class FilteredMeasurements(Shown):
         return finite(answer)
 
     def _page(self) -> Page:
-        return filtered_answer(self.as_json())
+        facts = _facts(self)
+        if surprise := _surprise(self):
+            at, p, among = surprise
+            facts.append(("most surprising", f"t = {at}, p = {p} ({among} among all measurements)"))
+        evidence = self.log_evidence
+        none = f"none: {self.why_no_evidence}"
+        facts.append(("log evidence", none if evidence is None else rounded(evidence)))
+        section = Section("", [Text(_estimate(self), prominent=True), Facts(facts)])
+        return Page("", "", [section], _improbable(self))
 
 
 def filter_measurements(
     job: JobSource | Run,
-    measurements: Table,
+    measurements: UserTable,
     *,
     planned: str = "",
-    prior: Table | Prior | ArrayLike = "",
+    prior: UserTable | Prior | ArrayLike = "",
     out: str | Path = "",
     results: str | Path | None = None,
     changes: Iterable[str] = (),
@@ -196,8 +222,8 @@ def filter_measurements(
     from pfdist.pages import filtered  # noqa: PLC0415
 
     table = table_argument("measurements", measurements)
-    files, prior = _files(table, out)[: 3 if report else 2], prior_argument(prior)
-    plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
+    files = _files(table, out)[: 3 if report else 2]
+    plan = planned_run(job, results, changes, say, planned, prior)
     believed = plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
@@ -232,10 +258,9 @@ def filter_measurements(
     )
     if files:
         write_user_table(files[0], estimates)
-        marked = result.measured, result.missing, result.extra, result.to_come
-        filtered.draw_filtered(files[1], filtered.filtered_plot(result.table, marked))
+        filtered.draw_filtered(files[1], filtered.filtered_plot(result.table, result.marked))
     for file in files[2:]:
-        write_page(filtered_page(result.as_json(), result.table), file)
+        write_page(_report_of(result), file)
     for line in result._page().warnings if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
@@ -256,7 +281,7 @@ def _files(measurements: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ..
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
-    """The belief of the filter at each instant, by the measurements up to it."""
+    """The estimate of the filter at each instant, by the measurements up to it."""
     measured = dict(zip(rows.t, rows.y, strict=True))
     for t in range(filtering.now.t, filtering.horizon + 1):
         yield filtering.update(t, measured[t]) if t in measured else filtering.predict(t)
@@ -287,3 +312,123 @@ def _table(
         }
         rows.append(row)
     return pa.Table.from_pylist(rows, schema=schema)
+
+
+# --- the pages ------------------------------------------------------------------------------------
+
+
+def _report_of(answer: FilteredMeasurements) -> Page:
+    sections = [_belief(answer), _fit(answer), _instants(answer.table)]
+    run, file = answer.run.name, answer.measurements.name
+    number = number_of(len(answer.measured), "measurement")
+    subtitle = f"{number} of {file}, by the filter of the run {run}"
+    source = f"from the measurements {file} by the filter of the run {run}"
+    warnings = _improbable(answer)
+    return Page("What the measurements say", subtitle, sections, warnings, source=source)
+
+
+def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
+    times = {
+        "measured at t": answer.measured,
+        "planned, missing": answer.missing,
+        "planned, to come": answer.to_come,
+        "measured, not planned": answer.extra,
+    }
+    return [
+        (name, formatted_times(each, answer.time_unit) or "none") for name, each in times.items()
+    ]
+
+
+def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
+    """Time and p-value of the most surprising measurement, and the p-value among all."""
+    if answer.most_surprising is None:
+        return None
+    t, p = answer.most_surprising
+    alone, among = (rounded(each, _P_DIGITS) for each in (p, answer.surprise_of_all))
+    return formatted_times([t], answer.time_unit), alone, among
+
+
+def _estimate(answer: FilteredMeasurements) -> str:
+    """The estimate at the last measurement, or at t = 0 without one, and how well it all fits."""
+    measured = answer.table[answer.table["measured"]]
+    row = (measured if len(measured) else answer.table[::-1]).iloc[-1].to_dict()
+    estimates = []
+    for each in components_in(answer.table, "mean_"):
+        values = (row[f"{key}_{each.suffix}"] for key in ("mean", "q05", "q95"))
+        mean, low, high = (rounded(value, 3) for value in values)
+        name, unit = each.name or f"z{each.suffix}", f" {each.unit}" * bool(each.unit)
+        estimates.append(f"{name} = {mean}{unit} (90 % band {low} to {high})")
+    at = formatted_times([row["t"]], answer.time_unit)
+    fits = "do not fit" if answer.is_improbable else "fit"
+    made = number_of(len(answer.measured), "measurement")
+    said = f" The {made} {fits if len(answer.measured) > 1 else fits.replace('do', 'does')}"
+    return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
+
+
+def _improbable(answer: FilteredMeasurements) -> list[str]:
+    """The warning about an improbable measurement, if there is one."""
+    at, p, among = _surprise(answer) or ("", "", "")
+    what = f"The measurement at t = {at} is improbable, p = {p} ({among} among all)"
+    return [f"{what}: the model may be wrong about this system."] * answer.is_improbable
+
+
+def _belief(answer: FilteredMeasurements) -> Section:
+    # Not above: the answers without pictures, and the help, wait for no Matplotlib.
+    from pfdist.pages.filtered import filtered_plot  # noqa: PLC0415
+    from pfdist.questions.pictures import picture  # noqa: PLC0415
+
+    plot = filtered_plot(answer.table, answer.marked)
+    said = Text(_estimate(answer), prominent=True)
+    return Section("The estimate", [said, picture(plot, "belief", _BELIEF), Facts(_facts(answer))])
+
+
+def _fit(answer: FilteredMeasurements) -> Section:
+    """Say how well the measurements fit the model, and how many particles count."""
+    from pfdist.pages.figure import Plot  # noqa: PLC0415  as in _belief
+    from pfdist.pages.why import effective_sample_size  # noqa: PLC0415
+    from pfdist.questions.pictures import picture  # noqa: PLC0415
+
+    blocks: list[Block] = []
+    if surprise := _surprise(answer):
+        at, p, among = surprise
+        text = (
+            f"The most surprising measurement is that at t = {at}: p = {p}, and {among} among all "
+            "measurements. A p-value near 0 means that the model hardly ever gives such a "
+            "measurement."
+        )
+        blocks.append(Text(text))
+    if answer.log_evidence is not None:
+        blocks.append(Text(f"Log evidence of the model: {rounded(answer.log_evidence)}."))
+    table = answer.table
+    rows = table.dropna(subset="effective_sample_size")
+    if len(rows):
+        least = rows.iloc[rows["effective_sample_size"].argmin()]
+        at, size = formatted_times([least["t"]], answer.time_unit), least["effective_sample_size"]
+        title = f"The effective sample size is least at t = {at}: {size:.0f}."
+        plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
+        blocks.append(picture(plot, "size", _SIZE))
+    return Section("How well they fit the model", blocks)
+
+
+def _instants(table: pd.DataFrame) -> Section:
+    quantities = components_in(table, "mean_")
+    is_single = len(quantities) == 1
+    names = [
+        f" of {each.label}" if each.label else "" if is_single else f" of z{k}"
+        for k, each in enumerate(quantities)
+    ]
+    head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
+    rows = [_row(row, quantities) for row in table.to_dict("records")]
+    instants = Table("Estimate at each instant", [*head, "surprise"], rows, detail=True)
+    return Section("All instants", [without_empty_columns(instants)])
+
+
+def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[Cell]:
+    cells = [Cell(formatted_time(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
+    for each in quantities:
+        mean, low, high = (row[f"{name}_{each.suffix}"] for name in ("mean", "q05", "q95"))
+        cells.append(Cell(rounded(mean), mean))
+        cells.append(Cell(f"{rounded(low)} to {rounded(high)}", low))
+    surprise = row["surprise"]
+    is_known = surprise is not None and not pd.isna(surprise)
+    return [*cells, Cell(rounded(surprise, _P_DIGITS), surprise) if is_known else Cell("")]

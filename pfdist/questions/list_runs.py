@@ -1,18 +1,29 @@
 """All runs below a folder, with their state and what they found."""
 
+import math
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from pfdist.common.arguments import path_argument
-from pfdist.results.listed_run import listed_run
-from pfdist.store.folder import runs_below
+from pfdist.common.percent import times_100
+from pfdist.common.rounding import rounded
+from pfdist.errors import StoreError, one_line, relative, shown_text
+from pfdist.results import Run, open_run
+from pfdist.results.columns import Row, rows_of
+from pfdist.results.pairs import formatted_ranks
+from pfdist.results.sets import best_first
+from pfdist.store import is_held
+from pfdist.store.folder import extent, runs_below
 
+RUNNING, FINISHED, UNFINISHED, DAMAGED = "running", "finished", "unfinished", "damaged"
 _DEPTH = 3  # levels of folders below the listed folder
 _COLUMNS = {
     "run": "object", "state": "object", "draws": "int64", "draws_wanted": "int64",
     "changed": "datetime64[us, UTC]", "bytes": "int64", "best": "object", "reference": "object",
-    "gain_of_means": "float64", "has_budget": "bool", "fault": "object",
+    "gain_of_means": "float64", "has_budget": "bool", "found": "object", "fault": "object",
 }  # fmt: skip
 
 
@@ -43,6 +54,8 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
           numbers of measurements.
         - reference, gain_of_means: over which set, and by how much the best set gains.
         - has_budget: whether the run has times of several numbers of measurements.
+        - found: the gain of the best set, or the numbers of measurements, in words; None before
+          the comparison has begun.
         - fault: why a damaged run cannot be read, else None.
 
     Raises
@@ -54,8 +67,81 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     """
     path = path_argument("folder", folder)
     rows = [listed_run(run, str(run.relative_to(path))) for run in runs_below(path, _DEPTH)]
-    columns = {
-        name: pd.Series([getattr(row, name) for row in rows], dtype=kind)
-        for name, kind in _COLUMNS.items()
+    return pd.DataFrame(
+        {
+            name: pd.Series([getattr(row, name) for row in rows], dtype=kind)
+            for name, kind in _COLUMNS.items()
+        }
+    )
+
+
+def listed_run(path: Path, name: str) -> Row:
+    """The row of a list for a run in a folder.
+
+    Parameters
+    ----------
+    path : Path
+        The folder. Whatever it holds, there is no error.
+    name : str
+        The path as the list shows it.
+    """
+    size, seconds = extent(path)
+    row: dict[str, Any] = dict.fromkeys(_COLUMNS) | {
+        "run": name,
+        "state": DAMAGED,
+        "draws": 0,
+        "draws_wanted": 0,
+        "changed": datetime.fromtimestamp(seconds, UTC),
+        "bytes": size,
+        "gain_of_means": math.nan,
+        "has_budget": False,
     }
-    return pd.DataFrame(columns)
+    try:
+        found = _found(open_run(path))
+    except Exception as error:  # a list of many runs must not end because of one of them
+        found = {"fault": _in_few_words(error, path)}
+    return Row(**row | found)
+
+
+def _found(run: Run) -> dict[str, Any]:
+    """How far a run is, and its best set."""
+    found = {
+        "state": _state(run),
+        "draws": run.draws_compared,
+        "draws_wanted": run.job["comparison"]["draws"],
+        "has_budget": "budget" in run.job,
+    }
+    if (best := _best(run)) is not None:
+        gain = math.nan if best.gain_of_means is None else best.gain_of_means
+        share = f"{rounded(times_100(abs(gain)), 3)} % {'above' if gain < 0 else 'below'}"
+        words = f"{best.label}: {share} {run.labels[best.reference]}"
+        known = {"best": best.name, "reference": best.reference, "gain_of_means": gain}
+        found |= known | {"found": words}
+    elif found["has_budget"] and found["draws"]:
+        numbers = run.table("sets")["measurements"]
+        found["found"] = f"{formatted_ranks(numbers.min(), numbers.max())} measurements"
+    return found
+
+
+def _state(run: Run) -> str:
+    if is_held(run.path):
+        return RUNNING
+    return FINISHED if run.state == "finished" else UNFINISHED
+
+
+def _best(run: Run) -> Row | None:
+    """The best set other than the reference, once draws are compared."""
+    if "budget" in run.job or not run.draws_compared:
+        return None
+    sets = run.table("sets")
+    rows = {row.name: row for row in rows_of(sets) if row.reference is not None}
+    return next((rows[name] for name in best_first(sets) if name in rows), None)
+
+
+def _in_few_words(error: Exception, path: Path) -> str:
+    """The error without its remedy, and with names of files relative to the run's folder."""
+    if not isinstance(error, StoreError):
+        return one_line(shown_text(f"{type(error).__name__}: {error}"))
+    shown_path = relative(str(path))
+    text = str(error).replace(f"{shown_path}/", "").replace(f"{shown_path} ", "")
+    return one_line(shown_text(text.partition("; ")[0]))

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +15,18 @@ from pfdist.common.measurement_times import Times, regular
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
-from pfdist.filters.engines import ENGINES, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
+from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
 from pfdist.filters.work import FLOAT64, Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
-from pfdist.models import StateSpaceModel, load_model
+from pfdist.models import StateSpaceModel
+from pfdist.models.batched import BatchedModel
 from pfdist.models.checks import own_formulas
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
-from pfdist.models.recorded import recorded
+from pfdist.models.recorded import declarations, recorded, with_untraced
 from pfdist.models.twin import traced
 from pfdist.questions.measured import missing_components, normalised, proposal
 from pfdist.runner.contract import few_draws, looked
@@ -34,7 +34,6 @@ from pfdist.runner.likelihood import Within, likelihood
 from pfdist.runner.particles import (
     NUMBERS,
     enough_particles,
-    has_particle_loss,
     mean_effective_sizes,
     measured_loss,
 )
@@ -43,6 +42,7 @@ EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
 _FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
+_SAME = 1e-6  # relative difference of errors by two engines
 _LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
 
@@ -65,24 +65,6 @@ class Check:
     text: str
 
 
-def check_model(
-    name: str,
-    horizon: int = 60,
-    particles: int = 500,
-    folder: Path = Path(),
-    times: Sequence[float] = (),
-) -> Iterator[Check]:
-    """Yield the result of each check of a model as soon as it is known.
-
-    The name is as a job has it: a model that ships, an entry point, or ``path/file.py:object``,
-    with a path relative to the folder. The draws have instants 0..horizon; a clock replaces the
-    horizon. `particles` is the number of particles of the filter that is timed. `times`, (T+1,), is
-    the clock: the time of each instant. By default it is 0..T for a model that reads a clock, and
-    other models have none.
-    """
-    return check_loaded(lambda: load_model(name, folder), horizon, particles, times)
-
-
 def check_loaded(
     load: Callable[[], StateSpaceModel],
     horizon: int,
@@ -91,10 +73,13 @@ def check_loaded(
     *,
     filtered: bool = True,
 ) -> Iterator[Check]:
-    """Yield the result of each check of the model that a function loads; see `check_model`.
+    """Yield the result of each check of the model that a function loads, as soon as it is known.
 
-    If not `filtered`, the checks of an evaluation are left out, and the last check of formulas that
-    can be filtered is `EVERY_INSTANT`.
+    The draws have instants 0..horizon; a clock replaces the horizon. `particles` is the number of
+    particles of the filter that is timed. `times`, (T+1,), is the clock: the time of each instant.
+    By default it is 0..T for a model that reads a clock, and other models have none. If not
+    `filtered`, the checks of an evaluation are left out, and the last check of formulas that can be
+    filtered is `EVERY_INSTANT`.
     """
     try:
         model = load()
@@ -133,12 +118,21 @@ def check_loaded(
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
-    """The evaluator, which computes in NumPy if a formula cannot be traced, and the result."""
+    """The evaluator, which calls formulas that cannot be traced, and the result."""
     try:
         evaluator.compile(estimation)
     except TraceError as error:
-        slower = f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower"
-        return replace(evaluator, engine=NUMPY.name), Check("compile", "note", slower)
+        slower = f"{error}: it runs about {BATCHED_TIMES_SLOWER} times slower"
+        instants, believed = range(evaluator.horizon + 1), evaluator.filter_model
+        called = replace(
+            evaluator,
+            engine=BATCHED.name,
+            model=with_untraced(evaluator.model, instants),
+            filter_model=believed and with_untraced(believed, instants),
+        )
+        if declarations(called.model, called.believed):
+            return called, Check("compile", "ok", "functions are called on arrays of particles")
+        return called, Check("compile", "note", slower)
     text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
     if has_fused_multiply_add():
         return evaluator, Check("compile", "ok", text)
@@ -334,6 +328,38 @@ def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Ite
     believed = evaluator.self_consistent
     if not evaluator.exact:
         yield Check("effective sample size", *_effective_sizes(believed, work))
-    if has_particle_loss(believed):
+    if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))
     yield Check("an evaluation", "ok", an_evaluation)
+    model = evaluator.model
+    if isinstance(model, BatchedModel) and evaluator.believed == model:
+        given = times, estimation, seconds_of_a_step
+        yield Check("engines", *_engines(evaluator, model.as_formulas, *given))
+
+
+def _engines(
+    evaluator: Evaluator,
+    as_formulas: Callable[[], StateSpaceModel],
+    times: Times,
+    estimation: Estimation,
+    seconds: float,
+) -> tuple[str, str]:
+    """State and text: whether the functions of a batched model can be traced, and are faster then.
+
+    A particle-step takes so many seconds as it is.
+    """
+    nanoseconds = f"{rounded(1e9 * seconds, 2)} ns"
+    try:
+        formulas = recorded(as_formulas(), range(evaluator.horizon + 1))
+        compiled = replace(evaluator, model=formulas, filter_model=None, engine="compiled")
+        compiled.compile(estimation)
+    except ModelError:
+        return "ok", f"{nanoseconds} a particle-step on arrays; the functions cannot be traced"
+    work = evaluator.work((times,), 3, 3, (0, 10), estimation)
+    if not np.allclose(evaluator(work).mse, compiled(work).mse, rtol=_SAME):
+        return "ok", f"{nanoseconds} a particle-step on arrays; traced, it computes something else"
+    faster = f"{rounded(1e9 * seconds_a_step(compiled, times, estimation), 2)} ns"
+    return "note", (
+        f"the functions can be traced: {faster} a particle-step in place of {nanoseconds}; "
+        "write model.as_formulas()"
+    )

@@ -12,23 +12,28 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from pfdist.common.clock import Clock, Time
-from pfdist.common.formatted_times import formatted_time
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times
-from pfdist.common.parts import Page
+from pfdist.common.parts import Facts, Page, Section, Text
+from pfdist.common.rounding import with_error
 from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.problem.feasible import Feasible
-from pfdist.problem.source import JobSource
+from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE
-from pfdist.questions.filtered import next_page
-from pfdist.questions.planned_run import Table, planned_run, prior_argument, table_argument
+from pfdist.questions.planned_run import UserTable, planned_run, table_argument
 from pfdist.questions.planner import Planner
-from pfdist.questions.run_of_job import run_and_job
+from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
+
+_SHOWN = 4  # planned times that are named
+_SEE_SURPRISE = (
+    "The model may be wrong about this system: look at the surprise that pfdist filter shows."
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,16 +110,49 @@ class NextTime(Shown):
         return finite(answer)
 
     def _page(self) -> Page:
-        return next_page(self.as_json())
+        number, unit = number_of(len(self.measured), "measurement"), self.time_unit
+        facts = [("expected MSE", self._expected(self.expected))]
+        if self.plan:
+            following, *later = self.plan
+            own_unit = "" if later and isinstance(following, str) else unit
+            said = f"Measure next at t = {formatted_times([following], own_unit)}"
+            if later:
+                shown = formatted_times(later[:_SHOWN], unit)
+                said += f"; then at about {shown}{', ...' if len(later) > _SHOWN else ''}"
+            measured = formatted_times(self.measured, unit)
+            where = f"{number}{', at t = ' * bool(measured)}{measured}"
+            facts = [("measured", where), *facts, *self._before()]
+        elif self.left == 0:
+            said = f"The budget is spent: {number}"
+        else:
+            said = f"No further measurement is possible after {number}"
+        section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
+        return Page("", "", [section], [_SEE_SURPRISE] * self.is_improbable)
+
+    def _before(self) -> list[tuple[str, str]]:
+        """The plan that was made before these measurements, if it differs."""
+        if self.planned_before == self.plan:
+            return []
+        times = formatted_times(self.planned_before, self.time_unit)
+        if not times:
+            return [("planned before", "no further measurement")]
+        if self.expected_before is None:
+            return [("planned before", f"t = {times}, no longer possible")]
+        expected = self._expected(self.expected_before)
+        return [("planned before", f"t = {times}"), ("its expected MSE", expected)]
+
+    def _expected(self, evaluation: Evaluation) -> str:
+        mse = with_error(evaluation.expected_mse, evaluation.standard_error)
+        return f"{mse} from t = {formatted_times([self.now], self.time_unit)} on"
 
 
 def next_time(
     job: JobSource | Run,
-    measurements: Table,
+    measurements: UserTable,
     *,
     now: Time | None = None,
     planned: str = "",
-    prior: Table | Prior | ArrayLike = "",
+    prior: UserTable | Prior | ArrayLike = "",
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     say: Say = silent,
@@ -163,8 +201,7 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
-    prior = prior_argument(prior)
-    plan = planned_run(run_and_job(job, results, changes, say), planned, prior)
+    plan = planned_run(job, results, changes, say, planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
     planner = Planner(plan.built, clock.written_of(plan.times), prior=plan.prior)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Unpack
 
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.options import Options, with_options
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import folder_of
@@ -47,7 +47,7 @@ def online(
     Returns
     -------
     Run
-        Its table ``online`` has a row for each draw, and `Run.summary` the key ``online``.
+        Its table ``online`` has a row for each draw, and `Run.as_json` the key ``online``.
 
     Raises
     ------

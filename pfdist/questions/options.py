@@ -57,7 +57,7 @@ class Options(TypedDict, total=False):
     pool : str, optional
         Where tasks are computed: by workers of a Ray cluster (``ray``), in ``processes`` of this
         machine, on ``threads`` of this process, or one after another (``serial``). On ``auto``, by
-        Ray if a cluster is given, in processes if formulas run in NumPy, else on threads. The
+        Ray if a cluster is given, in processes if formulas are not compiled, else on threads. The
         default is execution.pool of the job.
     workers : int, optional
         Number of workers, at most 1,000 on one machine; 0 is one for each core. The default is

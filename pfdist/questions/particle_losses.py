@@ -11,11 +11,10 @@ from pfdist.common.clock import Time
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Whole, checked
 from pfdist.errors import JobError
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.evaluate import UNNAMED, instants_of
 from pfdist.runner.build import build
 from pfdist.runner.particles import (
-    has_particle_loss,
     mean_effective_sizes,
     measured_loss,
     work_of_loss,
@@ -79,7 +78,7 @@ def particle_losses(
     job = as_job(job, settings={"seed": seed, "filter": {"particles": 1}})
     times, built = instants_of(job, UNNAMED, measurement_times), build(job)
     evaluator, rows = built.evaluator.self_consistent, []
-    if not has_particle_loss(evaluator):
+    if not evaluator.has_particle_loss:
         raise JobError(
             "the loss by the number of particles needs an engine with particles, and the squared "
             f"error, got the engine {evaluator.engine!r} and the model {evaluator.model.name}"

@@ -9,18 +9,14 @@ from xml.etree import ElementTree
 from pfdist.common.parts import Block, Figures, Page, Picture, Section
 from pfdist.errors import printable
 from pfdist.pages.figure import FIGURES, Plot, Tables, drawn
-from pfdist.pages.style import BLUE, GREEN, GREY, ORANGE, RED, SCREEN, styled
+from pfdist.pages.style import PALETTE, SCREEN, styled
 from pfdist.results import Run
 
 _SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _COLOURS = {
     "#000000": "currentColor",
     "#ffffff": "var(--card)",
-    BLUE.lower(): "var(--blue)",
-    RED.lower(): "var(--red)",
-    ORANGE.lower(): "var(--orange)",
-    GREEN.lower(): "var(--green)",
-    GREY.lower(): "var(--grey)",
+    **{light: f"var(--{name})" for name, (light, _) in PALETTE.items()},
 }
 _COLOUR = re.compile("|".join(_COLOURS), re.IGNORECASE)
 _INCHES = (5.4, 3.0)

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Unpack
 
-from pfdist.problem.methods import DEFAULT_METHOD
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.options import Options, with_options
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
@@ -25,8 +25,9 @@ def plan(
 ) -> Run:
     """Find measurement times for a job's problem, and prove how good they are.
 
-    One search finds them. They are compared with regular times on fresh draws, and a lower bound
-    says how much better any other times can be. The same call goes on where it was stopped.
+    One search finds them. They are compared with regular times on fresh draws. A lower bound tells
+    how much better any other times can be, and a quick estimate how many evenly spaced
+    measurements do as well. The same call goes on where it was stopped.
 
     Parameters
     ----------

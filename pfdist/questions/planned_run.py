@@ -1,35 +1,33 @@
 """Real measurements: the run that planned them, the tables of a user, and the filter."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from pfdist.common.arguments import path_argument
 from pfdist.common.measurement_times import Times
-from pfdist.common.nearest import did_you_mean
-from pfdist.errors import JobError, shown
+from pfdist.common.nearest import must_be
+from pfdist.errors import JobError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.filter import Filter
 from pfdist.filters.user_prior import as_prior, read_prior
+from pfdist.problem.problem import JobSource
+from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run
 from pfdist.results.sets import best_first
 from pfdist.runner.build import Built
+from pfdist.runner.progress import Say
 
-Table = str | Path | pd.DataFrame
+UserTable = str | Path | pd.DataFrame
 """The path of a table in CSV or Parquet, or a table in memory."""
 
 
 def table_argument(name: str, value: Any) -> Path | pd.DataFrame:
     """An argument as a path or a DataFrame; an `ArgumentError` if it is neither."""
     return value if isinstance(value, pd.DataFrame) else path_argument(name, value)
-
-
-def prior_argument(value: Any) -> Any:
-    """The prior of a caller: the path of its table, None for an empty name, or an object."""
-    if isinstance(value, str | Path):
-        return path_argument("prior", value) if str(value) else None
-    return value
 
 
 class PlannedRun(NamedTuple):
@@ -54,44 +52,41 @@ class PlannedRun(NamedTuple):
     prior: Prior | None
 
 
-def planned_run(run_and_job: tuple[Run, Built], planned: str, prior: Any) -> PlannedRun:
-    """A finished run whose times were planned, and what filters need.
+def planned_run(
+    job: JobSource | Run,
+    results: str | Path | None,
+    changes: Iterable[str],
+    say: Say,
+    planned: str,
+    prior: UserTable | Prior | ArrayLike,
+) -> PlannedRun:
+    """The finished run of a job whose times were planned, and what filters need.
 
-    Parameters
-    ----------
-    run_and_job : Run, Built
-        As `pfdist.questions.run_of_job.run_and_job` gives them.
-    planned : str
-        Name of the compared set that was planned; empty: see `planned_set`.
-    prior : Path, DataFrame, Cloud or array, optional
-        As `prior_argument` gives it.
-
-    Raises
-    ------
-    JobError, PriorError
-        As `planned_set` and `read_prior` raise.
+    The arguments are those of `pfdist.next_time`, and the errors those of `run_and_job`, of
+    `planned_set` and of `read_prior`.
     """
-    opened, built = run_and_job
-    name, times = planned_set(opened, planned)
-    times = built.job.problem.clock.measurements(times)
-    return PlannedRun(opened, name, times, built, _prior(prior, built))
-
-
-def _prior(prior: Any, built: Built) -> Prior | None:
+    table: Any = prior
+    if isinstance(prior, str | Path):  # a model may change the working folder
+        table = path_argument("prior", prior) if str(prior) else None
+    run, built = run_and_job(job, results, changes, say)
+    name, times = planned_set(run, planned)
     model, clock = built.evaluator.believed, built.job.problem.clock
-    if isinstance(prior, Path):
-        return read_prior(prior, model, clock)
-    return None if prior is None else as_prior(prior, model, clock)
+    start: Prior | None = None
+    if isinstance(table, Path):
+        start = read_prior(table, model, clock)
+    elif table is not None:
+        start = as_prior(table, model, clock)
+    return PlannedRun(run, name, clock.measurements(times), built, start)
 
 
-def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
+def planned_set(run: Run, name: str) -> tuple[str, Times]:
     """The name and the times of the set that was planned.
 
     Parameters
     ----------
     run : Run
-    name : str, optional
-        Name of a compared set; by default the found set with the lowest expected MSE.
+    name : str
+        Name of a compared set; if it is empty, the found set with the lowest expected MSE.
 
     Raises
     ------
@@ -102,11 +97,8 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
     if name in sets:
         return name, sets[name]
     if name:
-        raise JobError(
-            f"planned must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}"
-            f"{did_you_mean(name, sets)}",
-            argument="planned",
-        )
+        rule = f"a compared set of {run.path}, {', '.join(sets)}"
+        raise JobError(must_be("planned", rule, name, sets), argument="planned")
     if "budget" in run.job:
         raise JobError(
             f"{run.path} has times of several numbers of measurements: planned must say which, "

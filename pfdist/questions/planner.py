@@ -21,7 +21,7 @@ from pfdist.filters.one_filter import filter_of_truths, made, with_truths
 from pfdist.filters.user_prior import as_prior
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.problem.written import validated_instants
 from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of

@@ -8,9 +8,9 @@ from typing import NamedTuple
 from pfdist.errors import BusyError, PfdistError, StoreError, one_line
 from pfdist.pools.cores import usable_cores
 from pfdist.problem.sweep import SweepJob
+from pfdist.questions.list_runs import FINISHED
 from pfdist.questions.run import compute
 from pfdist.results import Run, open_run
-from pfdist.results.listed_run import FINISHED
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.door import Driver, Session
@@ -136,7 +136,7 @@ class PointsAtWork:
             return
         except PfdistError as error:
             self._failed[name] = str(error)
-            self._say(f"{name}: failed: {error}; the other points go on")
+            self._say(f"{name}: failed: {error}; the other points continue")
             return
         finally:
             self._at_work -= 1

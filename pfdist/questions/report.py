@@ -96,7 +96,7 @@ def _write(make: Callable[[], Page], folder: Path) -> Path:
 
 def _watch(path: Path, say: Say) -> None:
     """Write the report again and again, until the run is finished or no process computes it."""
-    say(f"{path / REPORT} is written again every {SECONDS:.0f} s while the run goes on")
+    say(f"Writing {path / REPORT} again every {SECONDS:.0f} s while the run continues")
     try:
         while is_held(path) and open_run(path).state != "finished":
             write_report(open_run(path), round(SECONDS))

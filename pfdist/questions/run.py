@@ -10,7 +10,9 @@ from typing import Unpack
 from pfdist.common.arguments import paths_argument
 from pfdist.common.section import checked
 from pfdist.errors import JobError, ModelError, TaskError
-from pfdist.problem.source import JobSource, as_job
+from pfdist.filters.engines import AUTO
+from pfdist.filters.work import GUIDED
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.report import remove_report, try_report
@@ -22,6 +24,7 @@ from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.driver import drive
+from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.progress import Say, Show, heard
 from pfdist.runner.provenance import lender, note_processor
@@ -85,6 +88,9 @@ def run(
         built = build(job, path, *others)
         if job.filter.is_automatic:
             tell(f"filter.particles: {built.job.filter.particles:,} are enough at regular times")
+        if job.filter.proposal == AUTO and built.job.filter.proposal == GUIDED:
+            less = "which loses less with a third of the particles; a step takes longer"
+            tell(f"filter.proposal: guided, {less}")
         return run_built(built, path, chosen, show, tell, settings, others)
 
 
@@ -190,6 +196,8 @@ def compute(
             remove_figures(path)  # somebody may have drawn them meanwhile
         if prover is not None and not _is_long(session, prover):
             session.reporter.note(optional=0.0)
+            if is_known(built) and "evenly_spaced" not in open_run(path).tables:
+                yield from compare_evenly_spaced(session, open_run(path))
             run = open_run(path)
             if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search

@@ -10,8 +10,8 @@ from typing import Any
 from pfdist.common.arguments import path_argument
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.problem.job import Job
-from pfdist.problem.methods import DEFAULT_METHOD
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.results import Run, open_run
 from pfdist.results.stored_run import job_of
 from pfdist.runner.build import Built, build, say_model_files

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from pfdist.common.parts import (
@@ -16,7 +17,7 @@ from pfdist.common.parts import (
     without_empty_columns,
 )
 from pfdist.common.percent import (
-    NO_LIMITS,
+    SPACED_IN_WINDOWS,
     gap_sentence,
     heavy_tail_warning,
     particle_loss_text,
@@ -24,8 +25,9 @@ from pfdist.common.percent import (
     percent_with_interval,
 )
 from pfdist.common.rounding import with_error
-from pfdist.errors import relative
-from pfdist.questions.about_run import citation, computed, problem, tables
+from pfdist.errors import one_line, relative
+from pfdist.problem.set_key import phrase_of
+from pfdist.questions.about_run import citation, computed, made, problem, question, tables
 from pfdist.questions.bound_page import proof
 from pfdist.questions.budget_page import budget
 from pfdist.questions.compared_page import (
@@ -35,37 +37,46 @@ from pfdist.questions.compared_page import (
     scenarios,
     worst_effect,
 )
-from pfdist.questions.subject import Subject, all_sets, effect, exact_effect, number_of
+from pfdist.questions.subject import (
+    Subject,
+    all_sets,
+    as_good_text,
+    change_of,
+    effect,
+    number_of,
+    without_folder,
+)
 from pfdist.questions.why_page import worth
-from pfdist.results import Run
+from pfdist.results import Run, read_recorded
 from pfdist.results.columns import COLUMNS, Row, sets_table
-from pfdist.results.gains import quantile_name
+from pfdist.results.moments import quantile_name
 from pfdist.results.stored_run import (
     copies_of,
     evaluations_of,
     found_sets,
     killed_of,
     last_bounds,
+    named_sets,
     problem_of,
     unproved,
 )
 
 _LOOKS_BETTER = (
-    "on the same draws. The best of several sets looks better than it is, the more so the more "
-    "sets there are."
+    "on the same draws. Picking the best of several sets makes it look slightly better than it is."
 )
-_BY_EXACT_ERRORS = "by their expected errors, which are known exactly."
+_BY_EXACT_ERRORS = "by their expected MSEs, which are known exactly."
 _GAINS_SHOWN = (
-    "name", "expected_mse", "gain_of_means", "positive_fraction", "mean_relative_gain",
+    "label", "expected_mse", "gain_of_means", "positive_fraction", "mean_relative_gain",
 )  # fmt: skip
 _GAINS = (
-    "The expected error is the mean over all draws, with its standard error. The next column says "
+    "The expected MSE is the mean over all draws, with its standard error. The next column says "
     "how much lower it is than that of the first row. The mean gain is the mean of the relative "
-    "gains of single draws, the paper's figure. Intervals in brackets hold with 95 %."
+    "gains of single draws, 1 - MSE / MSE of the first row, as in the paper. Intervals in brackets "
+    "are 95 % CIs."
 )
 _WHY_GAINS_DISAGREE = (
-    " A mean relative gain weighs all draws alike and has no lower limit, while the gain in the "
-    'column "lower by" weighs each draw by its error.'
+    " In a draw the MSE can fall by at most 100 % but rise by more, which pulls this mean down. "
+    "The gain of the expected MSE weighs each draw by its error."
 )
 _PAPERS: tuple[Any, ...] = "ungm", {}, {"horizon": 60, "measurement_budget": 21}, "regular"
 _PAPER_PRINTS = (
@@ -75,9 +86,8 @@ _SEARCHES_HEAD = (
     "search", "method", "sets evaluated", COLUMNS["search_mse"].head, "against fresh draws", "why",
 )  # fmt: skip
 _SEARCHES = (
-    "A search chooses the set with the least of many estimated errors, so its estimate of this set "
-    "is usually too low: below the error on fresh draws, which the table of gains has. An exact "
-    "filter knows both."
+    "A search chooses the set with the lowest of many estimates, so its estimate of this set is "
+    "usually too low."
 )
 
 Chapter = Callable[[Subject], Section | None]
@@ -96,20 +106,23 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         An expected MSE: how many measurements reach it.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (
-        answer, scenarios, compared, problem, gains, proof, worth, online,
-    )  # fmt: skip
+    title, chapters = "When to measure", _OF_A_PLAN
     if "budget" in run.job:
-        chapters = (budget, problem)
+        title, chapters = "How many measurements are enough", (budget, problem)
+    elif run.job.get("online"):
+        title, chapters = "Fixed or online times", (answer, online, *_OF_A_PLAN[1:])
+    elif not run.job["search"]:
+        title, chapters = "Which times are best", (compared, *_OF_A_PLAN)
     warnings = _warnings(subject)
     if run.state != "finished":
         draws = number_of(run.draws_compared, "draw")
-        unfinished = f"This run is not finished. So far {draws} are compared, and all figures may "
+        unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
-    ending = (searches, computed, tables, citation)
-    sections = _sections(subject, (*chapters, *ending))
-    title = f"When to measure: {subject.model_name}"
-    return Page(title, f"Run {run.path.name}", sections, warnings, seconds)
+    sections = _sections(subject, (*dict.fromkeys(chapters), searches, computed, tables, citation))
+    # The name that the model gives itself; in an older run, the name that the job gives.
+    model = read_recorded(run.path)[0]["provenance"].get("name_of_model")
+    title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
+    return Page(title, f"{question(subject)} {made(subject)}", sections, warnings, seconds)
 
 
 def answer_of(run: Run, target: float | None = None, *, details: bool = False) -> Page:
@@ -125,15 +138,15 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, gains, scenarios, compared, online)
+    chapters: Sequence[Chapter] = (answer, compared, gains, scenarios, online)
     if "budget" in run.job:
         chapters = (budget,)
-    line = (
+    place = (
         f"{run.path}: {run.state}, {evaluations_of(run):,} evaluations, "
         f"{run.draws_compared:,} draws compared"
     )
     sections = _sections(subject, (*chapters, *([proof, searches] if details else [])))
-    return Page("", line, sections, _warnings(subject))
+    return Page("", "", sections, _warnings(subject), place=place)
 
 
 def answer_in_a_line(run: Run) -> str:
@@ -149,8 +162,10 @@ def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
 
 
 def _warnings(subject: Subject) -> list[str]:
-    warnings = [f"{name}: {text}" for name, row in subject.rows.items() for text in row.warnings]
-    heavy_tail = heavy_tail_warning({n: row.top_percent_share for n, row in subject.rows.items()})
+    warnings = [f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings]
+    heavy_tail = heavy_tail_warning(
+        {row.label: row.top_percent_share for row in subject.rows.values()}
+    )
     # In a terminal the last sentence says that nothing is proved.
     return [*warnings, *filter(None, [heavy_tail and f"{heavy_tail}.", unproved(subject.run)])]
 
@@ -169,41 +184,46 @@ def answer(subject: Subject) -> Section | None:
 
 def _answer(subject: Subject, row: Row) -> Iterator[Block]:
     times = row.measurement_times
-    if subject.is_compared:
-        sentences = [_gain(subject, row), _proof(subject, row), online_sentence(subject)]
-        yield Text(" ".join(filter(None, sentences)), prominent=True)
-        others = len(subject.found_rows) - 1
-        if others:
-            best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
-            # The errors of worst scenarios are those of draws, whatever the engine.
-            by_chance = row.standard_error or subject.worst_decides
-            yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
-    at = f"{'t = ' if times else 'no time'}{subject.listed(times)}"
-    if subject.is_compared:
-        yield Text(f"Measure at {at}.")
-    else:
+    at = f"at {'t = ' if times else 'no time'}{subject.listed(times)}."
+    if not subject.is_compared:
         estimate = with_error(row.search_mse, row.search_standard_error)
-        yield Text(f"{row.name}: measure at {at}. The search estimated an error of {estimate}.")
+        yield Text(f"{row.label}: measure {at} The search estimated an error of {estimate}.")
+        return
+    yield Text(f"Measure {at}", prominent=True)
+    sentences = [
+        _gain(subject, row), _as_good(subject, row), _proof(subject, row), online_sentence(subject),
+    ]  # fmt: skip
+    yield Text(" ".join(filter(None, sentences)), prominent=True)
+    if others := len(subject.found_rows) - 1:
+        best = f"These are the times of the search {row.name}, the best of {others + 1} sets"
+        # The errors of worst scenarios are those of draws, whatever the engine.
+        by_chance = row.standard_error or subject.worst_decides
+        yield Text(f"{best} {_LOOKS_BETTER if by_chance else _BY_EXACT_ERRORS}")
 
 
 def _gain(subject: Subject, row: Row) -> str:
-    times, reference = row.measurement_times, subject.reference_row
-    if times == subject.reference_times:
-        return "The search found no better times than the reference's own."
-    at = {0: "no time", 1: "this time"}.get(len(times), f"these {len(times):,} times")
-    these = f"Measuring at {at} instead of {subject.reference}"
+    reference = subject.reference_row
+    if row.measurement_times == subject.reference_times:
+        return f"The search found no better times than {subject.reference}."
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
-        return f"{these}: the gain is not known, because errors are 0, infinite or unknown."
-    share = f"{percent(row.positive_fraction, 0)} of {number_of(row.gain_draws, 'draw')}"
-    interval = (row.gain_of_means_low, row.gain_of_means_high)
+        return "The gain is not known, because errors are 0, infinite or unknown."
+    interval = row.gain_of_means_low, row.gain_of_means_high
     if (worst := worst_effect(subject, row.name)) is not None:
-        mean, _ = effect(row.gain_of_means, interval, "the mean over the scenarios")
-        return f"{these} {worst} It {mean}."
-    if row.standard_error == reference.standard_error == 0.0:
-        lowers, left_open = exact_effect(row.expected_mse, reference.expected_mse), ""
-    else:
-        lowers, left_open = effect(row.gain_of_means, interval)
-    return f"{these} {lowers}. In {share}, the error is lower. {left_open}".rstrip()
+        mean = change_of(row.gain_of_means, interval)
+        return f"{worst} The mean over the scenarios is {mean}."
+    typical = subject.typical_errors(row, reference)
+    said = effect(row.gain_of_means, interval, subject.reference)
+    return f"{said}.{typical and f' Its root, the typical error, is {typical}.'}"
+
+
+def _as_good(subject: Subject, row: Row) -> str:
+    """How many evenly spaced measurements do as well, by a quick estimate."""
+    numbers, is_between = row.evenly_spaced, row.evenly_spaced_between
+    if not numbers or (row.measurements in numbers and not is_between):
+        return ""
+    draws = int(subject.run.table("evenly_spaced")["draws"].max())
+    estimated = f" (quick estimate on {draws:,} of these draws)" if draws else " (exact)"
+    return f"{as_good_text(row)}{estimated}."
 
 
 def _proof(subject: Subject, row: Row) -> str:
@@ -217,7 +237,7 @@ def _proof(subject: Subject, row: Row) -> str:
         is_constrained=problem.is_constrained,
         has_scenarios=bool(subject.scenarios),
     )
-    return f"{sentence} {NO_LIMITS}" if problem.feasible.limits else sentence
+    return f"{sentence} {SPACED_IN_WINDOWS}" if problem.feasible.has_spaced_sensors else sentence
 
 
 # --- all sets -------------------------------------------------------------------------------------
@@ -229,14 +249,15 @@ def gains(subject: Subject) -> Section | None:
         return None
     draws = number_of(subject.run.draws_compared, "draw")
     fresh = " that took no part in the search" if found_sets(subject.run) else ""
+    is_detail = bool(named_sets(subject.run))  # the ranks say it then
     heads = [COLUMNS[name].head for name in _GAINS_SHOWN]
     table = sets_table(
-        f"Expected error on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN,
-        optional=[heads[-1], heads[-2]],
+        f"Expected MSE on {draws}{fresh}", subject.rows.values(), _GAINS_SHOWN,
+        optional=[heads[-1], heads[-2]], detail=is_detail,
     )  # fmt: skip
     blocks: list[Block] = [
         table,
-        *_relative_gains(subject),
+        *(replace(text, detail=is_detail) for text in _relative_gains(subject)),
         Text(_GAINS, detail=True),
         *_degenerate(subject),
         *_broken(subject),
@@ -249,23 +270,25 @@ def gains(subject: Subject) -> Section | None:
 
 
 def _relative_gains(subject: Subject) -> Iterator[Text]:
-    """The paper's figures of its search, and why they contradict the gain of means of any set."""
+    """The paper's results of its search, and why the mean gain of the best set is no such gain."""
     job, noise = subject.run.job, subject.reference_row.gain_over_itself
     model = job["model"]
     papers = {each["name"] for each in job.get("search", ()) if each["method"] == "genetic"}
     experiment = model["name"], model["parameters"], job["problem"], job["comparison"]["reference"]
+    best = subject.by_error[0] if subject.found_rows else ""
     for name, row in subject.rows.items():
-        if name not in papers and not row.gains_disagree:
+        disagree = row.gains_disagree and name == best
+        if name not in papers and not disagree:
             continue
         share = percent(row.positive_fraction, 1)
-        gain = _mean_relative_gain(row)
-        text = f"The mean relative gain of {name} is {gain}, and {share} of the draws gain."
+        gain, phrase = _mean_relative_gain(row), phrase_of(row.label)
+        text = f"The mean relative gain of {phrase} is {gain}; {share} of the draws gain."
         if name in papers and experiment == _PAPERS:
             text += _PAPER_PRINTS
-        if row.gains_disagree:
+        if disagree:
             text += _WHY_GAINS_DISAGREE
             if noise:
-                text += f" The noise of the filters alone gives a mean of {percent(noise)}."
+                text += f" Two filters with the same times would give {percent(noise)}."
         yield Text(text)
 
 
@@ -276,19 +299,19 @@ def _mean_relative_gain(row: Row) -> str:
 
 def _degenerate(subject: Subject) -> list[Text]:
     counts = [
-        f"{number_of(row.degenerate_draws, 'draw')} of {name}"
-        for name, row in subject.rows.items()
+        f"{number_of(row.degenerate_draws, 'draw')} of {row.label}"
+        for row in subject.rows.values()
         if row.degenerate_draws
     ]
-    text = "there the filter leaves out measurements that no particle explains"
-    return [Text(f"Degenerate: {', '.join(counts)}; {text}.")] if counts else []
+    text = "There the filter leaves out measurements that no particle explains."
+    return [Text(f"Degenerate: {', '.join(counts)}. {text}")] if counts else []
 
 
 def _broken(subject: Subject) -> Iterator[Text]:
     for name, row in subject.rows.items():
-        times = f"The times of {name} break" if name in subject.others else "The reference breaks"
+        times = f"The set {row.label}" if name in subject.others else "The reference"
         for constraint in row.broken_constraints:
-            yield Text(f"{times} a constraint of the job. {constraint}.")
+            yield Text(f"{times} breaks a constraint, and is compared all the same: {constraint}.")
 
 
 def _details(row: Row) -> Facts:
@@ -298,17 +321,19 @@ def _details(row: Row) -> Facts:
         facts.append(("what it is", row.description))
     if row.particle_loss is not None and row.particle_loss_limit is not None:
         loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
-        facts.append(("particles lose", loss))
+        facts.append(("error due to finite particles", loss))
     if row.reference is not None:
         facts.append(("mean relative gain", _mean_relative_gain(row)))
         quartiles = (getattr(row, quantile_name(share)) for share in (0.25, 0.5, 0.75))
         facts.append(("quartiles of gains", ", ".join(percent(each, 1) for each in quartiles)))
-        facts.append(("mean log10 of ratio", COLUMNS["mean_log10_ratio"].cell(row).text))
+        facts.append(
+            ("mean log10 of the ratio of MSEs", COLUMNS["mean_log10_ratio"].cell(row).text)
+        )
     if row.gain_over_itself_draws is not None:
         ends = [row.gain_over_itself_low, row.gain_over_itself_high]
         itself = percent_with_interval(row.gain_over_itself, ends)
-        facts.append(("gain over itself", f"{itself}, from filter noise alone"))
-    return Facts(facts, f"More about {row.name}", detail=True)
+        facts.append(("mean gain over itself, by other noise", itself))
+    return Facts(facts, f"More about {phrase_of(row.label)}", detail=True)
 
 
 # --- the searches ---------------------------------------------------------------------------------
@@ -325,7 +350,7 @@ def searches(subject: Subject) -> Section | None:
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
     )  # fmt: skip
     killed = [
-        Text(f"Degenerate draws killed {n:,} evaluated sets of {name}.")
+        Text(f"{name}: {n:,} evaluated sets had an infinite error, by degenerate draws.")
         for name, n in killed_of(subject.run).items()
     ]
     blocks: list[Block] = [
@@ -355,3 +380,8 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     why = "; ".join(reasons).replace(relative(str(path)), path.name)  # the report may be sent
     side = "below" if excess < 0 else "above"
     return [*cells, Cell(f"{percent(abs(excess), 1)} {side}", excess), Cell(why)]
+
+
+_OF_A_PLAN: tuple[Chapter, ...] = (
+    answer, scenarios, compared, problem, gains, proof, worth, online,
+)  # fmt: skip

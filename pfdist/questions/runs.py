@@ -1,42 +1,58 @@
 """Many runs in a table, and a list of the runs in a folder."""
 
+import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 import pandas as pd
 
-from pfdist.common.dotted_keys import short_names
 from pfdist.common.formatted_times import (
     formatted_age,
     formatted_seconds,
     formatted_size,
     formatted_times,
 )
-from pfdist.common.parts import Cell, Page, Section, Table, Text
+from pfdist.common.measurement_times import REGULAR
+from pfdist.common.parts import Cell, Page, Section, Table, Text, without_column
 from pfdist.common.percent import times_100
-from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.rounding import with_interval
 from pfdist.errors import one_line
+from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
 from pfdist.problem.sweep import parts_that_pay
+from pfdist.questions.list_runs import FINISHED
 from pfdist.results.judged import REGRET, least_regret
-from pfdist.results.listed_run import FINISHED
-from pfdist.results.studies import is_numeric
-from pfdist.results.table_cells import formatted_gain, formatted_mse, formatted_value, keys_of
+from pfdist.results.runs_table import (
+    formatted_gain,
+    formatted_mse,
+    formatted_value,
+    keys_of,
+    shown_names,
+)
+from pfdist.results.studies import SEED, averages, formatted_point, is_numeric, still_varying
+
+_ERROR = "expected MSE ± standard error"
+_FEW_KEYS = 3  # that a narrow terminal shows
 
 
 def table_page(frame: pd.DataFrame) -> Page:
     """A table of runs, as `pfdist.table` gives it: what differs, and what the runs found."""
     keys = keys_of(frame)
-    short = short_names(keys)
-    head = ["run", *(short[key] for key in keys), "set", "expected MSE", "gain %", "seconds"]
+    short = shown_names(keys)
+    head = ["run", *(short[key] for key in keys), "set", _ERROR, "gain, %", "seconds"]
     rows = [_row(row, keys) for row in frame.to_dict("records")]
     lacking = [short[key] for key in reversed(keys) if frame[key].isna().any()]
     others = [short[key] for key in reversed(keys) if short[key] not in lacking]
-    names = ["run"] if keys and not frame.duplicated([*keys, "set"]).any() else []
-    table = Table("", head, rows, optional=[*lacking, *names, "seconds", *others])
+    # Few keys tell the runs apart in a narrow terminal, else the names of the runs do.
+    is_told = 0 < len(keys) <= _FEW_KEYS and not frame.duplicated([*keys, "set"]).any()
+    optional = ["run", "seconds"] if is_told else [*lacking, "seconds", *others]
+    table = Table("", head, rows, optional=optional)
+    if len(set(frame["set"])) == 1:
+        table = without_column(table, "set")
     references = sorted(set(frame["reference"].dropna().astype(str)))
-    other = references[0] if len(references) == 1 else "the reference"
-    gain = Text(f"±: one standard error; gain %: how far the MSE is below that of {other} (95 %)")
+    regular = references == [REGULAR]
+    other = phrase_of(EVENLY_SPACED) if regular else "the reference"
+    gain = Text(f"The gain says how far the expected MSE lies below that of {other} (95 % CI).")
     return Page("", "", [Section("", [table, *([gain] if references else [])])])
 
 
@@ -61,28 +77,46 @@ def least_regret_text(judged: pd.DataFrame) -> str:
         return "No plan fits every point, so none has the least regret."
     times = formatted_times(worst["measurement_times"], judged.attrs.get("time_unit", ""))
     value, low, high = with_interval(*(times_100(worst[name]) for name in REGRET))
-    interval = f" (95 % CI {low} to {high})" if worst["regret_low"] < worst["regret_high"] else ""
+    interval = f" (95 % CI {low} to {high} %)" if worst["regret_low"] < worst["regret_high"] else ""
+    found, at = (_point(judged, str(worst[key])) for key in ("found_at", "run"))
     return one_line(
-        f"Plan of least regret: {times} ({worst['set']} at {worst['found_at']}). Its largest "
-        f"regret is {value} %{interval}, at {worst['run']}."
+        f"Plan of least regret: measure at t = {times}. It was found at {found}. Its regret is at "
+        f"most {value} %{interval} at any point; largest at {at}."
     )
+
+
+def lowest_text(frame: pd.DataFrame) -> str:
+    """Which values have the lowest mean of the expected MSE over the seeds, and the mean."""
+    columns = still_varying(frame, [])
+    means = averages(frame, columns, "expected_mse")
+    best = min((each for each in means if math.isfinite(each.mean)),
+               key=lambda each: each.mean, default=None)  # fmt: skip
+    if best is None:
+        return ""
+    value, low, high = with_interval(best.mean, best.low, best.high)
+    interval = "" if math.isnan(best.low) else f" (95 % CI {low} to {high})"
+    estimate = f"{value}{' (exact)' if best.low == best.high else interval}"
+    if len(best.replicates) > 1:
+        estimate += f", the mean of {len(best.replicates)} seeds"
+    if not columns:  # the seeds alone differ: there is nothing to choose
+        return f"The expected MSE is {estimate}."
+    point = formatted_point(
+        columns, best.point, sorted(keys_of(frame), key=lambda name: name == SEED)
+    )
+    return f"The lowest expected MSE is {estimate}: {point}."
+
+
+def _point(judged: pd.DataFrame, run: str) -> str:
+    """The values of the keys at a point, by the name of its run."""
+    keys = [key for key in keys_of(judged) if key != "found_at"]
+    rows = judged[judged["run"] == run].to_dict("records")
+    values = tuple(rows[0][key] for key in keys) if rows else ()
+    return formatted_point(keys, values, keys) if values else run
 
 
 def value_cell(value: Any) -> Cell:
     """The value of a key of a job."""
     return Cell(one_line(formatted_value(value)), value if is_numeric([value]) else None)
-
-
-def records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table for JSON: moments become texts as of ISO 8601, and missing values None."""
-    cells = frame.astype(object).where(frame.notna(), None)
-    return [
-        {str(key): _plain(value) for key, value in row.items()} for row in cells.to_dict("records")
-    ]
-
-
-def _plain(value: Any) -> Any:
-    return value.isoformat(timespec="seconds") if hasattr(value, "isoformat") else value
 
 
 def list_page(frame: pd.DataFrame, folder: str) -> Page:
@@ -104,7 +138,8 @@ def list_page(frame: pd.DataFrame, folder: str) -> Page:
         texts = row["run"], row["state"], age, formatted_size(row["bytes"]), _result(row)
         rows.append([*map(Cell, texts)])
     head = ("run", "state", "age", "size", "found")
-    return Page("", folder, [Section("", [Table("", head, rows, optional=["age", "size"])])])
+    table = Table("", head, rows, optional=["age", "size"])
+    return Page("", "", [Section("", [table])], place=folder)
 
 
 def _result(row: Mapping[Any, Any]) -> str:
@@ -114,13 +149,7 @@ def _result(row: Mapping[Any, Any]) -> str:
     texts = []
     if row["state"] != FINISHED:
         texts.append(f"{row['draws']:,} of {row['draws_wanted']:,} draws")
-    if isinstance(row["best"], str):
-        gain = row["gain_of_means"]
-        side = "above" if gain < 0 else "below"
-        percent = rounded(times_100(abs(gain)), 3)
-        texts.append(f"{row['best']}: {percent} % {side} {row['reference']}")
-    elif row["has_budget"] and row["draws"]:
-        texts.append("times of several numbers")
+    texts += [row["found"]] * isinstance(row["found"], str)
     return ", ".join(texts)
 
 

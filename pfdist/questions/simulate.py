@@ -13,7 +13,7 @@ from pfdist.errors import ArgumentError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.models import StateSpaceModel
-from pfdist.problem.source import JobSource, as_job
+from pfdist.problem.problem import JobSource, as_job
 from pfdist.runner.build import build
 from pfdist.store.schema import LABELS, labels_of
 
@@ -54,8 +54,8 @@ def simulate(
     ArgumentError
         There are fewer than 1 draws, or more than fit into a table.
     """
-    # Draws depend on no filter, so no number of particles need be found.
-    job = as_job(problem, settings={"seed": seed, "filter": {"particles": 1}})
+    # Draws depend on no filter, so neither particles nor a proposal need be found.
+    job = as_job(problem, settings={"seed": seed, "filter": {"particles": 1, "proposal": "plain"}})
     built = build(job)
     model, horizon = built.evaluator.model, built.evaluator.horizon
     numbers = draws * (horizon + 1) * (2 + sum(model.components))

@@ -8,18 +8,17 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
+from pfdist.common.component_names import Component, named_components
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.parts import Cell, Table, Text
-from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded, with_error, with_interval
-from pfdist.errors import one_line
-from pfdist.problem.set_key import label_of
+from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
 from pfdist.results import Run, reaching, read_recorded
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first
-from pfdist.results.stored_run import problem_of
+from pfdist.results.stored_run import angles_of, problem_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,12 +52,6 @@ class Subject:
         """The rows of the table of sets by name, the reference first."""
         is_known = "sets" in self.run.tables
         return {row.name: row for row in rows_of(self.sets)} if is_known else {}
-
-    @property
-    def model_name(self) -> str:
-        """The name that the model gives itself; in an older run, the name that the job gives."""
-        own_name = read_recorded(self.run.path)[0]["provenance"].get("name_of_model")
-        return one_line(own_name or without_folder(self.run.job["model"]["name"]))
 
     @property
     def reference_row(self) -> Row:
@@ -112,7 +105,7 @@ class Subject:
         others = len(self.others) - len(self.shown)
         shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
         text = (
-            f"Figures are shown of {shown} with the least expected error. Those of the other "
+            f"Figures are shown of {shown} with the lowest expected MSE. Those of the other "
             f"{number_of(others, 'set')} are in the folder figures of the run."
         )
         return [Text(text)] if others else []
@@ -129,17 +122,49 @@ class Subject:
 
     @property
     def reference(self) -> str:
-        """The reference as sentences call it: ``every 3 instants``, or its name."""
-        name, times = self.reference_row.name, self.reference_times
-        sensors = {time_and_sensor(time)[1] for time in times}
-        instants = (time_and_sensor(time)[0] for time in times)
+        """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
+        phrase, every = phrase_of(self.reference_row.label), self._step_of_reference
+        problem = problem_of(self.run)
+        is_even = problem.feasible.is_regular(problem.clock.measurements(self.reference_times))
+        is_moved = self.reference_row.label == EVENLY_SPACED and not is_even
+        how = "moved to allowed instants" if is_moved else every
+        return f"{phrase} ({how})" if how else phrase
+
+    @property
+    def _step_of_reference(self) -> str:
+        """The distance of the times of the reference in words; empty unless all are equal."""
+        sensors = {time_and_sensor(time)[1] for time in self.reference_times}
+        instants = (time_and_sensor(time)[0] for time in self.reference_times)
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
-            return label_of(name)
+            return ""
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if problem_of(self.run).has_clock:
             return f"every {step} {self.unit}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor
+
+    @cached_property
+    def quantities(self) -> tuple[Component, ...]:
+        """The components of z, with their names and units."""
+        names = read_recorded(self.run.path)[0]["provenance"].get("names", {}).get("z", [])
+        count = len(angles_of(self.run))
+        return named_components(names, len(names) or count)
+
+    def typical_errors(self, row: Row, other: Row | None = None) -> str:
+        """The typical error of a set, beside that of another: ``1.16 instead of 1.34 g/L``.
+
+        Empty if it is not known.
+        """
+        errors = row.typical_error or ()
+        others = (other.typical_error if other else None) or [None] * len(errors)
+        parts = [
+            _typical(component, angle, error, before)
+            for component, angle, error, before in zip(
+                self.quantities, angles_of(self.run), errors, others, strict=False
+            )
+        ]
+        names = [f"{each.name or each.suffix} " * (len(parts) > 1) for each in self.quantities]
+        return ", ".join(map("".join, zip(names, parts, strict=False)))
 
     @property
     def unit(self) -> str:
@@ -151,62 +176,92 @@ class Subject:
         return formatted_times(times, self.unit)
 
 
-def effect(
-    gain: float, interval: Sequence[float | None], what: str = "the expected error"
-) -> tuple[str, str]:
-    """Say what a gain does to the expected error, and what its interval leaves open.
+def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
+    unit = component.unit or "rad" * is_angle
+    instead = "" if before is None else f" instead of {rounded(before, 3)}"
+    return f"{rounded(error, 3)}{instead} {unit}".rstrip()
+
+
+def change_of(gain: float, interval: Sequence[float | None]) -> str:
+    """How far an error lies below or above another, with its 95 % interval.
 
     Parameters
     ----------
     gain : float
-        Relative; negative if the error rises.
+        Relative; negative if the error is higher.
     interval : list of float or None
-        Lower and upper end, 95 %; None and infinite ends are unknown.
-    what : str
-
-    Returns
-    -------
-    (str, str)
-        A phrase, and a sentence or an empty text.
+        Lower and upper end; None and infinite ends are unknown, equal ends exact.
 
     Examples
     --------
-    >>> effect(0.05, [0.01, 0.09])
-    ('lowers the expected error by 5.0 % (95 %: 1.0 to 9.0 %)', '')
-    >>> effect(-0.05, [-0.09, 0.01])[0]
-    'raises the expected error by 5.0 % (95 %: -1.0 to 9.0 %)'
+    >>> change_of(0.05, [0.01, 0.09]), change_of(-0.05, [-0.05, -0.05])
+    ('5.0 % lower (95 % CI 1.0 to 9.0 %)', '5.0000 % higher (exact)')
+    >>> change_of(-0.05, [-0.09, 0.01])
+    '5.0 % higher (95 % CI -1.0 to 9.0 %)'
     """
     low, high = interval
-    changes = "lowers" if gain >= 0 else "raises"
+    side = "lower" if gain >= 0 else "higher"
     if low is None or high is None or math.isinf(high - low):
         value, *_ = with_interval(100 * abs(gain), None, None)
-        phrase = f"{changes} {what} by {value} %"
-        return phrase, "There are too few draws to say how exact this figure is."
+        return f"{value} % {side} (too few draws for an interval)"
     ends = [low, high] if gain >= 0 else [-high, -low]
     value, least, most = with_interval(*(100 * part for part in (abs(gain), *ends)))
-    phrase = f"{changes} {what} by {value} % (95 %: {least} to {most} %)"
-    open_ = "The interval contains 0, so these draws do not tell which times are better."
-    return phrase, open_ if low <= 0.0 <= high else ""
+    if low == high:
+        return f"{value} % {side} (exact)"
+    return f"{value} % {side} (95 % CI {least} to {most} %)"
 
 
-def exact_effect(mse: float, reference: float, what: str = "the expected error") -> str:
-    """Say what times do to the expected error, where both expected errors are known exactly.
+def is_clear(interval: Sequence[float | None]) -> bool:
+    """Whether an interval does not contain 0, as far as it is known."""
+    low, high = interval
+    return low is None or high is None or not low <= 0.0 <= high or low == high
+
+
+def effect(
+    gain: float, interval: Sequence[float | None], other: str, what: str = "the expected MSE"
+) -> str:
+    """Say how far an error lies below that of other times, or that there is no clear difference.
 
     Parameters
     ----------
-    mse, reference : float
-        Expected MSE of the times, and that of the reference.
+    gain, interval
+        As of `change_of`.
+    other : str
+        The other times.
     what : str
+        Which error.
 
     Examples
     --------
-    >>> exact_effect(2.2889, 2.4657)
-    'lowers the expected error by 7.17 %, from 2.4657 to 2.2889: the filter knows both exactly'
+    >>> effect(0.05, [0.01, 0.09], "the plan")
+    'The expected MSE is 5.0 % lower (95 % CI 1.0 to 9.0 %) than with the plan'
+    >>> effect(0.05, [-0.01, 0.11], "the plan")
+    'No clear difference from the plan; the expected MSE is 5.0 % lower (95 % CI -1.0 to 11.0 %)'
     """
-    changes = "lowers" if mse <= reference else "raises"
-    change = percent(abs(1 - mse / reference))
-    ends = f"from {rounded(reference)} to {rounded(mse)}"
-    return f"{changes} {what} by {change}, {ends}: the filter knows both exactly"
+    change = f"{what} is {change_of(gain, interval)}"
+    if is_clear(interval):
+        return f"{change[0].upper()}{change[1:]} than with {other}"
+    return f"No clear difference from {other}; {change}"
+
+
+def as_good_text(row: Row) -> str:
+    """Say how many evenly spaced measurements do as well as a set, or between which two it lies."""
+    numbers = row.evenly_spaced
+    if row.evenly_spaced_between:
+        worse, better = numbers
+        return f"{number_of(worse, 'evenly spaced measurement')} do worse, and {better} do better"
+    return f"{ranges_of(numbers)} evenly spaced measurements do as well"
+
+
+def ranges_of(numbers: Sequence[int]) -> str:
+    """Numbers in ascending order as text.
+
+    >>> ranges_of([37]), ranges_of([36, 37, 38]), ranges_of([36, 37, 40])
+    ('37', '36 to 38', '36, 37, 40')
+    """
+    if len(numbers) > 1 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"{numbers[0]} to {numbers[-1]}"
+    return ", ".join(map(str, numbers))
 
 
 def mse_cell(expected_mse: float | None, error: float | None) -> Cell:
@@ -240,6 +295,6 @@ def number_of(count: int, what: str) -> str:
 
 def all_sets(subject: Subject) -> Table:
     """A table of all sets of times, folded away."""
-    columns = ("name", "measurements", "price", "measurement_times")
+    columns = ("label", "measurements", "price", "measurement_times")
     rows = subject.rows.values()
     return sets_table("All sets of times", rows, columns, unit=subject.unit, detail=True)

@@ -1,7 +1,7 @@
 """A job at many points: every point is a run of its own, and all share the same workers."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -13,16 +13,17 @@ from pfdist.common.section import checked
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.problem.job import Job
 from pfdist.problem.points import Values
-from pfdist.problem.source import JobSource
+from pfdist.problem.problem import JobSource
 from pfdist.problem.sweep import Part, SweepJob, check_comparable, judging, read_sweep
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.points_at_work import Points, PointsAtWork
 from pfdist.questions.report import try_report
-from pfdist.questions.runs import least_regret_text, records, table_page
+from pfdist.questions.runs import least_regret_text, lowest_text, table_page
 from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
+from pfdist.results.columns import records_of
 from pfdist.results.judged import JUDGED, judged_table, times_by_search
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
@@ -71,17 +72,18 @@ class Sweep:
     def as_json(self) -> dict[str, Any]:
         """The table of all runs, and that of the judged times, as values for JSON."""
         return {
-            "rows": records(self.table()) if self.runs else [],
-            "judged": records(self.judged()) if self.judges else [],
+            "rows": records_of(self.table()) if self.runs else [],
+            "judged": records_of(self.judged()) if self.judges else [],
         }
 
     def _page(self) -> Page:
-        page = table_page(self.table()) if self.runs else Page("", "no point is finished", [])
-        if self.judges:
-            least = Text(least_regret_text(self.judged()), prominent=True)
-            page = replace(page, sections=[*page.sections, Section("", [least])])
         busy = [f"other processes compute {', '.join(self.busy)}"] if self.busy else []
-        return replace(page, warnings=busy)
+        if not self.runs:
+            return Page("", "", [Section("", [Text("No point is finished.")])], busy)
+        frame = self.table()
+        said = least_regret_text(self.judged()) if self.judges else lowest_text(frame)
+        answer = Section("", [Text(said, prominent=True)] if said else [])
+        return Page("", "", [answer, *table_page(frame).sections], busy)
 
     def judged(self) -> pd.DataFrame:
         """How good the times found at each point are at every point.
@@ -196,7 +198,7 @@ def sweep(
         if chosen.has_report:
             for position, run in enumerate(searches.runs.values(), 1):
                 if not has_report(run.path):
-                    tell(f"writes report {position} of {len(searches.runs)}")
+                    tell(f"Writing reports {position}/{len(searches.runs)}")
                     try_report(run, tell)
             if part is None:
                 try_report(path, tell)
@@ -223,10 +225,10 @@ def _judged(sweep_job: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob 
         The found times cannot be judged.
     """
     if len(runs) < len(sweep_job.points):
-        heard(say, "the found times are not judged, because not all points are finished")
+        heard(say, "The found times are not judged: not all points are finished.")
         return None
     judged = judging(sweep_job, times_by_search(runs))
-    say(f"judges the found times at all {len(sweep_job.points)} points")
+    say(f"Judging the found times at all {len(sweep_job.points)} points...")
     return judged
 
 

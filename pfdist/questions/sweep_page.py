@@ -1,9 +1,7 @@
 """The report of a sweep: a table of its points, a figure, and the plan of least regret."""
 
-import math
 import os
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -11,9 +9,9 @@ from typing import Any
 from urllib.parse import quote_from_bytes
 
 import pandas as pd
+from matplotlib.axes import Axes
 
 import pfdist
-from pfdist.common.dotted_keys import short_names
 from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.parts import (
     Block,
@@ -25,14 +23,17 @@ from pfdist.common.parts import (
     Text,
     without_empty_columns,
 )
-from pfdist.common.rounding import with_interval
 from pfdist.errors import PfdistError, one_line, relative, shown_text
 from pfdist.pages.figure import Plot
+from pfdist.pages.panel import verbatim
 from pfdist.pages.plots import against
+from pfdist.questions.about_run import run_day
+from pfdist.questions.list_runs import DAMAGED, FINISHED, listed_run
 from pfdist.questions.pictures import picture
-from pfdist.questions.runs import least_regret_text, value_cell
+from pfdist.questions.runs import least_regret_text, lowest_text, value_cell
 from pfdist.questions.subject import number_of, without_folder
 from pfdist.results import Run, open_run
+from pfdist.results.columns import Row as ListedRow
 from pfdist.results.judged import (
     JUDGED,
     NOTHING_JUDGED,
@@ -41,8 +42,15 @@ from pfdist.results.judged import (
     judged_table,
     times_by_search,
 )
-from pfdist.results.listed_run import DAMAGED, FINISHED, ListedRun, listed_run
-from pfdist.results.runs_table import RESULTS, runs_table
+from pfdist.results.runs_table import (
+    RESULTS,
+    formatted_gain,
+    formatted_mse,
+    formatted_value,
+    keys_of,
+    runs_table,
+    shown_names,
+)
 from pfdist.results.stored_run import version_of
 from pfdist.results.studies import (
     SEED,
@@ -53,7 +61,6 @@ from pfdist.results.studies import (
     still_varying,
     values_of,
 )
-from pfdist.results.table_cells import formatted_gain, formatted_mse, formatted_value, keys_of
 from pfdist.store import holds_run
 from pfdist.store.folder import REPORT, has_report, runs_below
 
@@ -83,7 +90,7 @@ class SweepSubject:
 
     Attributes
     ----------
-    points : dict of Path to ListedRun
+    points : dict of Path to Row
         In the order of their names; damaged if a table cannot be read.
     runs : list of Run
         Those that can be read.
@@ -144,14 +151,14 @@ class SweepSubject:
         return judged_table(runs, best)
 
 
-def _tried(path: Path, listed: ListedRun) -> ListedRun:
+def _tried(path: Path, listed: ListedRow) -> ListedRow:
     """A point with the reason why it cannot be read, if it cannot."""
     try:
         if listed.fault is None:
             runs_table([open_run(path)])
     except Exception as error:
         fault = _reason(error).replace(relative(f"{path}/"), "")
-        return replace(listed, state=DAMAGED, fault=fault)
+        return ListedRow(**vars(listed) | {"state": DAMAGED, "fault": fault})
     return listed
 
 
@@ -167,7 +174,7 @@ def answer(subject: SweepSubject) -> Section | None:
         points, total = subject.judged["run"].nunique(), len(subject.points)
         part = f"The times were judged at {points:,} of {total:,} points." * (points < total)
         texts, value = [least_regret_text(subject.judged), part, _REGRET], "regret"
-    elif lowest := _lowest(subject):
+    elif lowest := lowest_text(subject.frame):
         texts, value = [lowest, _BEST_OF_SEVERAL * bool(subject.columns), _BARS], "expected_mse"
     else:
         return None
@@ -176,8 +183,13 @@ def answer(subject: SweepSubject) -> Section | None:
     if axis := subject.axis:
         shown = _plans(subject, axis) if value == "regret" else _lines(subject, axis)
         what = "The plans of least regret" if value == "regret" else "The expected MSE"
-        title = f"{what} against {short_names(subject.keys)[axis]}."
-        plot = Plot(2.6, lambda panels: against(shown, axis, value, ax=panels[0]), title=title)
+        name = shown_names(subject.keys)[axis]
+        title = f"{what} against {name}."
+
+        def draw(panels: Sequence[Axes]) -> None:
+            against(shown, axis, value, ax=panels[0]).set_xlabel(verbatim(name))
+
+        plot = Plot(2.6, draw, title=title)
         blocks.append(picture(plot, "points", title))
     return Section("The answer", [*blocks, *map(Text, notes)])
 
@@ -191,30 +203,13 @@ def _plans(subject: SweepSubject, axis: str) -> pd.DataFrame:
     few = largest.nsmallest(_MOST_LINES).index.to_frame(index=False)
     worst = subject.judged.dropna(subset="regret").sort_values("regret")
     rows = few.merge(worst.drop_duplicates([*PLAN, axis], keep="last"))
+    keys = subject.keys
     names = {
-        row["run"]: ", ".join(formatted_value(row[key]) or "none" for key in subject.keys)
+        row["run"]: formatted_point(keys, tuple(row[key] for key in keys), keys)
         for row in subject.frame.to_dict("records")
     }
     rows["found at"] = rows["found_at"].map(names)
     return rows[["run", axis, "found at", "set", *REGRET]]
-
-
-def _lowest(subject: SweepSubject) -> str:
-    """Say which values have the lowest mean of the expected MSE over the seeds, and the mean."""
-    means = averages(subject.frame, subject.columns, "expected_mse")
-    best = min((each for each in means if math.isfinite(each.mean)),
-               key=lambda each: each.mean, default=None)  # fmt: skip
-    if best is None:
-        return ""
-    value, low, high = with_interval(best.mean, best.low, best.high)
-    interval = "" if math.isnan(best.low) else f" (95 % CI {low} to {high})"
-    estimate = f"{value}{' (exact)' if best.low == best.high else interval}"
-    if len(best.replicates) > 1:
-        estimate += f", the mean of {len(best.replicates)} seeds"
-    if not subject.columns:  # the seeds alone differ: there is nothing to choose
-        return f"The expected MSE is {estimate}."
-    point = formatted_point(subject.columns, best.point, subject.keys)
-    return f"The lowest expected MSE is {estimate}: {point}."
 
 
 def _lines(subject: SweepSubject, axis: str) -> pd.DataFrame:
@@ -237,7 +232,7 @@ def points(subject: SweepSubject) -> Section | None:
     rows = [_row(subject, row) for row in records]
     if not rows:
         return None
-    short = short_names(subject.keys)
+    short = shown_names(subject.keys)
     head = [*(short[key] for key in subject.keys)] or ["point"]
     head += [SET, "state", "expected MSE ± standard error", "gain % (95 %)"]
     link = Text("Each row begins with a link to the report of the point.")
@@ -293,6 +288,8 @@ def sweep_page(path: Path) -> Page:
     names = (without_folder(run.job["model"]["name"]) for run in subject.runs)
     models = ", ".join(dict.fromkeys(names))
     about = number_of(len(subject.points), "point") + (f" of {models}" if models else "")
+    days = [run_day(run) for run in subject.runs]
+    about += f", {days[0]}, pfdist {pfdist.__version__}" if days else ""
     links = "Its links lead to the reports of the points, in the folders beside it."
     return Page(
         f"Sweep: {one_line(path.resolve().name)}", about, [part for part in made if part],

@@ -22,14 +22,15 @@ from pfdist.errors import (
     shown_text,
 )
 from pfdist.results import Run, open_run
-from pfdist.results.runs_table import RESULTS, runs_table
-from pfdist.results.table_cells import (
+from pfdist.results.runs_table import (
+    RESULTS,
     differ_by_keys,
     formatted_gain,
     formatted_mse,
     formatted_value,
     is_missing,
     keys_of,
+    runs_table,
 )
 from pfdist.store import holds_run, write_file
 from pfdist.store.files import begins_with, check_replaceable
@@ -89,7 +90,7 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
           ``reference``. If an engine knows an expected MSE exactly, the error is 0. In a run of
           several numbers of measurements, the reference has as many as the set.
         - gain_of_means, mean_relative_gain and positive_fraction over the reference, each with
-          ``_low`` and ``_high`` (95 %); see `pfdist.results.GainSummary`.
+          ``_low`` and ``_high`` (95 %); see `pfdist.results.Gain`.
         - bound (lower bound of the expected MSE of any feasible times), bound_gap and
           bound_gap_at_most; see `pfdist.bound`.
         - measurements (their number) and measurement_times (a tuple, on the clock of the run).

@@ -17,15 +17,16 @@ from pfdist.common.parts import Page
 from pfdist.common.section import checked
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError
+from pfdist.problem.problem import JobSource
 from pfdist.problem.sections import Execution
-from pfdist.problem.source import JobSource
+from pfdist.questions.at_work import release_the_lock
 from pfdist.questions.options import Chosen, ComparedDraws, following
 from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import own_store, run_and_job
-from pfdist.questions.sampling_windows import sampling_windows
+from pfdist.questions.subject import Subject
 from pfdist.questions.why_page import why_page
-from pfdist.questions.worth import worth_of
-from pfdist.results import Run, finite
+from pfdist.questions.worth import sampling_windows, worth_of
+from pfdist.results import Run, finite, open_run
 from pfdist.results.stored_run import check_one_number
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
@@ -74,7 +75,7 @@ class Why(Shown):
         the lower limit is above, and else "open". The instants lie between the neighbouring
         measurements, and end on each side with the first that is outside within_5.
     figures : list of Path
-        The PNG and SVG files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
+        The PNG, SVG and PDF files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
         reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
     """
 
@@ -102,7 +103,8 @@ class Why(Shown):
         return finite(values | {"figures": list(map(str, self.figures))})
 
     def _page(self) -> Page:
-        return why_page(self.as_json())
+        frames = {part: getattr(self, part) for part in _PARTS}
+        return why_page(Subject(open_run(self.run)), frames)
 
 
 @checked
@@ -167,8 +169,9 @@ def why(
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))
             driver = _examine(session, opened, sets, draws)
-            # The threads are done before the workers of another pool would have started.
-            answer: Why = complete(driver, make_pool(Execution(pool="threads")))
+            # Threads are done before the workers of another pool would have started.
+            kind = "threads" if release_the_lock([built.evaluator.engine]) else "processes"
+            answer: Why = complete(driver, make_pool(Execution(pool=kind)))
         files = _draw(opened) if chosen.figures else []
         renew_report(opened.path, tell)
     return replace(answer, figures=files)
@@ -191,12 +194,11 @@ def _examine(
         clock = built.job.problem.clock
         numbers = clock.measurements(clock_times)
         times = validated(numbers, clock.possible - 1, f"{run.path}: {name}")
-        result = yield from worth_of(session, name, times, draws)
+        summary, *parts = yield from worth_of(session, name, times, draws)
         windows = yield from sampling_windows(session, name, times, draws)
-        answers.append({"name": name, "measurement_times": list(clock_times)} | result.summary)
+        answers.append({"name": name, "measurement_times": list(clock_times)} | summary)
         about = {"position": position, "name": name, "draws": drawn}
-        parts = (result.profile, result.worth, windows)
-        for part, of_a_part in zip(_PARTS, parts, strict=True):
+        for part, of_a_part in zip(_PARTS, (*parts, windows), strict=True):
             rows[part] += [about | _by_sensor(row, part, clock) for row in of_a_part]
     tables = {name: store.timed(_table(name, rows[name])) for name in rows}
     store.publish_together(WHY_PHASE, {name: [table] for name, table in tables.items()})

@@ -1,27 +1,31 @@
 """The worth of each measurement, and how exactly it must be kept (``pfdist why``)."""
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
-from pfdist.common.formatted_times import formatted_time, measurement_of
+from pfdist.common.formatted_times import formatted_time, measurement_of, time_and_sensor
 from pfdist.common.parts import Block, Cell, Figures, Page, Section, Table, Text
-from pfdist.common.percent import infinite_if_none
 from pfdist.common.rounding import with_error
+from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import Subject, number_of
-from pfdist.results.sampling_windows import STRICT, WIDE, sentences, windows_of
+from pfdist.results.sampling_windows import STRICT, WIDE, windows_of
 
-_HEAD = ("t", "if removed", "if one instant earlier", "if one instant later")
-_WINDOWS_HEAD = ("t", f"within {STRICT} %", f"within {WIDE} %")
-_WINDOWS = (
-    "A sampling window holds the instants to which a measurement alone can be moved at a loss of "
-    f"at most {STRICT} or {WIDE} % of the expected error: the one-sided 95 % upper limit of the "
-    "loss is at most that. The limit holds for each instant alone, not for all together. Open "
-    "instants need more draws."
+if TYPE_CHECKING:
+    import pandas as pd
+
+_HEAD = (
+    "error rises without it by, % ± standard error", f"may move within {STRICT} %",
+    f"within {WIDE} %",
+)  # fmt: skip
+_MEANING = (
+    "A measurement whose loss changes little may be left out; a value below 0 means that the error "
+    "is lower without it. A measurement alone may move to the instants of its sampling window: "
+    "there the one-sided 95 % upper limit of the loss is at most so many per cent of the expected "
+    "error. The limit holds for each instant alone. Open instants need more draws."
 )
-_CHANGES = ("removed", "earlier", "later")
-_ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles are smaller
-Rows = Iterable[Mapping[Any, Any]]
+_ROUNDING = 1e-10  # per cent: rounding errors of doubles are smaller
+Frames = Mapping[str, "pd.DataFrame"]
 
 
 def worth(subject: Subject) -> Section | None:
@@ -29,85 +33,74 @@ def worth(subject: Subject) -> Section | None:
     run = subject.run
     if not {"worth", "sampling_windows"} <= {*run.tables}:
         return None
-    rises, windows = run.table("worth"), run.table("sampling_windows")
-    tables = list[Block]()
-    for name, group in rises.groupby("name", sort=False):
-        parts = (group, windows[windows["name"] == name])
-        tables += _of_set(str(name), *(part.to_dict("records") for part in parts), detail=True)
+    frames = {name: run.table(name) for name in ("profile", "worth", "sampling_windows")}
     figures = Figures(["why", "sampling_windows", "filters"], subject.shown)
-    draws = int(rises["draws"].max())
-    return Section(
-        "What each measurement is worth", [Text(_meaning(draws)), figures, *tables, Text(_WINDOWS)]
-    )
+    first, last = Text(_extremes(subject, frames), prominent=True), Text(_MEANING)
+    blocks = [first, figures, *_tables(subject, frames), last]
+    return Section("What each measurement is worth", blocks)
 
 
-def why_page(answer: Mapping[str, Any]) -> Page:
+def why_page(subject: Subject, frames: Frames) -> Page:
     """The answer of `pfdist.why`.
 
     Parameters
     ----------
-    answer : mapping
-        As of `pfdist.questions.why.Why.as_json`.
+    subject : Subject
+    frames : mapping of str to DataFrame
+        profile, worth and sampling_windows, as `pfdist.questions.why.Why` has them.
     """
-    blocks = list[Block]()
-    sets = sorted(
-        answer["sets"].items(), key=lambda item: infinite_if_none(item[1]["expected_mse"])
+    section = Section("", [*_tables(subject, frames), Text(_MEANING, detail=True)])
+    return Page("", _extremes(subject, frames), [section], place=str(subject.run.path))
+
+
+def _extremes(subject: Subject, frames: Frames) -> str:
+    """Say which measurement of the plan is the most important, and which is the least."""
+    plan = subject.by_error[0]
+    rises = _rises(plan, frames)
+    if not rises or not all(math.isfinite(rise) for _, rise, _ in rises):
+        return "Which measurement is the most important is unknown."
+    order = sorted(rises, key=lambda each: each[1])
+    (most, most_rise), (least, least_rise) = (
+        (f"t = {subject.listed([t])}", rise) for t, _, rise in (order[-1], order[0])
     )
-    for name, each in sets:  # the best first
-        mse = with_error(infinite_if_none(each["expected_mse"]), each["standard_error"])
-        blocks.append(Text(f"{name}: expected MSE {mse}", prominent=True))
-        rises, windows = each["worth"], each["sampling_windows"]
-        blocks += _of_set(name, rises, windows, mse=each["expected_mse"] or 0.0)
-    draws = answer["draws"]
-    how = f"on {draws:,} fresh draws; ± standard error" if draws else "exact"
-    line = f"what each measurement of {answer['run']} is worth, {how}"
-    meaning = [Text(_meaning(draws), detail=True), Text(_WINDOWS, detail=True)]
-    return Page("", line, [Section("", [*blocks, *meaning])])
-
-
-def _meaning(draws: int) -> str:
-    how = f"on {number_of(draws, 'fresh draw')}" if draws else "exactly"
     return (
-        f"By how much the expected error rises if a measurement is left out or moved, {how}. A "
-        "measurement whose loss changes little may be left out; the others should be kept. A value "
-        "below 0 means that the change would lower the error."
-    )
+        f"Most important measurement of {phrase_of(subject.rows[plan].label)}: {most} (without it, "
+        f"the expected MSE rises by {most_rise} %)."
+    ) + f" Least important: {least} ({least_rise} %)." * (len(order) > 1)
 
 
-def _of_set(
-    name: str,
-    worth: Rows,
-    windows: Rows,
-    *,
-    detail: bool = False,
-    mse: float = 0.0,
-) -> list[Block]:
-    """The rises and the sampling windows of a set, and what follows from the windows."""
-    rises = [_rises(row, mse) for row in worth]
-    blocks: list[Block] = [
-        Table(f"Rise of the expected error, times of {name}", _HEAD, rises, detail)
-    ]
-    rows = list(windows)
-    if not rows:
-        return blocks
-    levels = (windows_of(rows, STRICT), windows_of(rows, WIDE))
-    cells = [
-        [Cell(formatted_time(strict.measurement), strict.t), Cell(strict.text), Cell(wide.text)]
-        for strict, wide in zip(*levels, strict=True)
-    ]
-    table = Table(f"Sampling windows, times of {name}", _WINDOWS_HEAD, cells, detail)
-    said = sentences(rows) or ["nothing can move."]
-    return [*blocks, table, Text(f"{name}: {' '.join(said)}")]
+def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
+    """A table of the measurements of each set, the plan's first: their worth and their windows."""
+    plan = subject.by_error[0]
+    for name in sorted(frames["worth"]["name"].unique(), key=lambda name: name != plan):
+        moved = frames["sampling_windows"]
+        rows = moved[moved["name"] == name].to_dict("records")
+        windows = (windows_of(rows, percent) for percent in (STRICT, WIDE))
+        texts = [
+            {formatted_time(each.measurement): each.text for each in level} for level in windows
+        ]
+        cells = [
+            [
+                Cell(formatted_time(t), time_and_sensor(t)[0]),
+                Cell(text, rise),
+                *(Cell(each.get(formatted_time(t), "")) for each in texts),
+            ]
+            for t, rise, text in _rises(name, frames)
+        ]
+        head = ("t" + f", {subject.unit}" * bool(subject.unit), *_HEAD)
+        draws = int(frames["worth"]["draws"].max())
+        how = f"on {number_of(draws, 'fresh draw')}" if draws else "exact"
+        caption = f"Measurements of {phrase_of(subject.rows[name].label)}, {how}"
+        yield Table(caption, head, cells, detail=name != plan)
 
 
-def _rises(measurement: Mapping[Any, Any], mse: float) -> list[Cell]:
-    cells = [Cell(formatted_time(measurement_of(measurement)), measurement["t"])]
-    for change in _CHANGES:
-        rise, error = measurement[change], measurement[f"{change}_error"]
-        if rise is None or math.isnan(rise):  # the shift is impossible
-            cells.append(Cell(""))
-            continue
-        if error == 0.0 and abs(rise) < _ROUNDING * abs(mse):
-            rise = 0.0
-        cells.append(Cell(with_error(rise, error, sign=True), rise))
-    return cells
+def _rises(name: str, frames: Frames) -> list[tuple[float | str, float, str]]:
+    """Each measurement of a set, and by how many per cent the expected error rises without it."""
+    profile, worth = (frames[part][frames[part]["name"] == name] for part in ("profile", "worth"))
+    unit = (profile["error"] * profile["weight"]).sum() / len(profile) / 100  # 1 % of the MSE
+    rises = []
+    for row in worth.to_dict("records"):
+        rise, error = row["removed"] / unit, row["removed_error"] / unit
+        rise = 0.0 if error == 0.0 and abs(rise) < _ROUNDING else rise
+        rises.append((measurement_of(row), rise, with_error(rise, error)))
+    return rises

@@ -1,11 +1,15 @@
-"""The error over time of a set of times, and the worth of each of its measurements.
+"""The error over time of a set of times, the worth of its measurements, and sampling windows.
 
-Everything is computed on new draws, which neither chose the times nor compared them.
+A sampling window has the instants to which a measurement alone can be moved at a small loss.
+Everything is computed on new draws, which neither chose the times nor compared them. The windows
+are computed on the draws, and with the noise, of the worth. So the loss of a move by one instant
+agrees with the table of the worth.
 """
 
 import math
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,49 +20,43 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.work import Result, Work
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
+from pfdist.results.sampling_windows import INSIDE, OPEN, OUTSIDE, RelativeLoss
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import mean_effective_sizes
+from pfdist.store import WINDOW_PERCENTS
 
 Array = NDArray[np.float64]
 
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
 
-Rows = list[dict[str, Any]]
+Row = dict[str, Any]
+Move = tuple[int, int]  # the instant of a measurement, and the instant to which it is moved
 
-
-@dataclass(frozen=True)
-class Worth:
-    """The error over time of a set, and the worth of its measurements."""
-
-    summary: dict[str, Any]  # expected_mse, standard_error and degenerate_draws of the set
-    profile: Rows  # of the table of this name, without position, name and draws
-    worth: Rows  # likewise
+FIRST_REACH = 4
+"""Feasible instants on each side to which a measurement is moved first; then twice as many."""
 
 
 def worth_of(
     session: Session, name: str, times: Times, draws: int
-) -> Generator[Batch, None, Worth]:
-    """The error of a set over time, and the worth of each measurement.
+) -> Generator[Batch, None, tuple[Row, list[Row], list[Row]]]:
+    """The error of a set, its rows of the table ``profile``, and those of the table ``worth``.
 
-    The set up to every instant and all its changes share draws and noise. So common prefixes are
-    filtered once, and differences are paired. The name of the set keys the noise. The effective
-    sample size is a mean over the first draws.
+    The rows lack position, name and draws. The set up to every instant and all its changes share
+    draws and noise. So common prefixes are filtered once, and differences are paired. The name of
+    the set keys the noise. The effective sample size is a mean over the first draws.
     """
     built = session.built
-    evaluator, seed, instants = built.evaluator, built.job.seed, built.evaluator.horizon + 1
+    evaluator, instants = built.evaluator, built.evaluator.horizon + 1
     changed = list(_changes(times, built.job.problem.feasible))
     sensors = evaluator.sensors
     sets = [tuple(t for t in times if t // sensors <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
-    stream = stream_of("why", seed, "filter", name)
     ends = (*range(instants), *(evaluator.horizon,) * len(changed))
-    of_draws = stream_of("why", seed, "draws")
-    work = evaluator.work(sets, stream, of_draws, (0, draws), built.comparing, ends=ends)
+    work = _work(session, name, sets, draws, ends=ends)
     (mse, *estimates), degenerate = yield from _means(session, work)
-    at = {t // sensors for t in times}
-    alone = evaluator.work((times,), stream, of_draws, (0, draws), built.comparing)
+    at, alone = {t // sensors for t in times}, _work(session, name, (times,), draws)
     sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
     weights = built.job.problem.weights or (1.0,) * instants
     profile = [
@@ -77,7 +75,15 @@ def worth_of(
     for (t, change, _), (mean, error) in zip(changed, estimates[instants:], strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
     summary = {"expected_mse": mse[0], "standard_error": mse[1]}
-    return Worth(summary | {"degenerate_draws": degenerate[-1]}, profile, list(worth.values()))
+    return summary | {"degenerate_draws": degenerate[-1]}, profile, [*worth.values()]
+
+
+def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **others: Any) -> Work:
+    """The work of filtering some sets; all work about a set has the same draws and noise."""
+    built, seed = session.built, session.built.job.seed
+    streams = stream_of("why", seed, "filter", name), stream_of("why", seed, "draws")
+    others |= {"controlled": built.job.is_controlled}
+    return built.evaluator.work(sets, *streams, (0, draws), built.comparing, **others)
 
 
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
@@ -105,12 +111,12 @@ def _means(
     columns = [Moments() for _ in range(1 + len(work.ends))]
     degenerate = np.zeros(instants, np.int64)
     for piece in pieces:
-        mse, flags = yield from mse_of_sets(session, [piece])
+        mse, flags = yield from _mse(session, piece)
         prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
         if evaluator.weights is None:
             unweighted = mse[:, :instants]
         else:
-            unweighted, _ = yield from mse_of_sets(session, [prefixes])
+            unweighted, _ = yield from _mse(session, prefixes)
         degenerate += flags[:, :instants].sum(axis=0)
         for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
@@ -121,15 +127,12 @@ def _means(
     return list(zip(means, errors, strict=True)), degenerate.tolist()
 
 
-def mse_of_sets(
-    session: Session, works: list[Work]
-) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
-    """MSE of each set for each draw, and which are degenerate, (D, S); for an exact engine (1, S).
+def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
+    """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
-    The draws of the works follow each other. An exact engine takes one work.
+    The MSE is less its control, because everything that is computed from it is a mean.
     """
-    (first, _), (_, last) = works[0].draws, works[-1].draws
-    evaluator, (work, *_) = session.built.evaluator, works
+    (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:
         exact = evaluator if work.weighted else replace(evaluator, weights=None)
         errors = exact.expected_mse(work.measurement_times, work.ends)[None]
@@ -139,9 +142,10 @@ def mse_of_sets(
 
     def learn(piece: Work, result: Result) -> None:
         here = slice(piece.draws[0] - first, piece.draws[1] - first)
-        mse[here], degenerate[here] = result.mse, result.degenerate
+        mse[here] = result.mse - result.control if work.controlled else result.mse
+        degenerate[here] = result.degenerate
 
-    yield Batch(session, "why", works, None, learn)
+    yield Batch(session, "why", [work], None, learn)
     return mse, degenerate
 
 
@@ -157,3 +161,107 @@ def _columns(mse: Array, unweighted: Array) -> Array:
         errors = np.diff(unweighted, axis=1, prepend=0.0) * instants
         rises = mse[:, instants:] - whole
     return np.concatenate([whole, errors, rises], axis=1)
+
+
+# --- sampling windows -----------------------------------------------------------------------------
+
+
+def sampling_windows(
+    session: Session, name: str, times: Times, draws: int
+) -> Generator[Batch, None, list[Row]]:
+    """Rows with the loss of moving one measurement at a time, and whether the levels allow it.
+
+    They are those of the table ``sampling_windows``, without position, name and draws. The
+    measurement's own instant is a row, too. The name of the set keys the noise.
+
+    The instants lie strictly between the neighbouring measurements, and the job allows them. They
+    are tried outwards from the measurement. A side ends with the first instant that is clearly
+    beyond the largest level: the one-sided 95 % lower limit of its loss is above it.
+    """
+    reporter, feasible = session.reporter, session.built.job.problem.feasible
+    start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
+    sides, rows = _sides(times, feasible), list[Row]()
+    while not first or sides:
+        moves = dict(chain.from_iterable(side[first:size] for side in sides))
+        rows_of_sets = yield from _rows(session, name, (times, *moves.values()), draws, share)
+        unmoved, losses = rows_of_sets[0], dict(zip(moves, rows_of_sets[1:], strict=True))
+        if not first:
+            rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | unmoved for t in times]
+        for side in list(sides):
+            tried, ended = _up_to_the_first_beyond(dict(side[first:size]), losses)
+            rows += tried
+            if ended or len(side) <= size:
+                sides.remove(side)
+        first, size, share = size, 2 * size, share / 2
+    reporter.reach(start + 1)
+    return sorted(rows, key=lambda row: (row["t"], row["moved_to"]))
+
+
+def _sides(times: Times, feasible: Feasible) -> list[list[tuple[Move, Times]]]:
+    """The feasible moves of each measurement to one side, outwards, with the moved sets."""
+    step, sides = feasible.sensors, list[list[tuple[Move, Times]]]()
+    for t in times:
+        own = [other for other in times if other % step == t % step]  # of the same sensor
+        ends = (-1, *own, feasible.possible)
+        before, _, after = ends[own.index(t) :][:3]
+        for instants in (range(t - step, before, -step), range(t + step, after, step)):
+            sets = (((t, to), feasible.moved(times, t, to)) for to in instants)
+            side = [(move, changed) for move, changed in sets if changed is not None]
+            sides += [side] if side else []
+    return sides
+
+
+def _up_to_the_first_beyond(
+    moves: Mapping[Move, Times], losses: Mapping[Move, Row]
+) -> tuple[list[Row], bool]:
+    """The rows up to the first instant beyond the largest level, and whether there is one."""
+    rows = list[Row]()
+    for t, instant in moves:
+        rows.append({"t": t, "moved_to": instant, "moved_to_instant": instant} | losses[t, instant])
+        if rows[-1][f"within_{max(WINDOW_PERCENTS)}"] == OUTSIDE:
+            return rows, True
+    return rows, False
+
+
+def _rows(
+    session: Session, name: str, sets: tuple[Times, ...], draws: int, share: float
+) -> Generator[Batch, None, list[Row]]:
+    """Columns of the loss of each set against the first set, which loses nothing."""
+    evaluator, reporter = session.built.evaluator, session.reporter
+    work = _work(session, name, sets, draws)
+    if evaluator.exact:
+        (errors,), _ = yield from _mse(session, work)
+        mse_unmoved, *_ = errors
+        return [
+            _exact_row((error - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan)
+            for error in errors
+        ]
+    losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
+    for piece in evaluator.pieces(work, MOST_SECONDS):
+        mse, _ = yield from _mse(session, piece)
+        for loss, changed in zip(losses, mse.T, strict=True):
+            loss.add(changed, mse[:, 0])
+        _, last = piece.draws
+        reporter.reach(start + share * last / draws, evaluations=last)
+    return [_row(loss) for loss in losses]
+
+
+def _row(loss: RelativeLoss) -> Row:
+    low, high = loss.limits
+    return {
+        "loss": loss.mean,
+        "loss_error": loss.standard_error,
+        "lower_limit": low,
+        "upper_limit": high,
+    } | {f"within_{percent}": loss.state(percent / 100) for percent in WINDOW_PERCENTS}
+
+
+def _exact_row(loss: float) -> Row:
+    states = {
+        f"within_{percent}": INSIDE if loss <= percent / 100 else OUTSIDE
+        for percent in WINDOW_PERCENTS
+    }
+    if math.isnan(loss):
+        states = dict.fromkeys(states, OPEN)
+    exact = {"loss": loss, "loss_error": 0.0, "lower_limit": loss, "upper_limit": loss}
+    return exact | states

@@ -5,16 +5,14 @@ Reads tables alone: no Ray, no model, no kernel.
 
 from pfdist.results.budget_curve import reaching
 from pfdist.results.columns import finite
-from pfdist.results.gains import (
+from pfdist.results.moments import (
     BIN,
     BLOCK,
     EDGES,
     ComparisonStatistics,
     Gain,
-    GainSummary,
+    Moments,
     relative_gain,
-    summarise_gain,
 )
 from pfdist.results.run import Run, open_run
 from pfdist.results.stored_run import read_recorded
-from pfdist.results.streaming_moments import Moments

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, student_quantile
-from pfdist.results.streaming_moments import Moments
+from pfdist.results.moments import Moments, controlled_mse
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +71,7 @@ def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     table : DataFrame
         With name, kind, measurements, expected_mse and standard_error of each set.
     blocks : iterable of tables
-        Per-draw MSE, block by block, in columns ``mse_<name>``.
+        Rows of the table ``comparison``, block by block.
     """
     best_of_fewer, differences = {}, defaultdict[str, Moments](Moments)
     for _, sets in table.groupby("kind"):
@@ -84,7 +84,7 @@ def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     pairs = sum(math.comb(len(sets), 2) for _, sets in table.groupby("kind"))
     for rows in blocks:
         for name, best in best_of_fewer.items():
-            difference = rows[f"mse_{name}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
+            difference = controlled_mse(rows, name) - controlled_mse(rows, best["name"])
             differences[name].add(difference[~np.isnan(difference)])
     confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
     exact = table[table["standard_error"] == 0.0].set_index("name")["expected_mse"]

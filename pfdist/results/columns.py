@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from textwrap import shorten
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -18,7 +19,7 @@ from pfdist.common.parts import Cell, Table, without_empty_columns
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import relative
-from pfdist.results.gains import QUANTILES, quantile_name
+from pfdist.results.moments import QUANTILES, quantile_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,7 +119,12 @@ def _with_interval(column: Column) -> Iterable[Column]:
 
 
 _DECLARED = [
-    Column(name="name", dtype="object", head="times", meaning="name of the set"),
+    Column(name="name", dtype="object", meaning="name of the set"),
+    Column(
+        name="label", dtype="object", head="times",
+        meaning="the set as pages call it: plan, if it is that of a single search; evenly spaced; "
+        "or its name",
+    ),
     Column(
         name="kind", dtype="object",
         meaning="found (by a search), regular, reference (the times that the job gives as "
@@ -134,8 +140,9 @@ _DECLARED = [
     Column(name="price", head="price", meaning="total price, where the job has one"),
     Column(
         name="expected_mse", error="standard_error", has_interval=True,
-        head="expected error ± standard error",
-        meaning="on the compared draws, or exact where the engine is exact",
+        head="expected MSE ± standard error",
+        meaning="mean on the compared draws, of mse - control where there is a control; or exact "
+        "where the engine is exact",
     ),
     Column(name="standard_error", meaning="of expected_mse; 0 where it is exact"),
     Column(
@@ -160,7 +167,7 @@ _DECLARED = [
     ),
     Column(
         name="positive_fraction", has_interval=True, is_percent=True,
-        head="draws with a lower error, %",
+        head="draws with a lower MSE, %",
         meaning="share of draws with a positive relative gain; interval by Wilson",
     ),
     Column(
@@ -180,10 +187,26 @@ _DECLARED = [
         )
         for share in QUANTILES
     ),
+    Column(
+        name="typical_error", dtype="object",
+        meaning="root of the expected MSE of each component of z, in its unit, of several "
+        "components by their shares in the trajectories; a circular deviation of an angle, in "
+        "radians; missing where errors are weighted or scaled, or the model has its own error",
+    ),
+    Column(
+        name="evenly_spaced", dtype="object",
+        meaning="numbers of evenly spaced measurements whose error on the same draws does not "
+        "differ clearly (95 %) from that of the set, or between which it lies",
+    ),
+    Column(
+        name="evenly_spaced_between", dtype="object",
+        meaning="whether the error lies between those of the two numbers",
+    ),
     Column(name="gain_draws", dtype="Int64", meaning="draws whose relative gain is a number"),
     Column(
         name="gains_disagree", dtype="object",
-        meaning="whether mean_relative_gain and gain_of_means disagree: see `GainSummary.disagree`",
+        meaning="whether mean_relative_gain and gain_of_means disagree: see "
+        "`pfdist.results.moments.disagree`",
     ),
     Column(
         name="gain_over_itself", has_interval=True, is_percent=True,
@@ -274,12 +297,17 @@ def sets_table(
 
 
 def finite(value: T) -> T:
-    """The same value for JSON: None for floats that are not finite, lists, and relative paths."""
+    """The same value for JSON: lists, relative paths, and moments as texts of ISO 8601.
+
+    A float that is not finite is None.
+    """
     plain: Any = relative(value) if isinstance(value, str) else value
     if isinstance(value, dict):
         plain = {key: finite(inner) for key, inner in value.items()}
     elif isinstance(value, list | tuple):
         plain = [finite(inner) for inner in value]
+    elif isinstance(value, datetime):
+        plain = value.isoformat(timespec="seconds")
     elif isinstance(value, float) and not math.isfinite(value):
         plain = None
     return plain  # type: ignore[no-any-return]

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pfdist.common.measurement_times import Times
-from pfdist.results.gains import Gain, relative_gain
+from pfdist.results.moments import Gain, controlled_mse, relative_gain
 from pfdist.results.run import Run
 from pfdist.results.runs_table import RESULTS, runs_table
 from pfdist.results.stored_run import blocks_of, filter_is_wrong, found_sets, problem_of
@@ -116,10 +116,11 @@ def _regrets(judge: Run, found: TimesByPoint, point: str, smaller: bool) -> dict
         gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
         return {times: (0.0 - gain,) * 3 for times, gain in gains.items()}
     drawn = {times: Gain() for times in best}
+    has_control = judge.job.get("comparison", {}).get("control")
     for block in blocks_of(judge):
         for times, gain in drawn.items():
-            columns = (f"mse_{names[each]}" for each in (times, best[times]))
-            gain.add(*(block[column].to_numpy() for column in columns))
+            own, other = (controlled_mse(block, names[each]) for each in (times, best[times]))
+            gain.add(own, other, (own, other) if has_control else None)
     return {times: _regret(gain) for times, gain in drawn.items()}
 
 

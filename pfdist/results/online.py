@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times
-from pfdist.results.gains import Gain
+from pfdist.results.moments import Array, Gain, Moments
 from pfdist.results.stored_run import StoredRun, problem_of
-from pfdist.results.streaming_moments import Array, Moments
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,9 +50,7 @@ class OnlineDraws:
 
     def gain(self, name: str, reference: str) -> Gain:
         """Gain over a reference."""
-        gain = Gain()
-        gain.add(self.mse(name), self.mse(reference))
-        return gain
+        return Gain.of_draws(self.mse(name), self.mse(reference))
 
     @property
     def differ(self) -> NDArray[np.bool_]:
@@ -86,14 +83,12 @@ class OnlineDraws:
         }
 
     def _error(self, name: str) -> dict[str, Any]:
-        mse = Moments()
-        mse.add(self.mse(name))
+        mse = Moments.of_values(self.mse(name))
         return {"expected_mse": mse.mean, "standard_error": mse.standard_error}
 
     def _against(self, name: str) -> dict[str, Any]:
-        difference = Moments()
         with np.errstate(invalid="ignore"):  # two infinite errors
-            difference.add(self.mse("online") - self.mse(name))
+            difference = Moments.of_values(self.mse("online") - self.mse(name))
         low, high = difference.estimate.interval()
         return {
             "name": name,
@@ -101,7 +96,7 @@ class OnlineDraws:
             "difference": difference.mean,
             "difference_low": low,
             "difference_high": high,
-            **self.gain("online", name).summary().columns(),
+            **self.gain("online", name).columns(),
         }
 
 

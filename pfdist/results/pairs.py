@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, wilson_interval
-from pfdist.results.streaming_moments import Array, Moments, Pairs
+from pfdist.results.moments import Array, Moments, Pairs, columns_of
+from pfdist.results.stored_run import StoredRun, errors_of, exact_errors, statistics_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,9 +43,9 @@ class Pair:
     Parameters
     ----------
     difference : Moments
-        Moments of the first error less the second.
+        Moments of the first error less the second; each of them less its control, if it has one.
     errors : Pairs
-        Moments of the first error (x) and the second (y).
+        Moments of the first error (x) and the second (y), also less their controls.
     first_wins : int
         Number of draws in which the first error is the lower.
     """
@@ -53,17 +54,23 @@ class Pair:
     errors: Pairs = field(default_factory=Pairs)
     first_wins: int = 0
 
-    def add(self, first: Array, second: Array) -> None:
+    def add(
+        self, first: Array, second: Array, controlled: tuple[Array, Array] | None = None
+    ) -> None:
         """Add a block of draws; the same blocks in the same order give the same bits.
 
         Parameters
         ----------
         first, second : array of float64, (D,)
             Per-draw MSE of both sets on the same draws.
+        controlled : pair of such arrays, optional
+            Both less their controls.
         """
+        self.errors.has_control = controlled is not None
+        x, y = controlled or (first, second)
         with np.errstate(invalid="ignore"):  # infinite errors have no difference
-            self.difference.add(first - second)
-        self.errors.add(first, second)
+            self.difference.add(x - y)
+        self.errors.add(x, y)
         self.first_wins += int(np.sum(first < second))
 
     def columns(self, confidence: float, exact: tuple[float, float] | None) -> dict[str, Any]:
@@ -81,7 +88,7 @@ class Pair:
         apart = self.difference.estimate
         difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
         mean, other_mean = exact or (self.errors.x.mean, self.errors.y.mean)
-        ratio = mean / other_mean if other_mean else math.nan
+        ratio = mean / other_mean if other_mean and not self.errors.too_few else math.nan
         ratio_interval = self.errors.ratio_interval()
         if exact is not None:
             difference = exact[0] - exact[1]
@@ -110,15 +117,17 @@ def pairs_table(
     ----------
     names : sequence of str
         Names of S sets.
-    blocks : iterable of arrays of float64, (D, S)
-        Per-draw MSE of each set, block by block.
+    blocks : iterable of arrays of float64, (D, S) or (D, 2 S)
+        Per-draw MSE of each set, then its control if there is one, block by block.
     exact : mapping of str to float
         Expected MSEs that an engine computes without draws, by the name of the set.
     """
     pairs = {places: Pair() for places in combinations(range(len(names)), 2)}
     for block in blocks:
+        mse, controlled = columns_of(block, len(names))
         for (place, other), pair in pairs.items():
-            pair.add(block[:, place], block[:, other])
+            both = None if controlled is mse else (controlled[place], controlled[other])
+            pair.add(mse[place], mse[other], both)
     confidence = 1.0 - (1.0 - CONFIDENCE) / max(1, len(pairs))  # Bonferroni
     rows = []
     for places, pair in pairs.items():
@@ -188,3 +197,38 @@ def formatted_ranks(best: int, worst: int) -> str:
     ('1', '2 to 3')
     """
     return str(best) if best == worst else f"{best} to {worst}"
+
+
+# --- of a run -------------------------------------------------------------------------------------
+
+
+def pairs_of(run: StoredRun) -> pd.DataFrame:
+    """A row for each pair of compared sets, on the same draws.
+
+    The columns are first and second (names); draws; difference (expected MSE of the first less
+    that of the second) with low and high (95 %, Student's t, of the paired differences);
+    simultaneous_low and simultaneous_high (with 95 % the intervals of all pairs hold together, by
+    Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (by which
+    share of the second expected MSE the first is lower; negative if it is higher, so its sign is
+    opposite to that of difference) with gain_of_means_low and gain_of_means_high (95 %, Fieller's);
+    first_wins (share of the draws in which the first has the lower MSE) with
+    first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
+    without draws, difference and gain_of_means are exact, and all their limits are equal.
+    """
+    return pairs_table(run.names, (block for block, *_ in errors_of(run)), exact_errors(run))
+
+
+def ranks_of(run: StoredRun) -> pd.DataFrame:
+    """A row for each compared set, the lowest expected MSE first.
+
+    The columns are name; expected_mse and standard_error; best_rank (1 plus the number of sets that
+    are clearly better) and worst_rank (the number of sets less those that are clearly worse), as
+    the table ``pairs`` defines clear; difference (expected MSE less that of the first row) with low
+    and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from best_rank to
+    worst_rank.
+    """
+    errors = {
+        name: (each.mean, each.standard_error) for name, each in statistics_of(run).mse.items()
+    }
+    errors |= {name: (error, 0.0) for name, error in exact_errors(run).items()}
+    return ranks_table(pairs_of(run), errors)

@@ -17,7 +17,8 @@ import numpy as np
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import HEAVY, particle_loss_text, percent
 from pfdist.filters.estimate import top_percent_share
-from pfdist.results.streaming_moments import Array, Moments
+from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
+from pfdist.results.stored_run import StoredRun, statistics_of
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: with a loss by two filters and a limit below, P is enough."""
@@ -118,19 +119,16 @@ def particle_loss(
     whole : Moments
         Moments of the squared errors of all draws, the first of which are `squared`.
     squared, distance, variance : array of float64, (D,)
-        Squared error, half the squared distance of two filters, and variance beside the truth, of
-        the same draws.
+        Squared error, less its control if there is one, half the squared distance of two filters,
+        and variance beside the truth, of the same draws.
     """
     if not np.isfinite(squared + distance + variance).all():
         return ParticleLoss(particles, Estimate(1.0), Estimate(1.0))
     scale = 1 / whole.mean if whole.mean > 0 else 0.0
-    apart = Moments()
-    apart.add(distance)
-    most = less(whole, squared, variance)
     return ParticleLoss(
         particles,
-        apart.estimate.times(scale),
-        most.times(scale),
+        Moments.of_values(distance).estimate.times(scale),
+        less(whole, squared, variance).times(scale),
         _top_share(squared, variance),
     )
 
@@ -186,3 +184,27 @@ def hardly_measured(expected_mse: float, unmeasured: float) -> str:
         "These times hardly beat no measurement at all, which has an expected MSE of "
         f"{unmeasured:.4g}."
     )
+
+
+def particle_losses_of(
+    run: StoredRun, statistics: ComparisonStatistics | None = None
+) -> dict[str, ParticleLoss]:
+    """The loss by the number of particles with each compared set, by name.
+
+    It is empty for exact engines, errors other than the squared norm, and several numbers of
+    measurements.
+    """
+    if not (run._store.has("filter_distance") and run._store.has("filter_variance")):
+        return {}
+    rows = run.table("filter_distance").merge(run.table("filter_variance"), on="draw")
+    rows = rows.merge(run.table("comparison", int(rows["draw"].max()) + 1), on="draw")
+    particles, whole = run.job["filter"]["particles"], (statistics or statistics_of(run)).mse
+    return {
+        name: particle_loss(
+            particles,
+            whole[name],
+            controlled_mse(rows, name),
+            *(rows[f"{start}_{name}"].to_numpy() for start in ("distance", "variance")),
+        )
+        for name in run.sets
+    }

@@ -10,23 +10,23 @@ import numpy as np
 from pydantic import Field
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.nearest import must_be
 from pfdist.common.parts import Page, Section
 from pfdist.common.section import Arguments, Whole
 from pfdist.common.shown import Shown
-from pfdist.errors import ArgumentError, PfdistError, StoreError, shown
+from pfdist.errors import ArgumentError, PfdistError, StoreError
 from pfdist.results.columns import Row, finite, records_of, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
+from pfdist.results.pairs import pairs_of, ranks_of
 from pfdist.results.sets import best_first, sets_of
 from pfdist.results.stored_run import (
     StoredRun,
     check_one_number,
     evaluations_of,
     gains_of,
+    has_scenarios,
     named_sets,
-    pairs_of,
     problem_of,
-    ranks_of,
     scenarios_of,
     unproved,
 )
@@ -60,7 +60,7 @@ class Run(StoredRun, Shown):
             name
             for name in COMPUTED
             if ("compared" if name == "sets" else "comparison") in stored
-            and (name != "scenarios" or name in self.job)
+            and (name != "scenarios" or has_scenarios(self))
         ]
         return (*stored, *computed)
 
@@ -79,8 +79,8 @@ class Run(StoredRun, Shown):
         Returns
         -------
         DataFrame
-            Its ``attrs["labels"]`` have labels of columns, and ``attrs["sets"]`` the names of the
-            compared sets, the reference first.
+            Its ``attrs["labels"]`` have labels of columns, and ``attrs["sets"]`` those of the
+            compared sets by name, the reference first.
 
         Raises
         ------
@@ -90,11 +90,8 @@ class Run(StoredRun, Shown):
             The run has no such table yet, or a file cannot be read.
         """
         if name not in TABLES:
-            raise ArgumentError(
-                f"a table must be one of {', '.join(TABLES)}, got {shown(name)}"
-                f"{did_you_mean(name, TABLES)}",
-                argument="name",
-            )
+            rule = f"one of {', '.join(TABLES)}"
+            raise ArgumentError(must_be("a table", rule, name, TABLES), argument="name")
         if draws is not None:
             draws = _Rows(draws=draws).draws
             if name != "gains" and "draw" not in KEYS.get(name, []):
@@ -105,7 +102,7 @@ class Run(StoredRun, Shown):
             has = ", ".join(self.tables) or "none yet"
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
         table = gains_of(self, draws) if name == "gains" else COMPUTED[name](self)
-        table.attrs["sets"] = self.names
+        table.attrs["sets"] = self.labels
         return table
 
     @property
@@ -208,7 +205,7 @@ class Run(StoredRun, Shown):
             warnings = list(filter(None, [unproved(self)]))
         except PfdistError:
             return Page("", _title(self), [])
-        table = sets_table("", sets, ("name", "measurements", "expected_mse", "gain_of_means"))
+        table = sets_table("", sets, ("label", "measurements", "expected_mse", "gain_of_means"))
         return Page("", _title(self), [Section("", [table])], warnings)
 
 

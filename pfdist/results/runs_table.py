@@ -1,4 +1,4 @@
-"""Many runs as one table: the keys in which they differ, and a row for each set."""
+"""Many runs as one table, with the keys in which they differ; and its cells as texts."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -7,12 +7,16 @@ from typing import Any
 
 import pandas as pd
 
-from pfdist.common.dotted_keys import leaves
+from pfdist.common.dotted_keys import leaves, short_names
+from pfdist.common.formatted_times import formatted_time
+from pfdist.common.percent import times_100
+from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.results.columns import Row, rows_of
-from pfdist.results.gains import GAINS
+from pfdist.results.moments import GAINS
 from pfdist.results.run import Run
 from pfdist.results.stored_run import evaluations_of, problem_of, version_of
 
+_TRUE, _FILTERS = "model.parameters.", "model.filter.parameters."
 _NO_SEARCH = "search"  # the leaf of an empty list
 
 
@@ -159,3 +163,76 @@ def _column(name: str, values: list[Any]) -> "pd.Series[Any]":
     column = pd.Series(values, dtype=object)
     # A column of texts stays as it is: a path need not be UTF-8, as the texts of pandas must be.
     return column if any(isinstance(value, str) for value in entries) else column.infer_objects()
+
+
+# --- its cells ------------------------------------------------------------------------------------
+
+
+def keys_of(frame: pd.DataFrame) -> list[str]:
+    """The columns of a table of runs that hold differing keys."""
+    columns = list(map(str, frame.columns))
+    first, last = (columns.index(name) for name in ("run", "set"))
+    return columns[first + 1 : last]
+
+
+def shown_names(keys: Sequence[str]) -> dict[str, str]:
+    """The name of each dotted key on pages.
+
+    A parameter that varies in the true model and in that of the filter is called ``truth`` and
+    ``filter``; another key has its short name.
+
+    >>> [*shown_names(["model.parameters.sd", "model.filter.parameters.sd", "seed"]).values()]
+    ['truth', 'filter', 'seed']
+    """
+    both = [key for key in keys if key.startswith(_TRUE) and key.replace(_TRUE, _FILTERS) in keys]
+    names = short_names(keys)
+    for key in both:
+        word = f" {key.removeprefix(_TRUE)}" if len(both) > 1 else ""
+        names |= {key: f"truth{word}", key.replace(_TRUE, _FILTERS): f"filter{word}"}
+    return names
+
+
+def differ_by_keys(frame: pd.DataFrame, keys: list[str]) -> bool:
+    """Whether no two runs of a table have the same values of all these keys."""
+    texts = [tuple(formatted_value(row[key]) for key in keys) for row in frame.to_dict("records")]
+    return len(set(zip(frame["run"], texts, strict=True))) == len(set(texts))
+
+
+def formatted_value(value: Any) -> str:
+    """The value of a key as text; empty if the job lacks it.
+
+    Examples
+    --------
+    >>> [formatted_value(value) for value in (0.25, (0, 3.5), True, math.nan)]
+    ['0.25', '0 3.5', 'true', '']
+    """
+    if isinstance(value, tuple | list):
+        return " ".join(map(formatted_value, value))
+    if is_missing(value):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return formatted_time(value) if isinstance(value, float) else str(value)
+
+
+def is_missing(value: Any) -> bool:
+    """Whether a cell has no value."""
+    return value is None or value is pd.NA or (isinstance(value, float) and math.isnan(value))
+
+
+def formatted_mse(row: Mapping[Any, Any]) -> str:
+    """The expected MSE of a row with its standard error; empty if nothing was compared."""
+    if math.isnan(row["expected_mse"]):
+        return ""
+    return with_error(row["expected_mse"], row["standard_error"])
+
+
+def formatted_gain(row: Mapping[Any, Any]) -> str:
+    """The gain of means of a row in per cent, with its 95 % interval."""
+    ends = (row["gain_of_means"], row["gain_of_means_low"], row["gain_of_means_high"])
+    if not all(map(math.isfinite, ends)):
+        return ""
+    if ends[1] == ends[2]:
+        return rounded(times_100(ends[0]))
+    value, low, high = with_interval(*map(times_100, ends))
+    return f"{value} ({low} to {high})"

@@ -14,7 +14,7 @@ import numpy as np
 from pfdist.common.clock import Time
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 from pfdist.common.formatted_times import formatted_time, formatted_times, measurement_of
-from pfdist.results.streaming_moments import Array, Pairs
+from pfdist.results.moments import Array, Pairs
 from pfdist.store import WINDOW_PERCENTS
 
 INSIDE, OPEN, OUTSIDE = "inside", "open", "outside"

@@ -4,34 +4,49 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pfdist.common.clock import Time
-from pfdist.common.estimate import Estimate
+from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.measurement_times import REGULAR
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import key_of
-from pfdist.results.belief import belief_of
 from pfdist.results.budget_curve import FOUND, GIVEN, with_bounds, worse_than
 from pfdist.results.columns import COLUMNS
-from pfdist.results.gains import ComparisonStatistics, gain_over_itself, relative_gain
-from pfdist.results.particle_loss import hardly_measured
+from pfdist.results.evenly_spaced import columns_of
+from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
+from pfdist.results.particle_loss import hardly_measured, particle_losses_of
 from pfdist.results.stored_run import (
     StoredRun,
+    angles_of,
     blocks_of,
+    copies_of,
+    distrust_of,
     last_bounds,
-    particle_losses_of,
+    own_estimation,
     problem_of,
     statistics_of,
     worst_of,
 )
+from pfdist.store.schema import components_in
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Results = dict[str, Any]
+_ROUNDING = 1e-9
+_EXACT = "exact"
+_CHOSE = "its draws chose the set"
+_UNDERESTIMATES = "the search's filter underestimates its error"
+_TOO_FEW = (
+    "The mean of mse - control is not above 0: there are too few draws to know a gain or the "
+    "size of the error."
+)
+_ERRS_MORE = "the search's filter errs more than the job's own"
 
 
 def sets_of(run: StoredRun) -> pd.DataFrame:
@@ -68,6 +83,7 @@ def _given(run: StoredRun) -> Iterable[Results]:
         own_kind = key_of(name, run.job).origin if reference is None else GIVEN
         row: Results = {
             "name": name,
+            "label": run.labels[name],
             "kind": FOUND if is_found else own_kind,
             "reference": reference,
             "measurements": len(times),
@@ -137,17 +153,25 @@ def _add_results(
         row["draws"] = statistics.mse[name].count
         row["degenerate_draws"] = statistics.degenerate_draws[name]
         if "expected_mse" not in row:
-            row.update(_estimated(statistics.mse[name].estimate))
+            mse = statistics.mse[name].estimate
+            row.update(_estimated(mse))
             row["top_percent_share"] = statistics.top_percent_share(name)
+            if statistics.has_control and not mse.value > 0.0:
+                row["warnings"].append(_TOO_FEW)
         if name in statistics.gains:
-            row.update(statistics.gains[name].summary().columns())
+            row.update(statistics.gains[name].columns())
     for name, reference in run.references.items():
         of_reference, row = rows[reference], rows[name]
         if row["standard_error"] == of_reference["standard_error"] == 0.0:
             gain = relative_gain(*(np.array(e["expected_mse"]) for e in (row, of_reference)))
             row |= _exact("gain_of_means", float(gain))
     rows[run.names[0]] |= _gain_over_itself(run)
-    _add_beliefs(run, rows)
+    for name, columns in columns_of(
+        run, [n for n, row in rows.items() if row["kind"] == FOUND]
+    ).items():
+        rows[name] |= columns
+    _add_typical_errors(run, rows)
+    _add_search_errors(run, rows)
     _add_particle_losses(run, rows, statistics)
     for name, proof in last_bounds(run).items():
         if not proof["reason"]:
@@ -165,7 +189,42 @@ def _estimated(mse: Estimate) -> Results:
     }
 
 
-def _add_beliefs(run: StoredRun, rows: dict[str, Results]) -> None:
+def _add_typical_errors(run: StoredRun, rows: dict[str, Results]) -> None:
+    """Add the root of each set's expected MSE, by component of z."""
+    angles = angles_of(run)
+    if not angles:
+        return
+    shares = _shares(run, angles) if len(angles) > 1 else {name: [1.0] for name in rows}
+    for name, row in rows.items():
+        errors = [share * row["expected_mse"] for share in shares.get(name, ())]
+        row["typical_error"] = [*map(_root, errors, angles)] if errors else None
+
+
+def _root(error: float, is_angle: bool) -> float:
+    """The root of a mean squared error, or the circular deviation where it is a mean of 1 - cos."""
+    if is_angle:
+        return math.sqrt(-2.0 * math.log1p(-error)) if error < 1.0 else math.inf
+    return math.sqrt(max(0.0, error))
+
+
+def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
+    """The shares of the components of z in the error of each set, by the trajectories."""
+    if "trajectories" not in run.tables:
+        return {}
+    rows = run.table("trajectories")
+    suffixes = [each.suffix for each in components_in(rows, "z_")]
+    shares = {}
+    for name in run.names:
+        differences = [rows[f"z_{each}"] - rows[f"estimate_{name}_{each}"] for each in suffixes]
+        errors = [
+            float((1 - np.cos(each) if is_angle else each**2).mean())
+            for each, is_angle in zip(differences, angles, strict=True)
+        ]
+        shares[name] = [error / sum(errors) for error in errors] if sum(errors) else []
+    return shares
+
+
+def _add_search_errors(run: StoredRun, rows: dict[str, Results]) -> None:
     """Add how far the estimate of the search that found a set is off, and why."""
     is_worst = run.job.get("scenarios", {}).get("criterion") == "worst"
     worst = worst_of(run) if is_worst else {}
@@ -174,7 +233,74 @@ def _add_beliefs(run: StoredRun, rows: dict[str, Results]) -> None:
             row["worst_mse"] = worst[name]["expected_mse"]
         if row["kind"] == FOUND:
             search, errors = key_of(name, run.job).origin, row | worst.get(name, {})
-            row.update(belief_of(run, search, errors))
+            row.update(_search_errors(run, search, errors))
+
+
+def _search_errors(run: StoredRun, search: str, result: Results) -> Results:
+    """The columns that begin with search_, from a set's errors in the search and on fresh draws."""
+    mse = result["expected_mse"]
+    comparable = mse != 0.0 and math.isfinite(mse)
+    distrust, copies = distrust_of(run, search), copies_of(run).get(search, [1])
+    # After a second search the race gives the error, and it estimates as the comparison.
+    own = {} if distrust else own_estimation(run, search)
+    return {
+        "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
+        "search_settings": ", ".join(f"{key} = {value}" for key, value in own.items()),
+        "search_cause": cause_of_excess(result, own, str(run.path), len(copies)),
+        "search_distrust": distrust,
+    }
+
+
+def cause_of_excess(
+    result: Mapping[str, Any], own: Mapping[str, Any], run: str, evaluations: int = 1
+) -> str:
+    """The reason why a search's estimate differs from the error on fresh draws.
+
+    A search chooses the set with the smallest of many estimates, so the estimate is too low. The
+    draws explain a difference up to the likely minimum of as many normal variates.
+
+    Parameters
+    ----------
+    result : mapping
+        With search_mse, search_standard_error, expected_mse and standard_error.
+    own : mapping
+        How the search estimates otherwise than the comparison.
+    run : str
+        The run's folder.
+    evaluations : int
+        Number of evaluations from which the search chose.
+    """
+    apart = result["search_mse"] - result["expected_mse"]
+    error = math.hypot(result["search_standard_error"], result["standard_error"])
+    limit = largest_of(evaluations) if apart < 0 and not _is_biased(own) else CLEAR_ERRORS
+    rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both errors are exact
+    if not abs(apart) > limit * error + rounding:
+        return _CHOSE if error else _EXACT
+    if apart > 0 and own:
+        return _ERRS_MORE
+    if _is_biased(own):
+        return _UNDERESTIMATES
+    size = f"{abs(apart) / error:.1f} standard errors" if error else "both are exact"
+    return f"unexplained: {size}; `pfdist verify {run}` checks the files"
+
+
+def largest_of(count: int) -> float:
+    """A bound that the largest of some standard normal variates rarely exceeds.
+
+    The largest exceeds it at most as often as a single variate exceeds `CLEAR_ERRORS`, by Boole's
+    inequality.
+
+    Examples
+    --------
+    >>> [round(largest_of(count), 2) for count in (1, 1000, 1_000_000)]
+    [4.0, 5.41, 6.54]
+    """
+    normal = NormalDist()
+    return -normal.inv_cdf(normal.cdf(-CLEAR_ERRORS) / max(1, count))
+
+
+def _is_biased(own: Mapping[str, Any]) -> bool:
+    return bool(own.get("estimator", SQUARED_ERROR.name) != SQUARED_ERROR.name)
 
 
 def _add_particle_losses(
@@ -189,7 +315,7 @@ def _add_particle_losses(
         row |= loss.columns() | {"unmeasured_mse": unmeasured}
         hardly = hardly_measured(row["expected_mse"], unmeasured)
         warnings = [loss.warning, hardly if name in statistics.gains else ""]
-        row["warnings"] = [text for text in warnings if text]
+        row["warnings"] += [text for text in warnings if text]
 
 
 def _gain_over_itself(run: StoredRun) -> Results:

@@ -18,10 +18,8 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
-from pfdist.problem.set_key import key_of, references_of
-from pfdist.results.gains import BLOCK, ComparisonStatistics, Gain, relative_gain
-from pfdist.results.pairs import pairs_table, ranks_table
-from pfdist.results.particle_loss import ParticleLoss, particle_loss
+from pfdist.problem.set_key import key_of, labels_of, references_of
+from pfdist.results.moments import BLOCK, ComparisonStatistics, Gain, relative_gain
 from pfdist.store import QUESTIONS, Store, check_entries, read_run, unreadable
 from pfdist.store.schema import KEYS
 
@@ -53,7 +51,7 @@ class StoredRun:
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
         table = self._store.compared() if name == "compared" else self._store.read(name, draws)
         if self._store.has("compared"):
-            table.attrs["sets"] = self.names
+            table.attrs["sets"] = self.labels
         return table
 
     @cached_property
@@ -67,6 +65,11 @@ class StoredRun:
         return [*self.sets]
 
     @cached_property
+    def labels(self) -> dict[str, str]:
+        """The compared sets as tables and figures call them, by name."""
+        return labels_of(self.names, self.job)
+
+    @cached_property
     def references(self) -> dict[str, str]:
         """The reference of each compared set that is no reference, by name.
 
@@ -77,7 +80,7 @@ class StoredRun:
     @property
     def draws_compared(self) -> int:
         """Number of draws that every set has filtered."""
-        return sum(map(len, self._store.numbers("comparison", "draw")))
+        return sum(map(len, self._store.draws("comparison")))
 
     @property
     def state(self) -> str:
@@ -90,7 +93,7 @@ class StoredRun:
         enough = self.draws_compared == self.job["comparison"]["draws"] or (
             half_width > 0 and statistics_of(self).half_width() <= half_width
         )
-        online = sum(map(len, self._store.numbers("online", "draw")))
+        online = sum(map(len, self._store.draws("online")))
         wanted = self.job.get("online", {}).get("draws", 0)
         return "finished" if enough and online >= wanted else "comparing"
 
@@ -131,6 +134,15 @@ def job_of(run: StoredRun) -> Job | None:
     return run._made_from
 
 
+def angles_of(run: StoredRun) -> list[bool]:
+    """Whether each component of z is an angle.
+
+    Empty if errors have no unit of z: by the model's own error, or by weights or scales.
+    """
+    is_scaled = problem_of(run).weights or run.job.get("scenarios", {}).get("scales")
+    return [] if is_scaled else [*run._about["provenance"].get("angles", ())]
+
+
 def version_of(run: StoredRun) -> str:
     """Version of pfdist that started the run."""
     return str(run._about["pfdist"])
@@ -162,8 +174,13 @@ def check_one_number(run: StoredRun) -> None:
 
 def filter_is_wrong(run: StoredRun) -> bool:
     """Whether the filter's model is not the truth."""
-    is_told = run.job.get("scenarios", {}).get("filter", "told") == "told"
-    return bool(run._about["filter_model"]) or not is_told
+    is_nominal = run.job.get("scenarios", {}).get("filter") == "nominal"
+    return bool(run._about["filter_model"]) or is_nominal
+
+
+def has_scenarios(run: StoredRun) -> bool:
+    """Whether each draw has one of several scenarios."""
+    return bool(run.job.get("scenarios", {}).get("filter", "learned") != "learned")
 
 
 def distrust_of(run: StoredRun, search: str) -> str | None:
@@ -226,23 +243,28 @@ def killed_of(run: StoredRun) -> dict[str, int]:
 
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
     """The comparison in tables of as many draws each, so that memory does not grow."""
-    return run._store.blocks("comparison", "draw", BLOCK)
+    return run._store.blocks("comparison", BLOCK)
 
 
-def _errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.Table]]:
-    """Per-draw MSE, and whether each draw is degenerate, (D, S); and the rows of the block."""
+def errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.Table]]:
+    """Per-draw MSE of each set, (D, S), and then its control, (D, 2 S), if there is one.
+
+    The second array says which draws are degenerate, (D, S); then follow the rows of the block.
+    """
+    starts = ("mse", "control") if run.job["comparison"].get("control") else ("mse",)
+    columns = [f"{start}_{name}" for start in starts for name in run.sets]
     for rows in blocks_of(run):
-        mse, degenerate = (
-            np.stack([rows[f"{start}_{name}"].to_numpy() for name in run.sets], axis=1)
-            for start in ("mse", "degenerate")
+        errors, degenerate = (
+            np.stack([rows[name].to_numpy() for name in names], axis=1)
+            for names in (columns, [f"degenerate_{name}" for name in run.sets])
         )
-        yield mse, degenerate, rows
+        yield errors, degenerate, rows
 
 
 def statistics_of(run: StoredRun) -> ComparisonStatistics:
     """Statistics of all compared draws; memory does not grow with the draws."""
     statistics = ComparisonStatistics(run.names, run.draws_compared, run.references)
-    for mse, degenerate, _ in _errors_of(run):
+    for mse, degenerate, _ in errors_of(run):
         statistics.add(mse, degenerate)
     return statistics
 
@@ -287,38 +309,6 @@ def gains_of(run: StoredRun, draws: int | None = None) -> pd.DataFrame:
     return pd.DataFrame(gains)
 
 
-def pairs_of(run: StoredRun) -> pd.DataFrame:
-    """A row for each pair of compared sets, on the same draws.
-
-    The columns are first and second (names); draws; difference (expected MSE of the first less
-    that of the second) with low and high (95 %, Student's t, of the paired differences);
-    simultaneous_low and simultaneous_high (with 95 % the intervals of all pairs hold together, by
-    Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (by which
-    share of the second expected MSE the first is lower; negative if it is higher, so its sign is
-    opposite to that of difference) with gain_of_means_low and gain_of_means_high (95 %, Fieller's);
-    first_wins (share of the draws in which the first has the lower MSE) with
-    first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
-    without draws, difference and gain_of_means are exact, and all their limits are equal.
-    """
-    return pairs_table(run.names, (block for block, *_ in _errors_of(run)), exact_errors(run))
-
-
-def ranks_of(run: StoredRun) -> pd.DataFrame:
-    """A row for each compared set, the lowest expected MSE first.
-
-    The columns are name; expected_mse and standard_error; best_rank (1 plus the number of sets that
-    are clearly better) and worst_rank (the number of sets less those that are clearly worse), as
-    the table ``pairs`` defines clear; difference (expected MSE less that of the first row) with low
-    and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from best_rank to
-    worst_rank.
-    """
-    errors = {
-        name: (each.mean, each.standard_error) for name, each in statistics_of(run).mse.items()
-    }
-    errors |= {name: (error, 0.0) for name, error in exact_errors(run).items()}
-    return ranks_table(pairs_of(run), errors)
-
-
 def scenarios_of(run: StoredRun) -> pd.DataFrame:
     """A row for each scenario of the job and each compared set.
 
@@ -329,7 +319,7 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     """
     scenarios = Scenarios.model_validate(run.job["scenarios"]).each
     statistics = [ComparisonStatistics(run.names, references=run.references) for _ in scenarios]
-    for mse, degenerate, rows in _errors_of(run):
+    for mse, degenerate, rows in errors_of(run):
         numbers = rows["scenario"].to_numpy()
         for number, of_scenario in enumerate(statistics):
             of_scenario.add(mse[numbers == number], degenerate[numbers == number])
@@ -362,26 +352,3 @@ def worst_of(run: StoredRun) -> dict[str, dict[str, Any]]:
     rows = scenarios_of(run).sort_values("expected_mse").groupby("name").tail(1)
     columns = rows.set_index("name")[["expected_mse", "standard_error", "draws"]]
     return {str(name): dict(row) for name, row in columns.iterrows()}
-
-
-def particle_losses_of(
-    run: StoredRun, statistics: ComparisonStatistics | None = None
-) -> dict[str, ParticleLoss]:
-    """The loss by the number of particles with each compared set, by name.
-
-    It is empty for exact engines, errors other than the squared norm, and several numbers of
-    measurements.
-    """
-    if not (run._store.has("filter_distance") and run._store.has("filter_variance")):
-        return {}
-    rows = run.table("filter_distance").merge(run.table("filter_variance"), on="draw")
-    rows = rows.merge(run.table("comparison", int(rows["draw"].max()) + 1), on="draw")
-    particles, whole = run.job["filter"]["particles"], (statistics or statistics_of(run)).mse
-    return {
-        name: particle_loss(
-            particles,
-            whole[name],
-            *(rows[f"{start}_{name}"].to_numpy() for start in ("mse", "distance", "variance")),
-        )
-        for name in run.sets
-    }

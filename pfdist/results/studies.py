@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pfdist.common.dotted_keys import short_names
 from pfdist.common.estimate import Estimate
-from pfdist.results.table_cells import formatted_value, is_missing, keys_of
+from pfdist.results.runs_table import formatted_value, is_missing, keys_of, shown_names
 from pfdist.store.folder import natural_key
 
 SEED = "seed"
@@ -126,7 +125,7 @@ def formatted_point(names: Sequence[str], values: Values, keys: Sequence[str]) -
     >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"])
     'genetic, particles 20'
     """
-    short = short_names(keys)
+    short = shown_names(keys)
     return ", ".join(
         formatted_value(value) or "no set" if name == SET
         else f"{short.get(name, name)} {formatted_value(value) or 'none'}"

@@ -1,12 +1,11 @@
 """Sums of the errors of sets over blocks of draws, for searches and proofs by windows.
 
 There are too many windows to store the errors of each draw. A task adds up the errors of one block
-of draws, and the driver adds the blocks in their order. So any number of workers gives the same
-bytes.
+of draws, and the driver adds the blocks in order. So the bytes do not depend on the workers.
 
-The windows of a proof grow on draws of their own, along the sets that are best in them. If the same
-draws chose the windows and gave the bound, the bound could lie above the truth: windows that happen
-to have large errors would be preferred.
+The windows of a proof grow on separate draws, along the sets that look best. If the same draws
+chose the windows and gave the bound, the bound could be too high: windows with accidentally large
+errors would be preferred.
 """
 
 from collections import deque
@@ -40,7 +39,7 @@ Add = Callable[[int, Array], object]
 
 @dataclass(frozen=True)
 class Counted:
-    """Sets of times, and the first and last instant at which the errors of each set count."""
+    """Sets of times, with the first and last instant at which the errors of each set count."""
 
     sets: tuple[Times, ...]  # S sets
     first: NDArray[np.int64]  # (S,)
@@ -48,12 +47,12 @@ class Counted:
 
     @property
     def starts(self) -> NDArray[np.int64]:
-        """The first place of each set in an array of all E errors that count, (S,)."""
+        """The index of each set's first error in an array of all E errors that count, (S,)."""
         return np.cumsum(self._sizes) - self._sizes
 
     @property
     def set_of(self) -> NDArray[np.int64]:
-        """Number of the set to which each error belongs, (E,)."""
+        """The number of the set of each error, (E,)."""
         return np.repeat(np.arange(len(self.sets)), self._sizes)
 
     def of_instants(self, errors: Array) -> list[Array]:
@@ -71,7 +70,8 @@ class BlockSums:
 
     The streams are the keys of the filters' noise and of the draws. Without a phase, the rows
     belong to a phase of the bound for these sums only. `id` identifies the sums in the store. A
-    `kind` of work other than `Work` computes other sums over the draws of a block.
+    `kind` of work other than `Work` computes other sums over the draws of a block. An exact engine
+    needs no draws and no particle-steps.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class BlockSums:
         name = "sums" if kind is Work else kind.__name__
         self.id = evaluator.id_of(estimation, sets, instants, noise, name)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
-        self._counted = counted
+        self._evaluator, self._counted = evaluator, counted
         given = sets, noise, draws, (0, 0), estimation
         work = evaluator.work(
             *given, ends=ends, since=since, ids=(self.id,), knows_truth=knows_truth
@@ -103,12 +103,12 @@ class BlockSums:
 
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks of draws."""
-        return blocks * BLOCK * self._work.steps_a_draw
+        return 0 if self._evaluator.exact else blocks * BLOCK * self._work.steps_a_draw
 
     def added(
         self, session: Session, blocks: range, add: Add, *, more_follows: bool = False
     ) -> Generator[Batch, None, None]:
-        """Sum the errors over some blocks, and add the sums of each, (E,), in the order of blocks.
+        """Sum the errors over some blocks, and add the sum of each, (E,), in the order of blocks.
 
         Tasks end in any order, and rounding depends on the order of a sum.
         """
@@ -136,6 +136,8 @@ class BlockSums:
 
         A set with an infinite draw has NaN.
         """
+        if self._evaluator.exact:
+            return self._counted.of_instants(self._evaluator.expected_errors(self._counted.sets))
         sums = np.zeros(self._counted.set_of.size)
 
         def add(_block: int, errors: Array) -> None:
@@ -164,35 +166,30 @@ def evaluated_by_errors(
     blocks: int,
     purpose: str,
 ) -> Generator[Batch, None, tuple[list[Evaluation], float]]:
-    """Evaluations of candidates by their expected errors, and the particle-steps spent.
+    """Evaluations of candidates from expected errors of instants, and the particle-steps spent.
 
-    The errors are those from the candidate's `since` to its end. Exact engines need no sums over
-    blocks of draws.
+    The errors are those from the candidate's `since` to its end.
     """
     evaluator = session.built.evaluator
-    exact, horizon, steps = evaluator.exact, evaluator.horizon, 0.0
+    horizon = evaluator.horizon
     sets = tuple(candidate.measurement_times for candidate in candidates)
     first = np.array([candidate.since or 0 for candidate in candidates])
     ends = np.array([horizon if each.end is None else each.end for each in candidates])
-    counted = Counted(sets, first, ends)
-    if exact:
-        errors = counted.of_instants(evaluator.expected_errors(sets))
-    else:
-        sums = sums_of(counted)
-        errors, steps = (yield from sums.means(blocks, session)), sums.steps(blocks)
+    sums = sums_of(Counted(sets, first, ends))
+    errors = yield from sums.means(blocks, session)
     means = [errors_of_set.sum() / (horizon + 1) for errors_of_set in errors]
     evaluations = [
         Evaluation(
             candidate.measurement_times,
             np.array([mean]),
-            exact=float(mean) if exact else None,
+            exact=float(mean) if evaluator.exact else None,
             end=candidate.end,
             errors=errors_of_set,
             purpose=purpose,
         )
         for candidate, errors_of_set, mean in zip(candidates, errors, means, strict=True)
     ]
-    return evaluations, steps
+    return evaluations, sums.steps(blocks)
 
 
 def grown(
@@ -202,10 +199,10 @@ def grown(
     most_steps: float,
     most_cells: int,
 ) -> Generator[Batch, None, tuple[Relaxation, float]]:
-    """The relaxation with which a search for windows ends, and the particle-steps spent.
+    """The final relaxation of a search for windows, and the particle-steps spent.
 
-    The estimation uses the variance of the particles. No window is added after `most_steps`, and a
-    relaxation has at most `most_cells` errors.
+    The estimation uses the variance of the particles. No window is added after `most_steps`
+    particle-steps, and a relaxation has at most `most_cells` errors.
     """
     built, reporter = session.built, session.reporter
     stream = stream_of("bound", built.job.seed, "windows")

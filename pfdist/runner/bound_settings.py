@@ -23,7 +23,7 @@ DrawsOrNone = Literal[0] | Draws
 
 
 class BoundSettings(Arguments):
-    """How a lower bound is proved.
+    """Settings of a lower bound.
 
     Parameters
     ----------
@@ -52,10 +52,10 @@ class BoundSettings(Arguments):
 
     @property
     def most_cells(self) -> int:
-        """Largest number of errors in the relaxation: one for each window and instant it covers."""
+        """Largest number of errors in the relaxation: one for each instant of each window."""
         return self.memory * 2**20 // _BYTES
 
     @property
     def most_windows(self) -> int:
-        """Largest number of windows that are added to the first windows."""
+        """Largest number of windows that may be added to the first windows."""
         return self.memory * 2**20 // _BYTES_A_WINDOW

@@ -1,4 +1,4 @@
-"""From the names in a job to objects: model, evaluator, optimisers, pool."""
+"""The objects that the names in a job declare: model, evaluator, optimisers, pool."""
 
 import os
 import warnings
@@ -14,36 +14,48 @@ from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
 from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, TraceError, shown
-from pfdist.filters.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER, WITHOUT_FMA
+from pfdist.filters.engines import (
+    AUTO,
+    BATCHED,
+    BATCHED_TIMES_SLOWER,
+    COMPILED,
+    WITHOUT_FMA,
+    is_exact,
+)
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.work import FLOAT32, FLOAT64, Estimation
+from pfdist.filters.work import FLOAT32, FLOAT64, GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
+from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
-from pfdist.models.parameters import CLOCK
-from pfdist.models.recorded import differences, with_functions
+from pfdist.models.learned import learned
+from pfdist.models.parameters import CLOCK, check_lengths
+from pfdist.models.recorded import declarations, differences, with_functions
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS, cluster_at_hand
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.job import ONLINE, Job
+from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import Execution, FilterModel, Model
+from pfdist.runner.budget_study import BudgetStudy
 from pfdist.runner.contract import few_draws
 from pfdist.runner.planning import check_plannable
+from pfdist.runner.progress import Detail
 from pfdist.runner.searches import (
     NamedSearch,
     Settings,
-    Study,
     comparing_of,
     named_search,
     planning_of,
 )
+from pfdist.runner.study import Study
 
 
 @dataclass(frozen=True)
 class Built:
     """A job and the objects made of it; see `build`.
 
-    `feasible` has smaller sets if measurements have prices and the filter's model is not the truth.
+    `feasible` has smaller sets, too, if there are prices and the filter's model is not the truth.
     """
 
     job: Job
@@ -65,9 +77,9 @@ class Built:
     def exact_errors(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None, *, additive: bool = False
     ) -> NDArray[np.float64]:
-        """The error of each set up to its end, (S,), from an exact engine.
+        """The exact error of each set up to its end, (S,), from an exact engine.
 
-        If `additive`, it is the mean over scenarios even if the worst scenario decides.
+        With `additive`, it is the mean over scenarios even if the worst scenario decides.
         """
         if additive or not self.is_worst:
             return self.evaluator.expected_mse(sets, ends)
@@ -93,20 +105,22 @@ class Built:
 
     @property
     def unjudged(self) -> Collection[str]:
-        """Sets that the demanded gap ignores: all given sets with searches, else the references."""
+        """Sets that a required gap ignores: with searches all given sets, else the references."""
         return self.study.unsearched if self.searches else self.study.references
 
 
 def build(job: Job, *runs: Path) -> Built:
-    """Make the objects of a job, and check that they fit each other.
+    """The objects of a job, after a check that they fit each other.
 
-    The constants of recorded models are those of the first of some runs, by their folders, that has
-    the same models. A job that a run keeps takes its models from there, and imports nothing.
+    The constants of recorded models come from the first of the given runs' folders that has the
+    same models. A job in a run's folder takes its models from there, and imports nothing.
 
     Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
-    range, or if an estimator or a resampling scheme does not fit. Raises `JobError` if the job
-    wants a number of particles that is enough, and none is.
+    range, or if an estimator or a resampling scheme does not fit. Raises `JobError` if particles is
+    "auto" and no number is sufficient.
     """
+    if job.filter.proposal == AUTO:
+        return build(_with_proposal(job, runs), *runs)
     if job.filter.is_automatic:
         return build(_with_enough_particles(job, runs), *runs)
     evaluator = evaluator_of(job, *models_of(job))
@@ -116,7 +130,7 @@ def build(job: Job, *runs: Path) -> Built:
     is_wrong = evaluator.believed != evaluator.model or evaluator.truth.told != evaluator.told
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
-    study = Study(job, feasible)
+    study = (Study if job.budget is None else BudgetStudy)(job, feasible)
     guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
@@ -126,7 +140,8 @@ def build(job: Job, *runs: Path) -> Built:
     wanted = [*evaluator.estimations, *wanted]
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
     _check_draws(job, evaluator)
-    evaluator = replace(evaluator, engine=_compiled_or_numpy(evaluator))
+    evaluator = replace(evaluator, engine=_compiled_or_batched(evaluator))
+    _check_guided(evaluator, comparing_of(job))
     built = Built(job, feasible, study, evaluator, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
@@ -134,9 +149,9 @@ def build(job: Job, *runs: Path) -> Built:
 
 
 def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel) -> Evaluator:
-    """The evaluator of a job and its models, which is not compiled; errors as of `build`."""
+    """The evaluator of a job and its models, not yet compiled; raises as `build`."""
     _check_sensors(job, model)
-    scenarios = () if job.scenarios is None else job.scenarios.each
+    scenarios = () if job.scenarios is None else job.scenarios.of_draws
     told = job.scenarios is not None and job.scenarios.filter == "told"
     try:
         evaluator = recorded_evaluator(
@@ -167,6 +182,76 @@ def _check_sensors(job: Job, model: StateSpaceModel) -> None:
         )
 
 
+def _check_guided(evaluator: Evaluator, own: Estimation) -> None:
+    """Raise a `ModelError` if the filter that knows the truth, too, cannot be guided as wanted."""
+    if own.proposal == GUIDED and evaluator.truth is not evaluator:
+        evaluator.truth.compile(with_truth(1, GUIDED))
+
+
+_MOST_TRIED = 200  # feasible sets, for one with a long gap
+_USUAL_PARTICLES = 500  # where their number is not known yet
+
+
+def _with_proposal(job: Job, runs: Sequence[Path]) -> Job:
+    """The job with "plain" or "guided" for ``filter.proposal = "auto"``.
+
+    That is the proposal of the job's own run, the first of the runs, if it exists. Otherwise the
+    job is built with the plain filter first, so whatever is wrong with it is named first.
+    """
+    # Imported here, so that workers, which know the proposal, need no pandas.
+    from pfdist.runner.particles import guides_better  # noqa: PLC0415
+
+    def with_filter(**settings: Any) -> Job:
+        return job.with_changes(settings={"filter": settings})
+
+    plain = with_filter(proposal=PLAIN)
+    if known := _proposal_of(runs[0]) if runs else "":
+        return with_filter(proposal=known)
+    if job.filter.dtype != FLOAT64 or job.filter.engine not in (AUTO, COMPILED.name):
+        return plain
+    particles = _USUAL_PARTICLES if job.filter.is_automatic else job.filter.particles
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EngineWarning)  # it comes again with the proposal
+        built = build(with_filter(proposal=PLAIN, particles=particles), *runs)
+    evaluator = built.evaluator.self_consistent
+    guided = replace(built.comparing, proposal=GUIDED)
+    is_known = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
+    if not is_known or evaluator.model.guided:
+        return plain
+    try:
+        _check_guided(built.evaluator, guided)
+        evaluator.compile(guided)
+    except ModelError:
+        return plain
+    sets = job.problem.feasible.regular(), _with_long_gap(job)
+    better = guides_better(evaluator, sets, job.seed, built.comparing)
+    return with_filter(proposal=GUIDED) if better else plain
+
+
+def _proposal_of(run: Path) -> str:
+    """The proposal of a run; empty if there is no run, or none that can be read."""
+    from pfdist.store import has_models, read_run  # noqa: PLC0415  workers need no pyarrow
+
+    try:
+        section = read_run(run)[1].get("filter", {}) if has_models(run) else {}
+    except StoreError:  # whoever opens the run reports what is damaged
+        return ""
+    return str(section.get("proposal", ""))
+
+
+def _with_long_gap(job: Job) -> Times:
+    """A feasible set with a long gap, if possible at most twice the longest of regular times."""
+    feasible, sensors = job.problem.feasible, job.problem.feasible.sensors
+
+    def longest(times: Times) -> int:
+        return int(np.diff(sorted({time // sensors for time in times})).max(initial=0))
+
+    most = 2 * longest(feasible.regular())
+    sets = feasible.random(_MOST_TRIED, generator("proposal", job.seed))
+    short = [times for times in sets if longest(times) <= most]
+    return max(short, key=longest) if short else min(sets, key=longest)
+
+
 def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
     """The job with a number in the place of ``filter.particles = "auto"``.
 
@@ -178,7 +263,6 @@ def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
     from pfdist.runner.particles import (  # noqa: PLC0415
         NUMBERS,
         enough_particles,
-        has_particle_loss,
     )
 
     def with_number(particles: int) -> Job:
@@ -189,15 +273,15 @@ def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
         built = build(with_number(NUMBERS[0]), *runs)
     evaluator, times = built.evaluator.self_consistent, job.problem.feasible.regular()
     must = "filter.particles must be a number, got 'auto'"
-    if not has_particle_loss(evaluator):
+    if not evaluator.has_particle_loss:
         raise JobError(
             f"{must}: it needs an engine with particles, and the squared error ({job.path})"
         )
     loss = enough_particles(evaluator, times, job.seed, built.comparing)
     if not loss.is_small:
         none = (
-            f"no number up to {loss.particles:,} loses at most {SMALL:.0%} by two filters and less "
-            f"than {SMALL_AT_MOST:.0%} at most; {loss.particles:,} lose {loss.text}"
+            f"with up to {loss.particles:,} particles, the particle loss is above {SMALL:.0%}, or "
+            f"its limit above {SMALL_AT_MOST:.0%}; with {loss.particles:,} it is {loss.text}"
         ) * (loss.particles == NUMBERS[-1])  # else rare failures have ended the search
         found = ". ".join(filter(None, (none, loss.rare)))
         raise JobError(f"{must}: {found} ({job.path})")
@@ -207,11 +291,42 @@ def _with_enough_particles(job: Job, runs: Sequence[Path]) -> Job:
 def models_of(job: Job) -> tuple[StateSpaceModel, StateSpaceModel]:
     """The model of a job, and the model that its filter uses.
 
-    A model is that of the run which keeps the job, the object that was handed over with the job, or
-    has the name that the job gives.
+    A model comes from the run whose folder has the job, from an object given with the job, or from
+    the name in the job.
     """
-    believed, kept = job.model.filter, _kept_models(job)
-    model = _model_of(job, "model", job.model, kept)
+    kept = _kept_models(job)
+    models = _given_models(job, kept)
+    if kept or job.scenarios is None or not job.scenarios.is_learned:
+        return models
+    if is_exact(job.filter.engine):
+        raise JobError(
+            f"filter.engine = {job.filter.engine!r} needs scenarios.filter = 'nominal' or 'told', "
+            f"got 'learned' ({job.path}): a filter that learns has particles"
+        )
+    return _with_learned(job.scenarios, job.problem.feasible.horizon, *models)
+
+
+def _with_learned(
+    scenarios: Scenarios, horizon: int, model: StateSpaceModel, believed: StateSpaceModel
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The models whose states have the parameters that the job's filter learns."""
+    prior = scenarios.prior
+    try:
+        truth = learned(model, prior)
+        for each in prior if isinstance(prior, tuple) else ():
+            check_lengths(each.parameters, horizon + 1, "", exactly=True)
+        if believed == model and not scenarios.motion:
+            return truth, truth
+        return truth, learned(believed, prior, scenarios.motion)
+    except ModelError as error:
+        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
+
+
+def _given_models(
+    job: Job, kept: Sequence[StateSpaceModel]
+) -> tuple[StateSpaceModel, StateSpaceModel]:
+    """The two models of a job, without the parameters that its filter learns."""
+    believed, model = job.model.filter, _model_of(job, "model", job.model, kept)
     if believed.name:
         return model, _model_of(job, "filter_model", believed, kept[1:])
     try:
@@ -288,7 +403,7 @@ def _as_kept(evaluator: Evaluator, run: Path) -> Evaluator | None:
 
 
 def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
-    """Say which model files jobs name, before they are run."""
+    """Announce the model files that jobs name, before they run."""
     from pfdist.store import is_job_of_run  # noqa: PLC0415  workers need no pyarrow
 
     files = dict.fromkeys(
@@ -298,7 +413,7 @@ def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
         if ".py:" in name and not name.startswith(PYTHON) and not is_job_of_run(job.path)
     )
     for file in files:
-        say(f"runs the model file {file}, which your job names")
+        say(Detail(f"Running the model file {file}, which your job names"))
 
 
 def _check_draws(job: Job, evaluator: Evaluator) -> None:
@@ -313,8 +428,8 @@ def _ships(name: str) -> bool:
     return home.startswith("pfdist.")
 
 
-def _compiled_or_numpy(evaluator: Evaluator) -> str:
-    """Name of the engine: NumPy if a formula cannot be traced, unless the job demands another one.
+def _compiled_or_batched(evaluator: Evaluator) -> str:
+    """Name of the engine: the batched one if a formula cannot be traced, and the job allows it.
 
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
@@ -328,13 +443,19 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
             raise ModelError(
                 f"filter.dtype = {FLOAT32!r} needs traced formulas: {error}"
             ) from error
-        warnings.warn(
-            f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower, and "
-            f'workers get the code (filter.engine = "{NUMPY.name}" says that you know)',
-            EngineWarning,
-            stacklevel=4,
+        evaluator = replace(evaluator, engine=BATCHED.name)
+        evaluator.compile(*evaluator.estimations)
+        text = (
+            f"{error}: it is called on arrays, about {BATCHED_TIMES_SLOWER} times slower, and "
+            f'workers get the code (filter.engine = "{BATCHED.name}" silences this)'
         )
-        return NUMPY.name
+        for name, declared in declarations(evaluator.model, evaluator.believed).items():
+            text = (
+                f"model {name} is declared as {declared}: pfdist cannot see further, a run needs "
+                "its code, which workers get by value, and the same bytes are promised for one "
+                "machine and one set of versions"
+            )
+        warnings.warn(text, EngineWarning, stacklevel=4)
     if not has_fused_multiply_add():
         warnings.warn(WITHOUT_FMA, EngineWarning, stacklevel=4)
     return COMPILED.name if evaluator.engine == AUTO else evaluator.engine
@@ -370,10 +491,10 @@ def check_pool(execution: Execution) -> None:
 
 
 def chosen_pool(execution: Execution, *, threaded: bool) -> tuple[Execution, str]:
-    """[execution] with a pool in the place of ``auto``, and why it is this pool.
+    """[execution] with a pool instead of ``auto``, and the reason for this pool.
 
-    `threaded` says whether tasks release Python's lock, so that threads of a process can work
-    together. The reason is empty if [execution] names a pool.
+    `threaded` says whether tasks release Python's lock, so that threads run in parallel. The reason
+    is empty if [execution] names a pool.
     """
     if execution.pool != AUTO_POOL:
         return execution, ""
@@ -382,12 +503,12 @@ def chosen_pool(execution: Execution, *, threaded: bool) -> tuple[Execution, str
         return execution.model_copy(update={"pool": "ray", "address": address}), reason
     if threaded:
         return execution.model_copy(update={"pool": "threads"}), "no cluster is given"
-    reason = "formulas in NumPy keep Python's lock"
+    reason = "functions that are not compiled hold Python's lock"
     return execution.model_copy(update={"pool": "processes"}), reason
 
 
 def make_pool(execution: Execution) -> Pool:
-    """The pool that [execution] names; the pool starts when the caller enters it."""
+    """The pool that [execution] names; it starts when the caller enters it."""
     return POOLS[execution.pool].make(**execution.model_dump())
 
 

@@ -1,7 +1,7 @@
-"""The comparison: every set filters the same fresh draws, which no search has used.
+"""The comparison: all sets on the same fresh draws, which no search has used.
 
-Tasks end in any order. Interim gains are those of the whole blocks of draws before the first gap,
-so they do not depend on the order, and the comparison stops after the same draws in every run.
+Tasks end in any order. Interim gains use the whole blocks of draws before the first missing one. So
+they do not depend on the order, and the comparison stops after the same draws in every run.
 """
 
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -18,9 +18,9 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
-from pfdist.filters.work import Estimation, Result, Work, cut, with_truth
+from pfdist.filters.work import Estimation, Result, Work, control_of, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.problem.set_key import references_of
 from pfdist.results import BLOCK, ComparisonStatistics
@@ -42,32 +42,38 @@ COMPARISON = "comparison"
 
 
 def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
-    """Filter every set on the same draws, the reference first, and publish the comparison."""
-    built, reporter = session.built, session.reporter
-    draws, study = built.job.comparison.draws, built.study
+    """Compare all sets on the same draws, the reference first, and publish the comparison."""
+    built, reporter, job = session.built, session.reporter, session.built.job
+    draws, study, control = job.comparison.draws, built.study, bool(job.comparison.control)
     work, start = _work(built, sets), reporter.progress.done
-    names, half_width = list(sets), built.job.comparison.until.half_width
-    references = references_of(names, built.job.identity())
+    names, half_width = list(sets), job.comparison.until.half_width
+    references = references_of(names, job.identity())
     interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
-    tables = (trajectories, repeated, distances, variances) if built.job.budget is None else ()
+    tables = (trajectories, repeated, distances, variances) if built.study.has_details else ()
     for table in tables:
         first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
     evaluator = built.evaluator
-    schema = comparison_schema(list(sets), with_scenarios=bool(evaluator.scenarios))
+    kinds = {"with_control": control, "with_scenarios": bool(evaluator.scenarios)}
+    schema = comparison_schema(list(sets), **kinds)
+    if control:
+        evaluator.compile(control_of(built.comparing))  # the time of tasks is limited
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
         columns = [pa.array(np.arange(*piece.draws))]
         columns += [pa.array(mse) for mse in piece.by_id(result).values()]
         columns += [pa.array(flags) for flags in piece.by_id(result, "degenerate").values()]
+        if control:
+            columns += [pa.array(values) for values in piece.by_id(result, "control").values()]
         scenarios = evaluator.scenarios_of(piece.draws_stream, range(*piece.draws))
         columns += [] if scenarios is None else [pa.array(scenarios.astype(np.int16))]
         return pa.Table.from_arrays(columns, schema=schema)
 
     def learn(piece: Work, result: Result) -> bool:
-        interim.learn(range(*piece.draws), result.mse)
+        errors = np.hstack([result.mse, result.control]) if control else result.mse
+        interim.learn(range(*piece.draws), errors)
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
@@ -75,6 +81,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         )
         return interim.enough > 0
 
+    work = replace(work, controlled=control)
     works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
     # The batch commits its last rows before it ends, so publishing finds all draws. A kill while
     # the files are written leaves the parts, and the next start publishes them again.
@@ -85,15 +92,21 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
 
 def _result(rows: pa.Table) -> Result:
     """The result from which these rows were made."""
-    names = [name for name in rows.column_names if name.startswith("mse_")]
-    return Result(np.stack([rows[name].to_numpy() for name in names], axis=1))
+    starts = ("mse_", "control_")
+    mse, control = (
+        [rows[name].to_numpy() for name in rows.column_names if name.startswith(start)]
+        for start in starts
+    )
+    return Result(np.stack(mse, 1), control=np.stack(control, 1) if control else np.empty(0))
 
 
 def comparison_steps(built: Built) -> int:
     """Particle-steps of the whole comparison."""
     job = built.job
     instants = len(built.names) * (job.problem.feasible.horizon + 1)
-    return job.comparison.draws * job.filter.particles * instants
+    return (
+        job.comparison.draws * job.filter.particles * instants * (1 + bool(job.comparison.control))
+    )
 
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
@@ -109,22 +122,22 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
 def _publish(store: Store, draws: int) -> None:
     """Publish the table of the comparison from its parts, a file's rows at a time."""
     if store.has_parts("comparison", COMPARISON):
-        committed = store.numbers("comparison", "draw")
+        committed = store.draws("comparison")
         if not committed or committed[0].start > 0 or committed[0].stop < draws:
             raise StoreError(
-                f"{store.path} lacks draws that were committed: is another driver at work there? "
+                f"{store.path} lacks draws that were committed; is another command writing to it? "
                 "Run the same command again"
             )
         rows = ROWS_IN_A_FILE["comparison"]
-        store.publish("comparison", COMPARISON, store.blocks("comparison", "draw", rows, draws))
+        store.publish("comparison", COMPARISON, store.blocks("comparison", rows, draws))
 
 
 class InterimGains:
-    """Adds up the gains of a comparison, and says when its draws are enough.
+    """Sums of a comparison's gains, and the rule that ends it.
 
-    The draws are enough when no interval is wider than twice `half_width`; with 0 they never are.
-    The last block of `draws` may be shorter than the others. `references` names the set over which
-    each other set gains.
+    The comparison ends when no interval is wider than twice `half_width`; with 0 it never ends
+    early. The last block of `draws` may be shorter than the others. `references` names the
+    reference of each other set.
     """
 
     def __init__(
@@ -138,7 +151,10 @@ class InterimGains:
         self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
     def learn(self, index: range, values: NDArray[np.float64]) -> None:
-        """Add the MSE of draws, (D, S), and then every whole block that has no gap before it."""
+        """Add errors of draws, and then every whole block without a missing block before it.
+
+        The arguments are those of `ComparisonStatistics.add`.
+        """
         for number in range(index.start // BLOCK, (index.stop - 1) // BLOCK + 1):
             start = number * BLOCK
             if number not in self._waiting:
@@ -210,9 +226,9 @@ def trajectories(built: Built, work: Work) -> FirstDraws:
 
 
 def repeated(built: Built, work: Work) -> FirstDraws:
-    """MSE of the reference on the first draws under other filter noise.
+    """MSE of the reference on the first draws with other filter noise.
 
-    It shows how much the noise of the filters alone changes a relative gain.
+    It shows how much filter noise alone changes a relative gain.
     """
     job, rows = built.job, schema("repeated")
     stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
@@ -234,12 +250,13 @@ def distances(built: Built, work: Work) -> FirstDraws | None:
 def variances(built: Built, work: Work) -> FirstDraws | None:
     """Variance of particles beside the truth, with each set and without any measurement.
 
-    None in the same cases as `distances`, and if the filter is not told the scenario of a draw: the
-    difference of both filters would be no loss by particles.
+    None in the same cases as `distances`, and if the filter does not have the scenario of a draw:
+    then the difference of both filters is not a particle loss.
     """
     if built.evaluator.scenarios and not built.evaluator.told:
         return None
-    estimation, schema = with_truth(work.estimation.particles), variance_schema(work.ids)
+    own, schema = work.estimation, variance_schema(work.ids)
+    estimation = with_truth(own.particles, own.proposal)
     work = replace(work, measurement_times=(*work.measurement_times, ()))
     return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
 
@@ -253,7 +270,7 @@ def _by_set(
     *,
     knows_truth: bool,
 ) -> FirstDraws | None:
-    if built.evaluator.exact or built.evaluator.model.error is not squared_error:
+    if not built.evaluator.has_particle_loss:
         return None
     evaluator = built.evaluator.truth if knows_truth else built.evaluator
     evaluator.compile(estimation)  # before the first task, whose time is limited

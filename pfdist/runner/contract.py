@@ -1,4 +1,4 @@
-"""The conditions that every formula must satisfy before a run starts."""
+"""Checks that every formula must pass before a run starts."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ _DRAWS = 10
 
 
 def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
-    """A few draws in NumPy of a recorded model; each formula is called at each instant.
+    """A few NumPy draws of a recorded model; each formula is called at each instant.
 
     If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 later
     instants. Raises `ModelError` if a formula failed, or gave a value that is not finite.
@@ -72,7 +72,7 @@ def _finite(
 
 
 def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """State and text of one check; an error that a formula raises is wrong."""
+    """State and text of one check; an error in a formula gives the state "wrong"."""
     try:
         with np.errstate(all="ignore"):
             return look(model, draws)

@@ -1,28 +1,28 @@
 """The one door for numbers, and the loop that serves it.
 
-A driver is a generator: it yields a `Batch` of works and goes on when all their results are there.
+A driver is a generator: it yields a `Batch` of works and resumes when all results are there.
 Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
 every number in this way. One loop serves one driver, or the points of a sweep side by side.
 
-These things happen to a batch, in this order; a kill at each point costs:
+The steps of a batch, in this order, and the cost of a kill at each:
 
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
    Nothing is computed yet, so a kill costs nothing.
 2. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; a slow model
-   has longer tasks at first, and a block of sums is never cut. A worker holds a task or two: these
-   are lost with it.
+   has longer tasks at first, and a block of sums is never cut. A worker holds one or two tasks,
+   which are lost with it.
 3. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait.
 4. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
    run of minutes), and at the end of a batch unless more follows. A commit writes a file under a
    temporary name, flushes it and gives it its name: a kill before the last step leaves a temporary
-   file, which the next start removes. The timings of the tasks follow in a file of their own: a
-   kill between the two costs these timings.
-5. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
+   file, which the next start removes. The timings of the tasks follow in a separate file: a kill
+   between the two costs these timings.
+5. When nothing of the batch is missing, the driver resumes. Tables that it publishes with
    `Session.later` are written after the next commit, when the workers have their next tasks. A kill
    before costs nothing: the driver finds all rows committed, and publishes them again.
 
-A task that fails is done again after all others, as often as the job allows. Then the driver gets a
+A task that fails runs again after all others, as often as the job allows. Then the driver gets a
 `TaskError`, and commits what it has. So every driver may raise `TaskError` (a task failed),
 `PoolError` (no worker answers) and `StoreError` (a file cannot be read or written). The docstrings
 of drivers do not repeat this.
@@ -68,8 +68,8 @@ Say = Callable[[str], Any]
 class RowFormat(Protocol):
     """How results become rows of a table, and rows become results again.
 
-    If the format is shared, runs may take each other's rows: the ids of works name everything on
-    which the rows depend.
+    If the format is shared, runs may use each other's rows, because the ids of works identify
+    everything on which the rows depend.
     """
 
     table: str
@@ -83,13 +83,13 @@ class RowFormat(Protocol):
 
 
 class Batch:
-    """Works whose results a driver needs before it goes on.
+    """Works whose results a driver needs before it resumes.
 
     The rows belong to a phase of the session's run. Without a row format, neither results nor
     timings are stored, so they are never looked up.
 
     `learn` receives each piece of a work with its result, in any order. If it returns True, no more
-    results are needed, and the driver goes on.
+    results are needed, and the driver resumes.
 
     If `more_follows`, the last rows wait for the next batch. A commit takes a while, and the
     workers would be idle between two generations.
@@ -122,11 +122,11 @@ class Batch:
         return self._enough or not left
 
     def learn(self, work: Work, result: Result) -> None:
-        """Hand a result to the driver, and note whether it has had enough."""
+        """Hand a result to the driver, and record whether it needs no more."""
         self._enough = self._learn(work, result) is True or self._enough
 
     def add(self, works: list[Work], workers: int, *, is_shared: bool) -> None:
-        """Cut works that must be computed into tasks."""
+        """Add works to be computed, which are cut into tasks."""
         if not self._enough:
             pace = self.session.pace(workers, is_shared=is_shared)
             table = self.row_format.table if self.row_format is not None else self.phase
@@ -135,7 +135,7 @@ class Batch:
             self._next = self._next or next(self._cuts, None)
 
     def next_cut(self) -> "_Cut | None":
-        """The next task, or None; tasks that failed are done again after all others."""
+        """The next task, or None; failed tasks run again after all others."""
         cut = self._next or (self._again.popleft() if self._again else None)
         self._next = next(self._cuts, None)
         self._in_flight += cut is not None
@@ -144,7 +144,7 @@ class Batch:
     def take(self, cut: "_Cut", outcome: Outcome) -> None:
         """Take the outcome of a task: the rows wait for a commit, the driver learns the results.
 
-        Raises `ModelError` if a worker cannot make the models, and `TaskError` if too many tasks
+        Raises `ModelError` if a worker cannot load the models, and `TaskError` if too many tasks
         failed.
         """
         session = self.session
@@ -165,13 +165,13 @@ class Batch:
         session.commit_if_late()
 
     def keep(self, work: Work, result: Result) -> None:
-        """Let the rows of a result wait for a commit."""
+        """Keep the rows of a result for the next commit."""
         if self.row_format is not None:
             rows = self.row_format.rows(work, result)
             self.session.keep(self.phase, self.row_format.table, rows)
 
     def end(self) -> None:
-        """Commit the rows that wait, unless more follows."""
+        """Commit the waiting rows, unless more follow."""
         if not self._more_follows:
             self.session.commit()
 
@@ -221,12 +221,12 @@ class Session:
         self._waiting = 0
 
     def keep(self, phase: str, table: str, rows: pa.Table) -> None:
-        """Let rows wait for the next commit."""
+        """Keep rows for the next commit."""
         self.rows.setdefault((phase, table), []).append(rows)
         self._waiting += rows.num_rows
 
     def note(self, phase: str, outcome: Outcome) -> None:
-        """Let the timing of a task wait for the next commit."""
+        """Keep the timing of a task for the next commit."""
         self._outcomes.setdefault(phase, []).append(outcome)
 
     def held(self, table: str) -> bool:
@@ -239,14 +239,14 @@ class Session:
         return self._held[table]
 
     def pace(self, workers: int, *, is_shared: bool) -> Pace:
-        """The speed of the workers, learnt from every task of this session."""
+        """The speed of the workers, estimated from all tasks of this session."""
         if self._pace is None:
             guess = self.built.evaluator.seconds_a_step
             self._pace = Pace(guess, workers, is_shared=is_shared)
         return self._pace
 
     def learn_pace(self, steps: int, seconds: float) -> None:
-        """Learn the speed from a task of so many particle-steps that took so many seconds."""
+        """Update the speed with a task of so many particle-steps that took so many seconds."""
         if self._pace is not None:
             self._pace.learn(steps, seconds)
 
@@ -259,13 +259,13 @@ class Session:
             raise TaskError(f"a task of {phase} failed: {times}{reason}", error)
 
     def later(self, write: Callable[[], None]) -> None:
-        """Write something after the next commit, while the workers are busy."""
+        """Call a function after the next commit, while the workers are busy."""
         self._later.append(write)
 
     def commit_if_late(self) -> None:
         """Commit about once a second, later every five seconds, or sooner if there are many rows.
 
-        So a run of hours has fewer files in ``parts``, for the sake of file systems on a network.
+        So a run of hours has fewer files in ``parts``, which helps network file systems.
         """
         now = time.monotonic()
         interval = COMMIT_SECONDS * min(5.0, max(1.0, (now - self._began) / 100))
@@ -309,11 +309,11 @@ class Session:
 
 
 class Loop:
-    """Serves drivers: hands out their tasks, those of the first driver first.
+    """The loop that serves drivers: it hands out their tasks, those of the first driver first.
 
     The pool is entered with the first task, and left when all drivers have ended. At most `at_once`
-    drivers are at work at the same time. If there may be several, they take evaluations from each
-    other's tables. All drivers also take evaluations from the tables of the lenders.
+    drivers are at work at the same time. If there may be several, they use evaluations from each
+    other's tables. All drivers also use evaluations from the tables of the lenders.
     """
 
     def __init__(
@@ -335,9 +335,9 @@ class Loop:
         self._values: list[Any] = []
 
     def serve(self, drivers: Iterable[Driver | None]) -> list[Any]:
-        """Serve drivers to their ends, and return their values, in the order of their ends.
+        """Serve drivers until they end; return their values in the order in which they end.
 
-        None in place of a driver says that another driver must end before the next can begin. If a
+        None instead of a driver means that another driver must end before the next can begin. If a
         driver or the pool raises an error, all drivers are closed first: each commits its rows.
         """
         todo = iter(drivers)
@@ -490,6 +490,6 @@ def complete(
     pool: contextlib.AbstractContextManager[Pool],
     lenders: Iterable[Store] = (),
 ) -> Any:
-    """The value of a single driver, which is served to its end."""
+    """The value of a single driver, which is served until it ends."""
     (value,) = Loop(pool, lenders=lenders).serve([driver])
     return value

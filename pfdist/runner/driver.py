@@ -1,4 +1,4 @@
-"""The driver of a run: searches, then the comparison, then online draws. It knows no pool."""
+"""The driver of a run: searches, then the comparison, then online draws; it uses no pool itself."""
 
 from collections.abc import Generator, Mapping
 from functools import partial
@@ -33,8 +33,8 @@ COMPARED = "search"
 def drive(session: Session) -> Generator[Batch, None, None]:
     """Compute everything that a run still lacks, whether it is new or half finished.
 
-    Raises `SearchError` if degenerate draws killed every set with which a search ended. The errors
-    of every driver follow from `pfdist.runner.door`.
+    Raises `SearchError` if every final set of a search has an infinite error. Further errors are
+    those of every driver; see `pfdist.runner.door`.
     """
     built, store, reporter = session.built, session.store, session.reporter
     reporter.foresee(foreseen_steps(built))
@@ -57,7 +57,7 @@ def drive(session: Session) -> Generator[Batch, None, None]:
 
 
 def foreseen_steps(built: Built) -> float:
-    """Particle-steps that a whole run takes, approximately."""
+    """Approximate number of particle-steps of a whole run."""
     return _searching_steps(built) + comparison_steps(built) + online_steps(built)
 
 
@@ -114,15 +114,14 @@ def _publish_compared(store: Store, table: pa.Table) -> None:
 # --- times chosen one after another ---------------------------------------------------------------
 
 ONLINE_TIMES = "online.times"
-"""Name of the phase; no search is named so."""
+"""Name of the phase; no search may have it."""
 _BLOCK = 200  # draws, whose rows are published together
 
 
 def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
     """Choose the times of the draws that the store lacks, and publish the table ``online``.
 
-    The job must have a section [online]. The plan before anything is measured is the compared set
-    of the first search.
+    The job must have a section [online]. The initial plan is the compared set of the first search.
     """
     built, reporter = session.built, session.reporter
     work, start = online_work(built, sets[built.searches[0].name]), reporter.progress.done
@@ -147,7 +146,7 @@ def _result(rows: pa.Table) -> Result:
 
 
 def online_steps(built: Built) -> int:
-    """Particle-steps of the phase, approximately; 0 without a section [online]."""
+    """Approximate number of particle-steps of the phase; 0 without a section [online]."""
     if built.job.online is None:
         return 0
     work = online_work(built, built.job.problem.feasible.regular())

@@ -1,8 +1,8 @@
-"""The compared sets alone: the expected MSE of each, and the variance of its particles.
+"""The compared sets on separate draws: the expected MSE of each, and its particles' variance.
 
-Both are filtered on draws that neither chose the sets nor gave the bound: on the first draws of the
-comparison, or on draws of their own if the comparison has too few. With several references, the
-draws of the comparison are always enough.
+Both use draws that neither chose the sets nor gave the bound: the first of the comparison, or
+separate draws if it has too few. With several references, the draws of the comparison always
+suffice.
 """
 
 import math
@@ -16,6 +16,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.filters.work import Estimation, Result, Work
 from pfdist.results import Moments, Run
+from pfdist.results.moments import controlled_mse
 from pfdist.results.particle_loss import less
 from pfdist.results.stored_run import statistics_of
 from pfdist.runner.build import Built
@@ -25,7 +26,7 @@ from pfdist.runner.row_formats import PER_DRAW
 from pfdist.store import BOUND_PHASE
 
 SET_DRAWS = 20_000
-"""Most draws on which a set alone is filtered."""
+"""Largest number of draws on which a set is filtered alone."""
 
 _FOR_EACH = 12  # draws of a set alone for each draw of the bound
 
@@ -44,7 +45,7 @@ def _draws(built: Built, compared: int, of_bound: int) -> int:
 
 
 def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int) -> int:
-    """Particle-steps that it takes to filter so many sets alone, approximately.
+    """Approximate number of particle-steps to filter so many sets alone.
 
     `of_bound` is the number of draws of the bound.
     """
@@ -60,7 +61,7 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation, of_bound: int
 def gap_parts(
     session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation, of_bound: int
 ) -> Generator[Batch, None, dict[str, GapParts]]:
-    """The expected MSE of each compared set alone, and the parts of its gap.
+    """The expected MSE of each compared set, and the parts of its gap.
 
     The run must be finished. The estimation uses the variance of the particles. `of_bound` is the
     number of draws of the bound.
@@ -85,7 +86,7 @@ def gap_parts(
     squared, whole = errors.get("squared"), dict[str, Moments]()
     if squared is None:
         rows, statistics = run.table("comparison", draws), statistics_of(run)
-        squared = {name: rows[f"mse_{name}"].to_numpy(np.float64) for name in sets}
+        squared = {name: controlled_mse(rows, name) for name in sets}
         whole = {name: statistics.mse[name] for name in sets}
     else:
         for name, values in squared.items():

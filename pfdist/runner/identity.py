@@ -1,4 +1,4 @@
-"""The identity of a run: a folder is opened for it, recovered and checked."""
+"""The identity of a run: its folder is opened, recovered and checked."""
 
 import contextlib
 import json
@@ -11,6 +11,7 @@ from typing import Any
 
 from pfdist.common.dotted_keys import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
+from pfdist.filters.engines import AUTO
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.models.parameters import CLOCK
 from pfdist.models.recorded import differences
@@ -41,19 +42,19 @@ from pfdist.store.listing import read_listing
 
 _HASH = re.compile("[0-9a-f]{16,64}")
 _LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
-"""Keys of a job that say how far a run goes; see `_may_change`."""
+"""Keys of a job that set the length of a run; see `_may_change`."""
 
 
 @contextlib.contextmanager
 def opened(path: Path, built: Built) -> Iterator[Store]:
-    """Hold a run's folder for computing: make the folder, or check that it holds this run.
+    """A run's folder, locked for computing: it is made, or checked to hold this run.
 
-    The folder is locked, the leavings of a killed process are removed, and the files that say what
-    the run is are written.
+    The folder is locked, leftovers of a killed process are removed, and the files that identify the
+    run are written.
 
-    Raises `RunMismatchError` if the folder holds another run. Raises `StoreError` if another
-    process computes the run, if a file is damaged, if the folder cannot be read or written, or if
-    it holds other things than a run.
+    Raises `RunMismatchError` if the folder holds a different run. Raises `StoreError` if another
+    process is computing the run, if a file is damaged, if the folder cannot be read or written, or
+    if it holds anything but a run.
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
@@ -66,8 +67,8 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
         if not lacks and (run_key(path) or recorded_key(path)) != key:
             if not (path / FILES).exists():
                 raise StoreError(
-                    f"{path} has lost its {FILES}, and its job is another one, or was changed: use "
-                    "another folder for the results",
+                    f"{path} lacks {FILES} and holds a different or changed job; use another "
+                    "results folder",
                     argument="results",
                 )
             _check_same(path, built, identity, 0)
@@ -88,9 +89,9 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
 
 
 def is_sealed(path: Path, built: Built) -> bool:
-    """Whether a folder that cannot be written holds the finished run of this very job.
+    """Whether a read-only folder holds the finished run of exactly this job.
 
-    Raises `RunMismatchError` if it holds another run.
+    Raises `RunMismatchError` if it holds a different run.
     """
     if not holds_run(path) or os.access(path, os.W_OK):
         return False
@@ -111,7 +112,7 @@ def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
 
 
 def _committed(store: Store) -> int:
-    return max((each.stop for each in store.numbers("comparison", "draw")), default=0)
+    return max((each.stop for each in store.draws("comparison")), default=0)
 
 
 def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -> None:
@@ -126,9 +127,9 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
 
 
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
-    """How each search estimates at first; a job with "auto" does not say so.
+    """The first estimator of each search, which a job with "auto" does not name.
 
-    The tables say whether a search was run again with the squared error.
+    The tables record whether a search was repeated with the squared error.
     """
     if built.evaluator.exact:
         return {}
@@ -147,32 +148,33 @@ def _identity(built: Built) -> dict[str, Any]:
 
 
 def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
-    """Raise a `RunMismatchError` if a question about a run comes with another job.
+    """Raise `RunMismatchError` if a question about a run comes with a different job.
 
-    `recorded` is the run's own job. The question leaves the numbers of draws as they are in the
-    run, so they may differ. So does the number of particles that the run has found itself.
+    `recorded` is the run's own job. Numbers of draws may differ, because the question uses those of
+    the run. So may a number of particles that the run has found itself.
     """
-    left = (*_LENGTHS, "filter.particles") if job.filter.is_automatic else _LENGTHS
+    found = {"filter.particles": job.filter.particles, "filter.proposal": job.filter.proposal}
+    left = (*_LENGTHS, *(key for key, value in found.items() if value == AUTO))
     changes = [
         f"{key}: {_short(was)} -> {_short(is_now)}"
         for key, was, is_now in _changes(recorded, job.identity())
         if key not in left
     ]
     if changes:
-        own = f"give results another folder, or name the run's own job, {path / 'job.toml'}"
+        own = f"use another results folder, or the run's own job, {path / 'job.toml'}"
         raise _mismatch(path, changes, own)
 
 
 def check_same_models(path: Path, built: Built) -> None:
-    """Raise a `RunMismatchError` unless the built models are those of a run."""
+    """Raise `RunMismatchError` unless the built models are those of a run."""
     changes = changed_models(path, built)
     if changes:
-        message = f"the model has changed since {path} was computed; in the run -> now"
+        message = f"the model has changed since {path} was computed. In the run -> now"
         raise RunMismatchError(message, tuple(f"{key}: {how}" for key, how in changes.items()))
 
 
 def changed_models(path: Path, built: Built) -> dict[str, str]:
-    """How the built models differ from those of a run, by the name of the part that differs."""
+    """The differences between the built models and those of a run, by the name of the part."""
     run, evaluator = read_run(path)[0], built.evaluator
     if (run.get("model"), run.get("filter_model")) == evaluator.keys:
         return {}
@@ -251,17 +253,17 @@ def _short(value: Any) -> str:
 
 
 def _mismatch(
-    path: Path, differences: list[str], remedy: str = "give results another folder"
+    path: Path, differences: list[str], remedy: str = "use another results folder"
 ) -> RunMismatchError:
     return RunMismatchError(
-        f"{path} holds another run ({remedy}); in the run -> now", tuple(differences)
+        f"{path} holds a different run; {remedy}. In the run -> now", tuple(differences)
     )
 
 
 def _too_few(path: Path, job: Job, committed: int) -> StoreError:
     return StoreError(
         f"comparison.draws must be at least the {committed} draws that {path} has compared, got "
-        f"{job.comparison.draws}: a run keeps its draws (or give results another folder)"
+        f"{job.comparison.draws}; for fewer draws, use another results folder"
     )
 
 

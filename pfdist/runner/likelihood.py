@@ -1,6 +1,6 @@
 """The check that a log-likelihood fits the measurement.
 
-It gives a state, "ok", "note" or "wrong", and a text.
+Its result is a state, "ok", "note" or "wrong", and a text.
 """
 
 import math
@@ -42,9 +42,9 @@ def values_of(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], siz
 
 
 class Within:
-    """Give the items of loops, the first of each at least, until some seconds are over.
+    """Items of loops, at least the first of each, until some seconds have passed.
 
-    `text` then says that items were left out.
+    If items were left out, `text` says so.
     """
 
     def __init__(self, seconds: float = math.inf) -> None:
@@ -64,7 +64,7 @@ ENDLESS = Within()
 
 
 def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -> tuple[str, str]:
-    """State and text: the log-likelihood must fit what `measurement` gives.
+    """State and text of the check that the log-likelihood fits `measurement`.
 
     A fair coin chooses one of two states a and b, and y is measured there. Given y, the state is b
     with the probability r = p(y | b) / (p(y | a) + p(y | b)); a factor that depends on y alone
@@ -72,8 +72,8 @@ def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -
     independent choices with known probabilities. Bernstein's inequality bounds both for any two
     states, also with heavy tails, jumps, and y that are impossible at one of them.
 
-    "wrong" means that the likelihood is proved wrong; "note", that no pair of states can show a
-    mistake. A likelihood that uses only a part of y can be right.
+    "wrong" means that the likelihood is proved wrong; "note", that no pair of states can reveal a
+    mistake. A likelihood that uses only part of y can be right.
     """
     rng, compared, same = np.random.default_rng(0), 0, True
     for pair, t in within(product(range(_PAIRS), instants_of(draws))):
@@ -88,23 +88,21 @@ def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -
                 f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
                 f"{impossible:.2%} of y measured at x = {formatted_state(a)}, t = {t}"
             )
-        r = _share(at_b, at_a)
-        variance = r * (1 - r)
+        r = share_of(at_b, at_a)
         compared += _shown(r) > _LITTLE
         same &= np.allclose(r, 0.5)
         for which, is_true, probability in (
             ("second", is_b, r),
             ("more likely", is_b == (r > 0.5), np.maximum(r, 1 - r)),
         ):
-            got, implied, square = is_true.sum(), probability.sum(), variance.sum()
-            apart = abs(got - implied)
-            if apart**2 > 2 * _PROOF * (square + apart / 3):
+            if (counted := miscounted(is_true, probability)) is not None:
+                got, implied, deviation = counted
                 states = f"x = {formatted_state(a)} and x = {formatted_state(b)} at t = {t}"
                 return "wrong", (
                     "log_likelihood must be the log-density of measurement, up to a term that "
                     f"does not depend on x; but of {MEASUREMENTS:,} y, each measured at one of "
                     f"{states}, {got:,} come from the {which} state, where log_likelihood "
-                    f"implies {implied:,.0f} ± {math.sqrt(square):,.0f} "
+                    f"implies {implied:,.0f} ± {deviation:,.0f} "
                     "(a wrong deviation, or a term left out that depends on x?)"
                 )
     if compared:
@@ -113,15 +111,15 @@ def likelihood(model: StateSpaceModel, draws: Draws, within: Within = ENDLESS) -
     if same:
         return "note", f"it does not depend on x: it is the same in all {len(draws.index)} draws"
     return "note", (
-        "it cannot be checked: y says almost nothing about which of two states of the draws it was "
-        "measured at, or leaves almost no doubt"
+        "it cannot be checked: y hardly distinguishes the two states of the draws at which it was "
+        "measured, or distinguishes them almost perfectly"
     )
 
 
 def measured(
     model: StateSpaceModel, x: Array, t: int, draw: int, count: int = MEASUREMENTS
 ) -> tuple[Array, ...]:
-    """Simulated measurements at one state, or at many, (n, count); another draw has other noise."""
+    """Simulated measurements at one state, or at many, (n, count); each draw has other noise."""
     v = tuple(
         variates(kind, count, 2, draw, t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(model.measurement_noise)
@@ -135,7 +133,18 @@ def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Arr
     return np.asarray(values, np.float64)
 
 
-def _share(log_p: Array, log_q: Array) -> Array:
+def miscounted(is_true: NDArray[np.bool_], probability: Array) -> tuple[int, float, float] | None:
+    """The number of true choices, the implied number and its standard deviation, if they differ.
+
+    The choices are independent, with known probabilities. None if the number may be right.
+    """
+    got, implied = int(is_true.sum()), float(probability.sum())
+    square, apart = float((probability * (1 - probability)).sum()), abs(got - implied)
+    is_proved = apart**2 > 2 * _PROOF * (square + apart / 3)
+    return (got, implied, math.sqrt(square)) if is_proved else None
+
+
+def share_of(log_p: Array, log_q: Array) -> Array:
     """The share p / (p + q); NaN where both are 0."""
     with np.errstate(invalid="ignore"):
         share: Array = (1 + np.tanh((log_p - log_q) / 2)) / 2
@@ -159,7 +168,7 @@ def _telling(
     for target, step in product((other, unlike.argmax()), 2.0 ** -np.arange(40)):
         b = a + step * (states[target] - a)
         b = np.where(whole, np.round(b), b)
-        r = _share(_log_likelihood(model, y, t, b), at_a)
+        r = share_of(_log_likelihood(model, y, t, b), at_a)
         uncertain = float(np.mean(r * (1 - r)))  # of uniform noise r is 0, 1/2 or 1
         shown = round(_shown(r), 3), uncertain * (1 - 4 * uncertain)
         if shown > best:
@@ -175,5 +184,5 @@ def _shown(r: Array) -> float:
 
 
 def formatted_state(x: Array) -> str:
-    """A state as messages show it."""
+    """A state as text for messages."""
     return f"({', '.join(f'{value:.4g}' for value in x)})"

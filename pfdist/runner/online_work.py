@@ -1,4 +1,4 @@
-"""A unit of work: draws whose measurement times are chosen one after another."""
+"""A unit of work: draws whose measurement times are chosen online."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -12,8 +12,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.one_filter import OneFilter, filter_of_truths, with_truths
 from pfdist.filters.work import Result, Work
 from pfdist.models import StateSpaceModel
-from pfdist.problem.feasible import Feasible
-from pfdist.problem.rest import rest_of
+from pfdist.problem.feasible import Feasible, rest_of
 from pfdist.runner.planning import Now, Planning, Replanner
 
 # A step of a plan takes longer than a step of the comparison: measurements are near each other,
@@ -23,9 +22,9 @@ _SLOWER = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class OnlineWork(Work):
-    """Draws that are measured at the next planned time and planned anew, to the end of the budget.
+    """Draws that are measured at the next planned time and replanned, until the budget is spent.
 
-    The other fields are those of `Work`, with one set: the plan before anything is measured.
+    The other fields are those of `Work`, with one set: the initial plan.
     """
 
     feasible: Feasible
@@ -36,7 +35,7 @@ class OnlineWork(Work):
     def result(self, evaluator: Evaluator) -> Result:
         """Per-draw MSE, (D, 1), and the times that were chosen for each draw.
 
-        The estimates are (E, T+1, q), for the draws whose estimates are wanted.
+        The estimates are (E, T+1, q), for the E draws that need them.
         """
         results = [self._of_draw(evaluator, draw) for draw in range(*self.draws)]
         chosen = tuple(result.measurement_times[0] for result in results)
@@ -50,7 +49,7 @@ class OnlineWork(Work):
 
     @property
     def steps_a_draw(self) -> int:
-        """Particle-steps of a draw, approximately: nearly all of them plan."""
+        """Approximate number of particle-steps of a draw; nearly all are for planning."""
         return _steps(self.feasible, self.planning) + super().steps_a_draw
 
     def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
@@ -61,7 +60,7 @@ class OnlineWork(Work):
         return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:
-        """The chosen times of one draw; if it is degenerate, the last plan stays."""
+        """The chosen times of one draw; a degenerate draw keeps its last plan."""
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         engine, noise = evaluator.computed_by.name, self.filter_streams[0]

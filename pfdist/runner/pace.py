@@ -1,11 +1,11 @@
-"""Cut works into tasks: long tasks while much work remains, short tasks at the end.
+"""The sizes of tasks: long while much work remains, short at the end.
 
 Each task gets a share of the remaining work, so that all workers end together, whatever their
 number and speed (Polychronopoulos, Kuck, "Guided self-scheduling: a practical scheduling scheme for
 parallel supercomputers", IEEE Transactions on Computers 36, 1987). A task takes at most a fraction
 of a second, because a kill loses unfinished tasks. It takes at least ten times what its transport
 costs; more where several runs share the workers. With hundreds of workers, tasks are longer, so
-that the driver can serve all workers meanwhile. The speed is learnt as tasks end.
+that the driver can serve all workers meanwhile. The speed is estimated from finished tasks.
 """
 
 import math
@@ -25,10 +25,10 @@ _SHARE = 2  # so many tasks for each worker: two are queued at each worker at an
 
 
 class Pace:
-    """How many seconds a particle-step takes, learnt from finished tasks.
+    """The seconds of a particle-step, estimated from finished tasks.
 
-    The given seconds are a guess, unless `learnt` says that they were measured. `is_shared` says
-    whether other runs have tasks for the same workers.
+    The initial seconds are a guess, unless `learnt` is true: then they were measured. `is_shared`
+    is whether other runs have tasks for the same workers.
     """
 
     def __init__(
@@ -39,12 +39,12 @@ class Pace:
         self._workers, self._learnt = workers, learnt
 
     def learn(self, steps: int, seconds: float) -> None:
-        """Learn the speed from a task of so many particle-steps that took so many seconds."""
+        """Update the speed with a task of so many particle-steps that took so many seconds."""
         self.seconds = (self.seconds + seconds / steps) / 2
         self._learnt = True
 
     def size(self, remaining: int) -> int:
-        """Particle-steps of the next task, if so many particle-steps remain.
+        """Particle-steps of the next task, given the particle-steps that remain.
 
         The first tasks are short, because a model may be a hundred times slower than the guess.
         """
@@ -71,7 +71,7 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundl
     """Bundles of works, which are cut between their draws.
 
     `size` gives the particle-steps of the next bundle from those that remain. A bundle has about
-    that size, but at least one draw. Sums over draws are never cut.
+    this size, but at least one draw. Sums over draws are never cut.
 
     >>> from pfdist.filters.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw

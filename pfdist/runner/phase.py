@@ -1,8 +1,8 @@
-"""An optimiser at work: ask, evaluate what the store lacks, commit, tell, until it is done.
+"""The loop of an optimiser: ask, evaluate what the store lacks, commit, tell, until it is done.
 
-A search has no checkpoint but its tables. After a kill, the phase asks the optimiser again from the
-first generation on. Random numbers are keyed by the generation, so it asks for the same candidates,
-and finds their draws by the ids of the evaluations.
+The tables are a search's only checkpoint. After a kill, the phase asks the optimiser again from the
+first generation on. Random numbers are keyed by the generation, so the candidates are the same, and
+their draws are found by the ids of the evaluations.
 """
 
 import math
@@ -47,7 +47,7 @@ def evaluation_rows(
 ) -> pa.Table:
     """Rows of the table ``evaluations``: a row for each request of a generation.
 
-    A column has the value of that name from the first record of the row that has the name.
+    A column has the value of the first record of the row that has its name.
     """
     table, copies = schema("evaluations"), Counter(candidates)
     individuals = {candidate: place for place, candidate in reversed([*enumerate(candidates)])}
@@ -71,15 +71,15 @@ def evaluation_rows(
 
 
 def unpublished(store: Store, phases: Iterable[str]) -> bool:
-    """Whether a search has parts that are not published as tables yet."""
+    """Whether a search has parts that are not yet published as tables."""
     return any(store.has_parts(table, phase) for phase in phases for table in _TABLES)
 
 
 def publish_search(store: Store, phase: str) -> None:
     """Publish the parts of a search as tables; a repeated call gives the same tables.
 
-    Draws are published before evaluations, because the rows of evaluations say which draws belong
-    to the search. A kill in between leaves parts of evaluations, and the next call begins again.
+    Draws are published before evaluations, because the rows of evaluations identify the draws of
+    the search. A kill in between leaves parts of evaluations, and the next call starts again.
     """
     if not unpublished(store, [phase]):
         return
@@ -129,7 +129,7 @@ class Request:
 
 @dataclass(eq=False)
 class Phase:
-    """An optimiser with the purpose of its draws and the settings of its evaluations.
+    """An optimiser, with the purpose of its draws and the settings of its evaluations.
 
     The tables have its name. The purpose must be one of draws that choose. If `keep_leaders`, the
     evaluations that led the generations stay for probes of the estimator; see
@@ -153,7 +153,7 @@ class Phase:
             raise ValueError(f"no search may choose by draws with the purpose {self.purpose!r}")
 
     def steps(self) -> float:
-        """Particle-steps of the phase, approximately."""
+        """Approximate number of particle-steps of the phase."""
         settings, instants = self.settings, self.built.job.problem.feasible.horizon + 1
         a_draw = settings.estimation.steps_an_instant * instants
         return self.optimiser.evaluations * settings.draws * a_draw
@@ -161,7 +161,7 @@ class Phase:
     def request(self, candidate: Candidate, generation: int) -> Request:
         """The request of an evaluation for a candidate of a generation.
 
-        Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
+        Raises `MeasurementTimesError` if the optimiser requests times outside 0..T.
         """
         times, end, draws, individual, squared, _ = candidate
         last = self.built.job.problem.feasible.horizon if end is None else end
@@ -179,7 +179,7 @@ class Phase:
         return Request(id_, candidate, last, stream, estimation, mse, degenerate)
 
     def recall(self, request: Request) -> None:
-        """Fill a request with the draws that were evaluated before in this session."""
+        """Fill a request with draws that were already evaluated in this session."""
         if self.settings.common_noise:  # with fresh noise no evaluation is requested twice
             before, size = self.evaluated.get(request.id), request.mse.size
             if before is not None:
@@ -194,7 +194,7 @@ class Phase:
         return stream_of(self.purpose, self.built.job.seed, self.name, *keyed_by)
 
     def sums(self, counted: Counted) -> BlockSums:
-        """Sums of errors over blocks of draws, for candidates whose errors are wanted."""
+        """Sums of errors over blocks of draws, for candidates that need expected errors."""
         stream, estimation = self.stream(), self.settings.estimation
         streams = stream, stream
         return BlockSums(
@@ -221,9 +221,9 @@ class Phase:
 
 
 def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence[Evaluation]]:
-    """Finalists of an optimiser that runs to its end.
+    """The finalists of an optimiser, which runs until it is done.
 
-    Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
+    Raises `MeasurementTimesError` if the optimiser requests times outside 0..T.
     """
     optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
     committed = set[int]()

@@ -1,8 +1,8 @@
-"""Plans for the remaining measurements, given a filter's belief about the system now.
+"""Plans for the remaining measurements, given a filter's current particles.
 
-A search looks for a new plan on simulated systems that start from the filter's particles. Then
-fresh simulated systems decide, by a paired test, whether the new plan replaces the plan at hand. So
-a feasible plan is replaced only by a better plan, except by chance.
+A search finds a new plan on simulated systems that start from the filter's particles. Then a paired
+test on fresh simulated systems decides whether the new plan replaces the current plan. So, except
+by chance, a feasible plan is replaced only by a better one.
 """
 
 import math
@@ -22,9 +22,8 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.variates import generator
-from pfdist.problem.feasible import Feasible
+from pfdist.problem.feasible import Feasible, rest_of
 from pfdist.problem.methods import METHODS
-from pfdist.problem.rest import rest_of
 from pfdist.problem.search_section import SearchSection
 from pfdist.search.base import Candidate, Optimiser
 
@@ -34,7 +33,7 @@ _ROUNDING = 1e-9  # relative difference of exact errors that counts as none
 
 @dataclass(frozen=True)
 class Planning:
-    """How the remaining measurements are planned."""
+    """The settings with which the remaining measurements are planned."""
 
     search: SearchSection  # the method and its settings
     draws: int  # simulated systems on which the search compares plans
@@ -43,9 +42,9 @@ class Planning:
 
     @property
     def judging(self) -> Estimation:
-        """The estimation that judges plans: by the squared error, whatever the search uses.
+        """The estimation that judges plans: always by the squared error.
 
-        The particles of a filter may lie close together, far from the true state. Then their
+        The particles of a filter may be close together but far from the true state. Then their
         variance is small although the error is large.
         """
         return replace(self.estimation, estimator=SQUARED_ERROR.name)
@@ -61,7 +60,7 @@ class Planning:
 
 
 class Now(NamedTuple):
-    """A filter's belief about one system at an instant t, from which a plan is made."""
+    """The state of a filter of one system at an instant t, for which a plan is made."""
 
     prior: Prior | None = None  # of x(t); None before anything is measured: `initial` gives x(0)
     measured: bool = False  # whether t was measured, or can no longer be
@@ -79,7 +78,7 @@ class Now(NamedTuple):
 
 @dataclass(frozen=True)
 class Replanner:
-    """Plans the remaining measurements, for a model and constraints.
+    """A planner of the remaining measurements, for a model and constraints.
 
     Raises `ModelError` if the filter's model has states of another size than the true model.
     """
@@ -94,11 +93,11 @@ class Replanner:
         check_plannable(self.evaluator)
 
     def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
-        """The plan for the remaining measurements: the plan at hand, or a better one.
+        """The plan for the remaining measurements: the current plan, or a better one.
 
-        If the plan at hand is not feasible, the search starts from the better of two plans: one
-        that keeps as many of its times as possible, and regular times. Then the plan that the
-        search returns needs only a lower mean error to replace this start.
+        If the current plan is not feasible, the search starts from the better of two plans: one
+        that keeps as many of its times as possible, and regular times. The new plan then replaces
+        this start if its mean error is lower.
 
         Parameters
         ----------
@@ -106,7 +105,7 @@ class Replanner:
         taken : tuple of int
             Times that were measured so far, sorted.
         plan : tuple of int
-            The plan at hand: times from `now.first` on. It may be empty.
+            The current plan: times from `now.first` on. It may be empty.
         draw : int
             Index of the system, which is part of the key of the noise.
 
@@ -141,7 +140,7 @@ class Replanner:
         estimation: Estimation,
         draw: int = 0,
     ) -> list[Evaluation]:
-        """Evaluations of plans by the expected MSE from now on, on draws that chose none of them.
+        """Evaluations of plans by the expected MSE from now on, on draws that chose no plan.
 
         `draws` is the number of simulated systems, and `draw` the index of the system. Raises
         `ModelError` if a formula failed.
@@ -153,16 +152,16 @@ class Replanner:
 
 
 def check_plannable(evaluator: Evaluator) -> None:
-    """Raise a `ModelError` unless systems can be simulated from the particles of the filter.
+    """Raise `ModelError` unless systems can be simulated from the filter's particles.
 
     They cannot if the filter's model has states of another size than the true model.
     """
     if evaluator.scenarios:
-        raise ModelError("times can be chosen one after another only without scenarios, got some")
+        raise ModelError("online choice of times needs a job without scenarios, got some")
     true, believed = evaluator.model.components[0], evaluator.believed.components[0]
     if true != believed:
         raise ModelError(
-            "times can be chosen one after another only if the filter's model has as many "
+            "online choice of times needs a filter's model with as many "
             f"components of x as the model {evaluator.model.name}, {true}, got {believed}: systems "
             "are simulated from the filter's particles"
         )

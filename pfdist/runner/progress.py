@@ -1,4 +1,4 @@
-"""The progress of a run, and the reporter that adds it up and shows it to the user."""
+"""The progress of a run, and the reporter that shows it to the user."""
 
 import warnings
 from collections.abc import Callable
@@ -11,12 +11,18 @@ from pfdist.errors import PfdistWarning
 Say = Callable[[str], Any]
 
 
+class Detail(str):
+    """A line that a terminal shows only with ``--verbose``."""
+
+    __slots__ = ()
+
+
 def silent(line: str) -> None:
-    """Print nothing."""
+    """A `say` that prints nothing."""
 
 
 def heard(say: Say, line: str) -> None:
-    """Say a line about the results; it becomes a warning if nobody receives lines."""
+    """Give the user a line about the results; without a receiver of lines, it becomes a warning."""
     if say is silent:
         warnings.warn(line, PfdistWarning, stacklevel=3)
     else:
@@ -40,7 +46,7 @@ class SetGain:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is.
+    """The progress of a run.
 
     Parameters
     ----------
@@ -51,18 +57,18 @@ class Progress:
     optional : float
         Particle-steps of the total that may be left out.
     evaluations : int
-        Evaluations finished in this phase, copies counted; in ``comparison`` and ``online``, draws.
-        The count starts again where a phase goes through its draws again, as those of `why` do.
+        Evaluations finished in this phase, including copies; in ``comparison`` and ``online``,
+        draws. The count restarts when a phase repeats its draws, as the phases of `why` do.
     generation, generations : int
-        Current and expected last generation of the search; 0 in other phases.
+        Current generation and expected number of generations; 0 in phases other than searches.
     best : float or None
         Expected MSE of the set that the search would return now.
     mean : float or None
         Mean expected MSE of the last finished generation.
     found : tuple of SetGain
-        The comparison's gains: for each set but the reference. Empty where the answer gives others.
+        The comparison's gains of each set but the reference; empty if the answer shows other gains.
     doing : str
-        In a sweep: how many points are finished, and what the others do.
+        In a sweep: the number of finished points, and the state of the others.
     """
 
     phase: str
@@ -79,14 +85,14 @@ class Progress:
 
 
 Show = Callable[[Progress], Any]
-"""Receives the progress of a computation each time."""
+"""A function that receives each progress of a computation."""
 
 
 class Reporter:
-    """Adds up the progress of a run and reports it; nothing else changes the sums.
+    """A reporter that adds up the progress of a run and reports it.
 
-    `show` receives a `Progress` each time. `total` is the forecast of the run's particle-steps, to
-    which `foresee` adds.
+    `show` receives each `Progress`. `total` is the forecast of the run's particle-steps; `foresee`
+    adds to it.
     """
 
     def __init__(self, show: Show, total: float = 0.0) -> None:
@@ -95,30 +101,30 @@ class Reporter:
 
     @property
     def progress(self) -> Progress:
-        """The progress now."""
+        """The current progress."""
         return self._progress
 
     def begin(self, phase: str, **shown: Any) -> None:
-        """Report that a phase begins, with the fields that it shows; all others are reset."""
+        """Report the start of a phase, with the fields that it shows; all others are reset."""
         done, total, optional = self._progress.done, self._progress.total, self._progress.optional
         self._progress = Progress(phase, done, total, optional=optional)
         self.reach(done, **shown)
 
     def reach(self, done: float, **shown: Any) -> None:
-        """Report that so many particle-steps of the run are done, and change other fields."""
+        """Report a number of finished particle-steps of the run, and change other fields."""
         self.note(done=done, **shown)
         self._show(self._progress)
 
     def note(self, **shown: Any) -> None:
-        """Change fields of the progress, to be shown with the next report."""
+        """Change fields of the progress, which the next report shows."""
         self._progress = replace(self._progress, **shown)
 
     def foresee(self, steps: float, optional: float = 0.0) -> None:
-        """Expect more particle-steps in total, of which so many may be left out."""
+        """Add particle-steps to the forecast, of which so many may be left out."""
         before = self._progress
         self.note(total=before.total + steps, optional=before.optional + optional)
 
     def finish(self) -> None:
-        """Report that nothing remains, also where fewer particle-steps were enough."""
+        """Report the end, even if fewer particle-steps were needed."""
         if self._progress.phase:  # else nothing was begun
             self.reach(self._progress.done, total=self._progress.done)

@@ -1,9 +1,9 @@
 """The proof: lower bounds, and the gap between the expected MSE of known sets and these bounds.
 
-Errors are the variances of particles among which the truth stands. Their expectation is at most
-the error of the exact filter, for any number of particles (`pfdist.kernels.schemes.CONDITIONAL`).
-The bound is the least of many estimates. Its expectation is at most the least expected error,
-so it is too low on average, and the gap too large: this is the safe direction.
+Errors are the variances of particles that include the truth. Their expectation is at most the error
+of the exact filter, for any number of particles (`pfdist.kernels.schemes.CONDITIONAL`). The bound
+is the minimum of many estimates. Its expectation is at most the minimum expected error, so on
+average the bound is too low and the gap too large, which is safe.
 
 Sources: Bayraksan, Morton, "Assessing solution quality in stochastic programs", Mathematical
 Programming 108, 2006 (the gap of a candidate and the optimum, paired on the same draws). Efron,
@@ -12,7 +12,7 @@ Tibshirani, "An introduction to the bootstrap", 1993, chapter 11 (the jackknife)
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times
-from pfdist.search.programme import Programme
+from pfdist.search.programme import Programme, highest, with_multipliers
 from pfdist.search.relaxation import Relaxation
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Sums(NamedTuple):
     draws: Array  # (G,): number of draws of each group
 
     def means(self) -> tuple[Array, Array]:
-        """Mean errors of the windows, (1+G, E), and expected MSE of each known set, (1+G, C).
+        """The mean errors of windows, (1+G, E), and the expected MSE of each known set, (1+G, C).
 
         The first row is the mean over all groups, and each other row leaves one group out. With a
         single group, there is only the first row.
@@ -46,7 +46,7 @@ class Sums(NamedTuple):
 
 @dataclass(frozen=True)
 class Proof:
-    """The lower bounds of all sums that may be spent, and the slack of known sets."""
+    """The lower bounds for all sums that may be spent, and the slack of known sets."""
 
     # lower bound of the expected MSE for 0, 1, 2, ... measurements, or units of money
     bounds: list[Estimate]
@@ -59,17 +59,24 @@ class Proof:
 
 
 def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) -> Proof:
-    """Compute the lower bounds of all sums up to `most`, and the slack of C known sets.
+    """The lower bounds for all sums up to `most`, and the slack of C known sets.
 
     The jackknife, which gives the standard errors, leaves one group of draws out.
     """
     relaxed, own = sums.means()
     programmes = [Programme(relaxation, row, most) for row in relaxed]
     lowest = np.array([programme.mse for programme in programmes])
+    paths = [programmes[0].path(spent) for spent in range(most + 1)]
     budgets = [relaxation.spent(times) for times in sets]
+    for spent in {*budgets} if relaxation.constraints.most else ():
+        own_sets = (times for times, own in zip(sets, budgets, strict=True) if own == spent)
+        known = min(map(programmes[0].of_set, own_sets))
+        best = with_multipliers(relaxation, relaxed[0], spent, known)
+        paths[spent] = best.path(spent)
+        lowest[:, spent] = [replace(best, errors=row).mse[spent] for row in relaxed]
     return Proof(
         [_jackknifed(bound) for bound in lowest.T],
-        [programmes[0].path(spent) for spent in range(most + 1)],
+        paths,
         budgets,
         [_jackknifed(own[:, i] - lowest[:, budget]) for i, budget in enumerate(budgets)],
     )
@@ -101,7 +108,7 @@ UNKNOWN, ZERO = Estimate(math.nan, math.nan), Estimate(0.0)
 
 @dataclass(frozen=True)
 class GapParts:
-    """The expected MSE of a set, and the parts of its gap that no relaxation causes."""
+    """The expected MSE of a set, and the parts of its gap that the relaxation does not cause."""
 
     expected_mse: Estimate  # with the job's own filter; NaN if a draw is infinite
     # Expected MSE with the true model, less the expected variance of particles among which the
@@ -116,7 +123,7 @@ class GapParts:
 
 @dataclass(frozen=True)
 class Gap:
-    """How much lower the expected MSE of other times can be, for one set of a run."""
+    """The largest possible reduction of the expected MSE of one set by other times."""
 
     name: str
     measurement_times: Times  # instants, as in `path`; times on the clock where a user reads them
@@ -138,7 +145,7 @@ class Gap:
     filter_model: Estimate = UNKNOWN  # part of the gap: wrong model of the filter
 
     def refused(self, reason: str) -> "Gap":
-        """The gap without a bound, for the reason that it has already or for this one, if any."""
+        """The gap without a bound, for its existing reason or for this one, if any."""
         reason = self.reason or reason
         return Gap(self.name, self.measurement_times, self.expected_mse, reason) if reason else self
 
@@ -156,7 +163,7 @@ class Gap:
 def gap_of(
     name: str, times: Times, parts: GapParts, proof: Proof, place: int, confidence: float
 ) -> Gap:
-    """The gap of a feasible set, which is number `place` of the proof's known sets.
+    """The gap of a feasible set, which has the index `place` in the proof's known sets.
 
     `confidence` is that of the limit of the gap. The result is compared with other sets by
     `consistent`.
@@ -186,7 +193,7 @@ def gap_of(
 
 
 def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
-    """The gaps of all known sets, without those that are contradicted: sets whose error is lower.
+    """The gaps of all known sets, without bounds that a set with a lower error contradicts.
 
     `pfdist.runner.ranks` tests the likelihood.
     """
@@ -203,36 +210,17 @@ def _contradicted(gap: Gap, gaps: Mapping[str, Gap]) -> str:
     return ""
 
 
-_ROUNDS = 100  # at most
-_DIGITS = 6  # of a share; those of the solver may end otherwise elsewhere, and every share is valid
-_SETTLED = 1e-4  # relative distance of the bound from the largest that the planes allow
-
-
 def best_shares(relaxation: Relaxation, errors: Array, spent: int) -> tuple[float, ...]:
-    """The shares of C scenarios for which the least relaxed expected MSE of a sum is largest.
+    """The shares of C scenarios that maximise the smallest relaxed expected MSE of a sum.
 
     `errors` (C, E) are the expected errors of all windows in each scenario.
     """
-    from scipy.optimize import linprog  # noqa: PLC0415  it loads only where the worst case decides
-
-    scenarios = len(errors)
     alone = [Programme(relaxation, row, spent) for row in errors]
-    shares, planes = np.full(scenarios, 1.0 / scenarios), list[list[float]]()
-    best, largest = shares, -np.inf
-    # Unknowns: the shares, and the value of the lowest plane, which is maximised.
-    objective = np.array([0.0] * scenarios + [-1.0])
-    total, bounds = [[1.0] * scenarios + [0.0]], [(0.0, 1.0)] * scenarios + [(None, None)]
-    for _ in range(_ROUNDS):
+
+    def lowest(shares: Array) -> tuple[float, Array]:
         mean = np.sum(shares[:, None] * errors, axis=0)  # BLAS would round by the processor
         path = Programme(relaxation, mean, spent).path(spent)
-        values = [programme.of_set(path) for programme in alone]
-        value = float(np.sum(shares * values))
-        if value > largest:
-            best, largest = shares, value
-        planes.append([*(-value for value in values), 1.0])
-        found = linprog(objective, planes, np.zeros(len(planes)), total, [1.0], bounds)
-        if found.x is None or found.x[-1] <= largest * (1 + _SETTLED):
-            break
-        shares = np.round(np.clip(found.x[:-1], 0.0, None), _DIGITS)
-        shares = shares / shares.sum()
-    return tuple(best.tolist())
+        return 0.0, np.array([programme.of_set(path) for programme in alone])
+
+    shares = highest(lowest, np.full(len(errors), 1.0 / len(errors)), total=1.0)
+    return tuple(shares.tolist())

@@ -1,7 +1,7 @@
-"""The provenance of a run: with which libraries and on which processors it was computed.
+"""The provenance of a run: the libraries and processors that computed it.
 
-The last digits of some results differ between processors. So a run names its processors, and a run
-of another processor may lend no results that may differ.
+The last digits of some results differ between processors. So a run records its processors, and
+results that may differ are not reused on another processor.
 """
 
 import os
@@ -18,6 +18,8 @@ from llvmlite import binding
 
 from pfdist.errors import StoreError
 from pfdist.filters.engines import COMPILED
+from pfdist.models import squared_error
+from pfdist.models.recorded import declarations
 from pfdist.pools.cores import affinity
 from pfdist.runner.build import Built
 from pfdist.store import Store, add_to_provenance, read_run
@@ -27,13 +29,15 @@ _LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "ray", "pandas", "pyarrow",
 
 
 def provenance(built: Built) -> dict[str, Any]:
-    """Where, when and with which libraries a run is started; no result depends on it."""
-    job, model = built.job, built.evaluator.model
+    """Place, time and libraries of a run's start; no result depends on them."""
+    job, model, believed = built.job, built.evaluator.model, built.evaluator.believed
+    declared = declarations(model, believed)
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
         "name_of_model": model.name,
         "names": {"z": [*model.z_names], "y": [*model.y_names]},
+        "angles": [*model.is_angle] if model.error is squared_error else [],
         "python": platform.python_version(),
         "libraries": {name: version(name) for name in _LIBRARIES},
         "machine": {
@@ -43,12 +47,13 @@ def provenance(built: Built) -> dict[str, Any]:
         },
         "processor": processor(),
         "execution": job.execution.model_dump(mode="json"),
+        **({"declared": declared} if declared else {}),
     }
 
 
 @cache
 def processor() -> dict[str, str]:
-    """The processor's name, and the name for which code is compiled."""
+    """The processor's name, and the target name of compiled code."""
     return {
         "compiled_for": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
         "model": _model(),
@@ -65,7 +70,7 @@ def _model() -> str:
 
 
 def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
-    """Record the processor that resumes a run, and say how its results may differ.
+    """Record the processor that resumes a run, and warn that results may differ.
 
     This process must hold the run's folder.
     """
@@ -78,23 +83,23 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
         add_to_provenance(path, {CONTINUED: [*others, here]})
     differs = what_may_differ(built)
     if differs:
-        processors = f"was started on {_described(before)} and goes on on {_described(here)}"
+        processors = f"was started on {_described(before)} and resumes on {_described(here)}"
         say(f"this run {processors}: {differs}")
 
 
 def what_may_differ(built: Built) -> str:
-    """How results of another processor may differ; empty if it computes the same bytes."""
+    """The difference that another processor may cause; empty if it computes the same bytes."""
     engine = built.evaluator.engine
     if engine == COMPILED.name:
         return ""
-    return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
+    return f"numbers of filter.engine = {engine!r} agree to about 12 digits, not to the last"
 
 
 def lender(path: Path, built: Built | None = None) -> Store:
-    """The store of a run whose evaluations other runs may take.
+    """The store of a run whose evaluations other runs may use.
 
-    `built` is the job of the run that takes them. Without it, a run on another processor lends
-    nothing. Raises `StoreError` if the last digits may differ from those computed here, if a file
+    `built` is the job of the run that uses them. Without it, a run on another processor is not
+    accepted. Raises `StoreError` if the last digits may differ from those computed here, if a file
     is damaged, or if there is no run.
     """
     about = read_run(path)[0]["provenance"]

@@ -1,4 +1,4 @@
-"""The proof of a lower bound for a run's sets: filters of the relaxation, and of the sets alone."""
+"""The proof of a lower bound for a run's sets, by filters of the relaxation and of the sets."""
 
 import math
 from collections.abc import Collection, Generator, Iterable, Mapping
@@ -56,19 +56,19 @@ class Look:
     gaps: list[Gap]  # one for each proved set
 
     def is_within(self, limit: float, without: Collection[str]) -> bool:
-        """Whether the limits of all gaps, but those of the sets `without`, are at most so large."""
+        """Whether the limits of all gaps are at most this large, except those of `without`."""
         gaps = [gap for gap in self.gaps if gap.name not in without and not gap.reason]
         return all(gap.gap_at_most <= limit for gap in gaps)
 
 
 class Prover:
-    """Proves how much lower the expected MSE of other times can be, for the sets of a run.
+    """A proof, for the sets of a run, of how much lower the expected MSE of other times can be.
 
-    Before a proof, `relaxation` is that from which its windows grow; afterwards that of the proof.
+    Before a proof, `relaxation` is the one from which its windows grow; afterwards the final one.
     `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
-    if the proof may end after several numbers of draws. `shares` are those of the scenarios on the
-    draws of the bound, where the worst scenario decides. Raises `JobError` or `ModelError` if no
-    bound is known for the job's problem, or if its relaxation is too large.
+    if the proof may end after several numbers of draws. `shares` are the scenarios' shares of the
+    draws of the bound, if the worst scenario decides. Raises `JobError` or `ModelError` if no bound
+    is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
@@ -76,9 +76,10 @@ class Prover:
         self.shares: tuple[float, ...] = ()
         # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
-        self._estimation = with_truth(count)
+        own = built.job.filter.proposal
+        self._estimation = with_truth(count, own)
         # The windows to grow along are found with fewer particles; the bound does not trust them.
-        self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)))
+        self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)), own)
         truth = built.evaluator.truth
         truth.check(Estimation(count, estimator=FILTER_VARIANCE.name))
         truth.compile(self._estimation)  # before the first task, whose time is limited
@@ -91,7 +92,7 @@ class Prover:
 
     @property
     def steps(self) -> float:
-        """Particle-steps that the proof takes at most, approximately; windows may grow."""
+        """Approximate upper limit of the proof's particle-steps, with windows that grow."""
         draws = self._blocks[-1] * BLOCK
         sets = steps_of_sets(self._built, len(self._built.names), self._estimation, draws)
         return sets + self._steps_of_windows
@@ -103,7 +104,7 @@ class Prover:
         return growth + self._steps((), self._blocks[-1])
 
     def prove(self, session: Session, run: Run) -> Generator[Batch, None, Look]:
-        """Prove the sets of a finished run, and write the table ``bound``."""
+        """Prove bounds for the sets of a finished run, and write the table ``bound``."""
         # The sums are published before the table of the bound, which marks the proof as done. A
         # kill in between errors no filter: the next proof finds all sums by their ids.
         built = self._built
@@ -119,7 +120,7 @@ class Prover:
         return looks[-1]
 
     def has_proved(self, run: Run) -> bool:
-        """Whether the table ``bound`` has this proof, for all draws that the run compares now."""
+        """Whether the table ``bound`` has this proof, for all draws that the run now compares."""
         if "bound" not in run.tables:
             return False
         rows = run.table("bound")
@@ -239,11 +240,6 @@ class Prover:
         session.reporter.begin("weights of the scenarios")
         for number in range(len(evaluator.scenarios)):
             alone = evaluator.with_shares(np.eye(len(evaluator.scenarios))[number].tolist())
-            if evaluator.exact:
-                errors.append(
-                    np.concatenate(counted.of_instants(alone.expected_errors(counted.sets)))
-                )
-                continue
             session.built = replace(built, evaluator=alone)
             sums = BlockSums(session.built, counted, (stream, stream), self._growing)
             means = yield from sums.means(blocks, session)
@@ -307,13 +303,7 @@ class Prover:
 
         Raises `ModelError` if a draw is degenerate or infinite.
         """
-        relaxation, evaluator = self.relaxation, self._built.evaluator
-        if not self.particles:
-            counted = Counted(tuple(relaxation.sets), relaxation.first, relaxation.ends)
-            relaxed = counted.of_instants(evaluator.expected_errors(counted.sets))
-            errors = evaluator.expected_errors(sets)
-            return Sums(np.concatenate(relaxed)[None], errors[None], np.ones(1))
-        sums, reporter = self._block_sums(sets), session.reporter
+        reporter, sums = session.reporter, self._block_sums(sets)
         a_block = sums.steps(1)
 
         def add(block: int, errors: Array) -> None:
@@ -321,19 +311,23 @@ class Prover:
             progress = reporter.progress
             reporter.reach(progress.done + a_block, evaluations=progress.evaluations + BLOCK)
 
-        yield from sums.added(session, blocks, add)
-        if not np.isfinite(groups.sums).all():
+        if self.particles:
+            yield from sums.added(session, blocks, add)
+            errors, draws = groups.sums, groups.draws
+        else:
+            means = yield from sums.means(0, session)
+            errors, draws = np.concatenate(means)[None], np.ones(1)
+        if not np.isfinite(errors).all():
             raise ModelError(
                 "a draw is degenerate or infinite although a particle has its true state: "
                 "log_likelihood must be finite at the state that made the measurement"
             )
-        windows, errors_of_sets = np.split(groups.sums, [relaxation.offsets[-1]], axis=1)
-        own = errors_of_sets.reshape(GROUPS, len(sets), -1)
-        return Sums(windows, own, groups.draws)
+        windows, of_sets = np.split(errors, [self.relaxation.offsets[-1]], axis=1)
+        return Sums(windows, of_sets.reshape(len(draws), len(sets), -1), draws)
 
     def _steps(self, sets: tuple[Times, ...], blocks: int) -> float:
         """Particle-steps of windows and sets on the first blocks of draws."""
-        return float(self._block_sums(sets).steps(blocks)) if self.particles else 0.0
+        return float(self._block_sums(sets).steps(blocks))
 
     def _counted(self, sets: tuple[Times, ...]) -> Counted:
         """The errors of all windows, and of sets at all instants."""

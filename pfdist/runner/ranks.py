@@ -1,4 +1,4 @@
-"""The test of the likelihood by the place of the truth among the particles.
+"""The test of the likelihood by the rank of the truth among the particles.
 
 Given the cloud and y, the truth is each particle with the probability of its weight, if the
 likelihood is that of the measurement's noise (`pfdist.kernels.schemes.CONDITIONAL`). So at each
@@ -33,12 +33,12 @@ _FINDINGS = (
         "at the ends of the cloud of particles, so the likelihood is too narrow",
     ),
 )
-"""Where the truth lies if one of both statistics is too small, and if it is too large."""
+"""The position of the truth if a statistic is too small, and if it is too large."""
 
 
 @dataclass(frozen=True)
 class RankWork(Work):
-    """The places of the truth among the particles of each set, summed over draws."""
+    """The ranks of the truth among the particles of each set, summed over draws."""
 
     def result(self, evaluator: Evaluator) -> Result:
         """Sums over the draws, (4,): of both statistics, and of their squares."""
@@ -66,7 +66,7 @@ class RankWork(Work):
 
 
 def wrong_likelihood(sums: Array, draws: int) -> str:
-    """Why the likelihood must be wrong, by sums of `RankWork`; empty if it may be right."""
+    """A reason why the likelihood is wrong, from sums of `RankWork`; empty if it may be right."""
     means, squares = sums.reshape(2, 2) / draws
     errors = np.sqrt(np.maximum(squares - means**2, 0.0) / (draws - 1))
     for mean, error, places in zip(means, errors, _FINDINGS, strict=True):

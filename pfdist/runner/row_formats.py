@@ -1,7 +1,7 @@
 """Formats in which results become rows of a table, and rows become results again.
 
-Each class is a `pfdist.runner.door.RowFormat`. A format that is shared names all rows by an id of
-everything on which they depend, so runs may take each other's rows. The same work gives the same
+Each class is a `pfdist.runner.door.RowFormat`. A shared format names all rows by an id of
+everything on which they depend, so runs may use each other's rows. The same work gives the same
 rows with the same key. So rows that are committed twice, by two drivers or after a kill, count
 once.
 """
@@ -21,15 +21,15 @@ from pfdist.store import Store, schema
 
 
 class PerDraw:
-    """The MSE of evaluations for each draw, named by the evaluation's id: the table ``draws``."""
+    """Rows of the table ``draws``: the MSE of each draw, by the id of the evaluation."""
 
     table, is_shared = "draws", True
 
     def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
         """The works that a store lacks, and the results that it has.
 
-        A kill may leave some draws of some sets of a work. Sets that lack the same draws stay
-        together in one work, so common prefixes are still filtered once.
+        A kill may leave only some draws of some sets. Sets that lack the same draws stay together
+        in one work, so common prefixes are still filtered once.
         """
         ids = list(dict.fromkeys(id_ for work in works for id_ in work.ids))
         rows = store.per_draw(ids)
@@ -72,7 +72,7 @@ class PerDraw:
 
 
 class BlockOfSums:
-    """Sums of the errors of sets over whole blocks of draws: the table ``error_sums``.
+    """Rows of the table ``error_sums``: the summed errors of sets over whole blocks of draws.
 
     There are too many windows to store the errors of each draw.
     """
@@ -106,7 +106,7 @@ class BlockOfSums:
 
 @dataclass(eq=False)
 class RowsByDraw:
-    """Rows of a run's own table, which the number of the draw names.
+    """Rows of a table of one run, identified by the number of the draw.
 
     `rows` makes the rows of a work and its result. `results` makes a result of rows, for drivers
     that need the results that the store has; other drivers only need that these rows are there.
@@ -120,12 +120,12 @@ class RowsByDraw:
     def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
         """The works that a store lacks, and the results that it has.
 
-        Works need not be cut as they were before. So a comparison with more draws than before goes
-        on where it ended.
+        Works need not be cut as before. So a comparison with more draws than before continues where
+        it ended.
         """
         most = max((work.draws[1] for work in works), default=0)
         present = np.zeros(most, np.bool_)
-        for committed in store.numbers(self.table, "draw"):
+        for committed in store.draws(self.table):
             present[committed.start : committed.stop] = True
         lacking = list[Work]()
         for work in works:
@@ -138,7 +138,7 @@ class RowsByDraw:
         if self.results is None or not works:
             return
         # Read block by block when the driver learns, so memory does not grow with the table.
-        for rows in store.blocks(self.table, "draw", BLOCK, most):
+        for rows in store.blocks(self.table, BLOCK, most):
             draws = rows["draw"].to_numpy()
             for first, last in cut(draws, BLOCK):
                 place = int(np.searchsorted(draws, first))

@@ -1,6 +1,6 @@
 """A search: its optimiser, exchanges that polish the best set, and a race between the finalists.
 
-Each phase has draws of its own. The set that the exchanges prefer is compared with the reference,
+Each phase has separate draws. The set that the exchanges prefer is compared with the reference,
 unless the race contradicts; without exchanges it is the winner of the race. Probes check any
 estimator but the squared error before the race. If the estimator fails, the search is run again by
 the squared error under another name, and the best sets of both searches join one race, which
@@ -31,7 +31,7 @@ _MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow 
 
 @dataclass(frozen=True)
 class SearchEnd:
-    """How a search ended."""
+    """The end of a search."""
 
     # The search's own evaluation of each compared set, by name, on draws that chose the set. Empty
     # if every set at the end of the search or of the race has an infinite error.
@@ -67,7 +67,7 @@ def _ended(session: Session, search: NamedSearch, name: str) -> Generator[Batch,
         estimation, racing = search.settings.estimation, again
         estimator = f"{estimation.estimator} of {estimation.particles} particles"
         distrust = f"{estimator} cannot be believed: {distrust}"
-        session.say(f"search {search.name}: {distrust}; searching again by the squared error")
+        session.say(f"search {search.name}: {distrust}. Searching again with the squared error...")
         session.reporter.foresee(search_steps(session.built, again))
         attempts.append((yield from _attempted(session, again)))
     believed = {times: each for found in attempts for times, each in found.believed.items()}
@@ -84,7 +84,7 @@ def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, 
     leaders = searching.leaders
     polishes = bool(search.polishing) and not _is_too_long(session.built, search)
     if finalists and search.polishing and not polishes:
-        heard(session.say, f"search {search.name}: exchanges would take too long, and are left out")
+        heard(session.say, f"search {search.name}: exchanges would take too long and are skipped")
     if finalists and polishes:
         start, ends = finalists[0].measurement_times, list[Evaluation]()
         for name in search.polishes:
@@ -156,7 +156,7 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-    """Winners of a search, which runs to its end."""
+    """The winners of a search, which runs to its end."""
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
     end = yield from _ended(session, search, search.name)
@@ -167,9 +167,9 @@ def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, 
 
 
 def search_steps(built: Built, search: NamedSearch) -> float:
-    """Particle-steps of a search and the phases after it, approximately.
+    """Approximate number of particle-steps of a search and the phases after it.
 
-    The forecast leaves out that the search may be run again with the squared error.
+    The forecast ignores that the search may be repeated with the squared error.
     """
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]

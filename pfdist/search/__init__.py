@@ -1,7 +1,7 @@
-"""Searches over sets of measurement times. Each search is an ask-and-tell optimiser.
+"""Searches over sets of measurement times, each an ask-and-tell optimiser.
 
 An optimiser evaluates nothing itself and owns no random generator. The caller keeps its state and
-hands it a generator. This room imports NumPy, but neither Numba nor Ray.
+supplies a generator. This room imports NumPy, but neither Numba nor Ray.
 """
 
 from pfdist.problem.methods import method

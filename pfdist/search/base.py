@@ -10,7 +10,7 @@ from pfdist.filters.estimate import Evaluation
 
 
 class Candidate(NamedTuple):
-    """A set, or a prefix of sets, whose expected MSE a search asks for.
+    """A set, or a prefix of sets, whose expected MSE a search needs.
 
     Parameters
     ----------
@@ -19,15 +19,15 @@ class Candidate(NamedTuple):
     end : int, optional
         Last instant whose errors count. By default T.
     draws : int, optional
-        Number of draws; the first draws are taken. By default the number of the search's settings.
+        Number of draws, the first of the stream. By default, the number in the search's settings.
     individual : int, optional
-        Index in the population. It makes copies of a set have fresh draws each. Copies without an
+        Index in the population, with which each copy of a set has fresh draws. Copies without an
         index share one evaluation; under common noise all copies do.
     squared : bool
-        Whether the squared error is wanted. Otherwise the search's own estimator is used.
+        Whether the squared error is estimated. Otherwise the search's own estimator is used.
     since : int, optional
-        If given, the expected errors of the instants from this one on are wanted, and not the mean
-        of each draw.
+        If given, the result is the expected error of each instant from this one on, instead of the
+        mean of each draw.
     """
 
     measurement_times: Times
@@ -43,7 +43,7 @@ FINALISTS = 8
 
 
 def best_of(evaluations: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
-    """The best evaluations of different sets, the best first, at most `FINALISTS`."""
+    """The best evaluations of different sets, best first, at most `FINALISTS`."""
     different = {evaluation.measurement_times: evaluation for evaluation in evaluations}
     return tuple(
         sorted(different.values(), key=lambda evaluation: evaluation.expected_mse)[:FINALISTS]
@@ -59,7 +59,7 @@ class Optimiser(Protocol):
 
     @property
     def generations(self) -> int:
-        """Approximate number of generations, that is of calls of `ask`."""
+        """Approximate number of generations, that is, of calls of `ask`."""
 
     @property
     def evaluations(self) -> float:
@@ -78,4 +78,4 @@ class Optimiser(Protocol):
         """Whether the search has ended."""
 
     def finalists(self, state: Any) -> Sequence[Evaluation]:
-        """The best sets so far, the best first. Fresh draws decide between them."""
+        """The best sets so far, best first; fresh draws decide between them."""

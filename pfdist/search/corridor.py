@@ -1,8 +1,8 @@
-"""The corridor method: the survivor dynamic programme in a narrow corridor around a set of times.
+"""The corridor method: survivor dynamic programming in a narrow corridor around a set of times.
 
 The search starts from a good set of times. The dynamic programme moves each of its times by a few
-instants. If it finds a better set, the corridor is laid around that set, and so on. A corridor is
-narrow, so each round is quick. Times may drift far in several rounds.
+instants. If it finds a better set, the next corridor is around that set, and so on. A corridor is
+narrow, so each round is quick. Times can drift far over several rounds.
 
 References
 ----------
@@ -29,7 +29,7 @@ from pfdist.search.survivors import Survivors, SurvivorState
 @method("corridor", curve="best so far", additive=True)
 @dataclass(frozen=True)
 class Corridor(Survivors):
-    """Corridor method: dynamic programme that moves each time a little, again while this helps.
+    """Corridor method: dynamic programming moves each time a little, repeatedly while this helps.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Corridor(Survivors):
     survivors : int
         Number of prefixes that survive in each state.
     by_previous : bool
-        Whether a state is the last two measurement times. Otherwise it is the last alone.
+        Whether a state is the last two measurement times; otherwise it is only the last.
     start : tuple of int, optional
         First set. By default, or if it is empty, regular times.
     reach : float
@@ -68,7 +68,7 @@ class Corridor(Survivors):
         return self._around(self.start or self.feasible.regular())
 
     def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
-        """Extensions in the corridor; at the end whole sets, with the corridor's middle."""
+        """Extensions in the corridor; at the end whole sets and the middle of the corridor."""
         candidates = super().ask(state, rng)
         middle = Candidate(state.middle)
         return candidates if state.front or middle in candidates else [*candidates, middle]

@@ -1,9 +1,9 @@
-"""Exchange search: it exchanges one time for another as long as this lowers the error.
+"""Exchange search: one time is exchanged for another as long as this lowers the error.
 
 The neighbours of the best set are first evaluated on few draws. If a paired test finds the best
-neighbour better than the best set, the neighbour takes its place at once. Otherwise neighbours that
-are worse than the best neighbour are dropped, and the others are evaluated on twice as many draws.
-The result is a local optimum as far as these draws can tell.
+neighbour better than the best set, it becomes the best set at once. Otherwise neighbours that are
+worse than the best neighbour are dropped, and the others are evaluated on twice as many draws. The
+result is a local optimum within the precision of these draws.
 
 References
 ----------
@@ -26,15 +26,15 @@ from pfdist.search.base import Candidate, best_of
 
 _FEWEST = 32  # draws of the first evaluation; enough to know a standard error
 _LONGEST_RUN = 48
-"""The most times of a run that is shifted, so that a set of N times has at most 96 N shifts.
+"""Largest number of times in a shifted run, so that a set of N times has at most 96 N shifts.
 
-A shift changes only the gaps at the ends of a run. The ends of a longer run lie so far apart that
-the error around one end tells nothing about the other. Shifts of shorter runs then do as well.
+A shift changes only the gaps at the ends of a run. The ends of a longer run are so far apart that
+their errors are independent. Shifts of shorter runs then do as well.
 """
 
 
 def shifts(feasible: Feasible, times: Times) -> list[Times]:
-    """The feasible sets in which a run of at most 48 successive times moves by one allowed time."""
+    """The feasible sets with a run of at most 48 successive times moved by one allowed time."""
     allowed, places = feasible.allowed, [feasible.index[time] for time in times]
     shifted = dict[Times, None]()
     runs = (
@@ -86,7 +86,7 @@ class Exchange:
     moves : int
         Largest number of moves.
     scenarios : int
-        Number of scenarios that are judged each by its own draws.
+        Number of scenarios that are each judged by separate draws.
     """
 
     feasible: Feasible
@@ -103,7 +103,7 @@ class Exchange:
 
     @property
     def evaluations(self) -> float:
-        """Approximate work, in evaluations of whole sets; neighbours share half of it."""
+        """Approximate work, in evaluations of whole sets; half of it is shared by neighbours."""
         tried = 1 + len(self.feasible.exchanges(self._start, self.reach))
         return self.generations / 3 * tried * self._fewest / self.draws
 
@@ -142,7 +142,7 @@ class Exchange:
         return bool(state.evaluations)
 
     def finalists(self, state: ExchangeState) -> tuple[Evaluation, ...]:
-        """The best set, and the neighbours that may be as good."""
+        """The best set and the neighbours that may be as good."""
         return state.evaluations
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Exhaustive search: it evaluates every feasible set. It serves small problems and tests."""
+"""Exhaustive search: evaluates every feasible set, for small problems and tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Exhaustive:
         if self.feasible.size > self.limit:
             raise JobError(
                 f"the problem must have at most limit = {self.limit:,} sets of measurement times, "
-                f"got {self.feasible.size:,}; any other method tries fewer"
+                f"got {self.feasible.size:,}; other methods try fewer"
             )
 
     @property

@@ -69,9 +69,9 @@ class GeneticAlgorithm:
         The paper's sigma coefficient. An individual whose error lies this many standard deviations
         below the mean expects two offspring.
     share_copies : bool
-        Whether copies of a set in a generation share one evaluation. The paper evaluates each
-        individual afresh. Sharing saves 4 to 27 % of the work, but found sets are 0.25 % worse,
-        because one lucky evaluation then counts for every copy.
+        Whether copies of a set in a generation share one evaluation. In the paper, each individual
+        has a fresh evaluation. Sharing saves 4 to 27 % of the work, but found sets are 0.25 %
+        worse, because one lucky evaluation counts for every copy.
     """
 
     feasible: Feasible
@@ -94,7 +94,7 @@ class GeneticAlgorithm:
     def ask(self, state: GeneticState, rng: np.random.Generator) -> list[Candidate]:
         """The next population: selected, crossed over and mutated; the first is random.
 
-        If every individual was killed, there are no parents, and the next population is random.
+        If every individual was killed, the next population is random.
         """
         errors = np.array([evaluation.expected_mse for evaluation in state.evaluations])
         if not np.isfinite(errors).any():
@@ -112,7 +112,7 @@ class GeneticAlgorithm:
         return self._candidates([self.feasible.repair(child, rng) for child in mutated])
 
     def tell(self, state: GeneticState, evaluations: Sequence[Evaluation]) -> GeneticState:
-        """The state with the evaluated population."""
+        """The next state, with the evaluated population."""
         return GeneticState(state.evaluated_generations + 1, tuple(evaluations))
 
     def done(self, state: GeneticState) -> bool:
@@ -147,8 +147,8 @@ class GeneticAlgorithm:
 def expected_offspring(errors: NDArray[np.float64], sigma_scaling: float) -> NDArray[np.float64]:
     """Expected offspring of each individual: max(0, 1 + (mean - error) / (coefficient * sd)), (P,).
 
-    `sigma_scaling` is the coefficient. An infinite error marks a killed individual, which expects
-    no offspring and does not count in mean and sd. If all errors are equal, each living individual
+    `sigma_scaling` is the coefficient. An infinite error marks a killed individual, which has no
+    offspring and does not count in mean and sd. If all errors are equal, each other individual
     expects one.
     """
     living = np.isfinite(errors)
@@ -176,9 +176,9 @@ def stochastic_universal_sampling(
 def count_preserving_crossover(
     a: set[int], b: set[int], rng: np.random.Generator
 ) -> tuple[set[int], set[int]]:
-    """Two children: parents that swap a random number, at least 1, of differing elements.
+    """Two children: copies of the parents that swap a random number of differing elements.
 
-    Each child has the size of its parent.
+    At least one element is swapped. Each child has the size of its parent.
     """
     only_a, only_b = sorted(a - b), sorted(b - a)
     most = min(len(only_a), len(only_b))

@@ -1,15 +1,15 @@
-"""A probe of an estimator: sets on which it is compared with the squared error.
+"""A probe of an estimator: a comparison with the squared error on a few sets.
 
 The sets are the regular times, a few random sets, the leaders of the search, and its best sets.
-Estimator and squared error take the same filter, so they have equal numbers of particles. Only sets
-whose estimate is near the least are judged, because a search ends with one of them. The estimator
-fails if its estimate is clearly too small for one of them. Sets whose result is still open go on to
-the next round with twice as many draws, but at most half of the sets of a round do: those for which
-the estimate looks worst. The others pass. This is sequential halving (Karnin, Koren, Somekh,
-"Almost optimal exploration in multi-armed bandits", ICML 2013).
+Estimator and squared error use the same filter, so they have equal numbers of particles. Only sets
+whose estimate is near the smallest are judged, because a search ends with one of them. The
+estimator fails if its estimate is clearly too small for one of them. Undecided sets enter the next
+round with twice as many draws, but at most half of the sets of a round: those for which the
+estimate looks worst. The others pass. This is sequential halving (Karnin, Koren, Somekh, "Almost
+optimal exploration in multi-armed bandits", ICML 2013).
 
 If the particles of a filter have collapsed onto a wrong state, their variance is tiny and the error
-is large. An estimator that uses this variance is too small there, and a search seeks exactly the
+is large. An estimator that uses this variance is too small there, and a search prefers exactly the
 sets where it is smallest. Two tests detect this: the estimate lies far below the squared error on
 some set, or it reverses the order of two sets.
 """
@@ -50,11 +50,11 @@ class ProbeState:
 
 @dataclass(frozen=True)
 class Probe:
-    """Optimiser that compares an estimator with the squared error of the same filter.
+    """An optimiser that compares an estimator with the squared error of the same filter.
 
-    `sought` are leaders and best sets of the search: sets, and prefixes with their ends. `dearer`
-    is the time that an evaluation by the squared error takes, divided by that of one by the
-    estimator. `orders` says whether the estimator decides between the best sets.
+    `sought` are the leaders and best sets of the search: sets, and prefixes with their ends.
+    `dearer` is the ratio of the time of an evaluation by the squared error to that of one by the
+    estimator. `orders` is whether the estimator decides between the best sets.
     """
 
     feasible: Feasible
@@ -71,8 +71,8 @@ class Probe:
     def evaluations(self) -> float:
         """Approximate work, in evaluations of whole sets by the estimator.
 
-        A search by prefixes has a leader for each number of measurements. A prefix takes half of
-        the horizon on average, and half of that is shared with other prefixes.
+        A search by prefixes has a leader for each number of measurements. On average, a prefix
+        covers half of the horizon, and half of that is shared with other prefixes.
         """
         return (1 + _RANDOM_SETS + self.feasible.total / 4) * (1 + self.dearer)
 
@@ -93,7 +93,7 @@ class Probe:
         ]
 
     def tell(self, state: ProbeState, evaluations: Sequence[Evaluation]) -> ProbeState:
-        """Decide where the draws suffice; the worst open sets go on, at most half of all."""
+        """Decide where the draws suffice; keep the worst undecided sets, at most half of all."""
         pairs = _near_the_best(list(zip(evaluations[::2], evaluations[1::2], strict=True)))
         verdicts = [judged(*pair) for pair in pairs]
         order = sorted(range(len(pairs)), key=lambda index: -verdicts[index].excess)
@@ -128,11 +128,10 @@ class Probe:
 def new_leaders(
     evaluations: Iterable[Evaluation], before: Iterable[Evaluation]
 ) -> list[Evaluation]:
-    """The best evaluation of each kind in a generation, if it beats the last leader of its kind.
+    """The best evaluation of each kind in a generation, if it beats the last leader of that kind.
 
-    Whole sets with the same number of measurements are a kind, and prefixes with the same number of
-    measurements are another. Prefixes are compared by their mean error over the instants up to
-    their ends.
+    Whole sets with the same number of measurements are one kind, and prefixes with the same number
+    of measurements another. Prefixes are compared by their mean error up to their ends.
     """
     best = {_kind(leader): leader for leader in before}
     new: dict[tuple[int, bool], Evaluation] = {}
@@ -166,7 +165,7 @@ def _mean_error(evaluation: Evaluation) -> float:
 
 
 BELOW = 0.15
-"""An estimator fails if it lies this share, and `CLEAR_ERRORS`, below the squared error."""
+"""An estimator fails if it is this share, and `CLEAR_ERRORS`, below the squared error."""
 
 _SURE = 2.0  # standard errors above the limit, from which an estimator passes
 
@@ -181,7 +180,7 @@ class Verdict(NamedTuple):
 
 
 def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
-    """Test an estimator on one set, on the draws in which neither filter became infinite.
+    """The verdict on an estimator for one set, from draws in which neither filter became infinite.
 
     `squared` is the evaluation by the squared error. Both have the same times, end and draws.
     """
@@ -205,11 +204,11 @@ def _standard_scores(values: np.ndarray) -> float:
 def misordered(
     believed: Mapping[Times, Evaluation], squared: Sequence[Evaluation]
 ) -> tuple[Evaluation, Evaluation] | None:
-    """Two sets that an estimator puts in the wrong order, the better first; None if none.
+    """Two sets that an estimator puts in the wrong order, the better first; None if there are none.
 
     `believed` has the evaluations by the estimator, and `squared` those by the squared error of the
-    same filter on common draws. The squared error must distinguish the two, and the estimator
-    must contradict it: the two differences have opposite signs, and chance does not explain this.
+    same filter on common draws. The squared error must distinguish the two sets significantly, and
+    the estimator must significantly contradict this order.
     """
     for first, second in combinations(squared, 2):
         real = difference(first, second)
@@ -225,10 +224,10 @@ def misordered(
 
 
 def failed_probe(estimated: Evaluation, squared: Evaluation, *, clock: Clock) -> str:
-    """A sentence that says how far an estimate is too small on a set, or that an order is wrong.
+    """A sentence about an estimate that is too small on a set, or about a wrong order.
 
-    The evaluations are those of `judged` or of `misordered`, whose times differ. Sets are written
-    as users read them, on the clock.
+    The evaluations are those of `judged`, or those of `misordered`, whose times differ. Sets have
+    times on the clock.
     """
     if estimated.measurement_times != squared.measurement_times:
         apart = difference(squared, estimated)

@@ -1,21 +1,24 @@
-"""The dynamic programme over known windows and what was spent: the least relaxed expected MSE.
+"""The dynamic programme over known windows and sums spent: the least relaxed expected MSE.
 
-A set spends its number of measurements, or their prices in units. All sums up to the largest come
-out of one programme.
+A set spends its number of measurements, or their prices in units. One programme gives the results
+for all sums up to the largest.
 
-A set that is best in a relaxation, but not in truth, has windows that are too short: they add
-measurements that the set does not contain. So each of its windows grows by a measurement, and the
-next programme sees more of the set's own error. A set whose windows are all whole beginnings has
-its own error. If it is still the best, it is proved to be optimal.
+If a set is best in a relaxation but not in truth, its windows are too short: they add measurements
+that the set does not contain. So each of its windows grows by a measurement, and the next relaxed
+error is closer to the set's own error. If all windows of a set are whole beginnings, its relaxed
+error is its own error. If it is still the best, it is proved to be optimal.
+
+The largest numbers of measurements of single sensors are relaxed by Lagrange multipliers.
 
 Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
 procedures for the computation of bounds to routing problems", Networks 11, 1981.
 Righini, Salani, "New dynamic programming algorithms for the resource constrained elementary
-shortest path problem", Networks 51, 2008 (decremental state-space relaxation).
+shortest path problem", Networks 51, 2008 (decremental state-space relaxation). Geoffrion,
+"Lagrangean relaxation for integer programming", Mathematical Programming Study 2, 1974.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,37 +38,41 @@ class Programme:
     `errors` (E,) are expected errors of all windows at all instants at which they count, window by
     window; see `Relaxation.offsets`.
 
-    If measurements are counted, a set makes exactly as many as a sum says. Money may be left over.
+    If measurements are counted, a set makes exactly the number of the sum. Money may be left over.
+
+    Each measurement adds the multiplier of its sensor to the sum of errors, and multipliers times
+    the largest numbers of measurements are subtracted at the end. With multipliers of at least 0,
+    the relaxed error of a set that keeps these numbers is at most its own error, so the minimum is
+    still a lower bound.
     """
 
     relaxation: Relaxation
     errors: Array
     most: int
+    multipliers: tuple[float, ...] = ()  # (S,): 0 for a sensor without a largest number; or empty
 
     @property
     def mse(self) -> Array:
         """The least relaxed expected MSE of each sum, (most+1,)."""
-        start: Array = self._from[self.relaxation.index[START]]
-        return start / (self.relaxation.horizon + 1)
+        return self._mean(self._from[self.relaxation.index[START]])
 
     def path(self, spent: int) -> Times:
-        """The times that reach the least error for a sum; empty if no set has this price."""
+        """The times with the least error for a sum; empty if no set has this price."""
         start = self.relaxation.index[START]
         return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
 
     def of_set(self, times: Times) -> float:
-        """The relaxed expected MSE of a set."""
+        """The relaxed expected MSE of a set, without multipliers."""
         until = np.array([*map(self._instant, times), self.relaxation.horizon + 1])
         windows = np.array(self.relaxation.windows_of(times))
         return float(self._between(windows, until).sum()) / (self.relaxation.horizon + 1)
 
     def through(self, spent: int) -> Array:
-        """The least relaxed expected MSE of all sets of a sum that pass each window, (W,)."""
-        sums: Array = (self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1)
-        return sums / (self.relaxation.horizon + 1)
+        """The least relaxed expected MSE of all sets of a sum through each window, (W,)."""
+        return self._mean((self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1))
 
     def path_through(self, window: int, spent: int) -> Times:
-        """The times that reach the least error among the sets of a sum that pass a window."""
+        """The times with the least error among the sets of a sum that pass through a window."""
         before = int(np.argmin(self._to[window, : spent + 1] + self._from[window, spent::-1]))
         return (*self._path_to(window, before), *self._path_from(window, spent - before))
 
@@ -78,7 +85,7 @@ class Programme:
             check()
             price = self.relaxation.prices[moves.time]
             if price <= self.most:
-                between = self._between(moves.before, self._instant(moves.time))
+                between = self._until(moves)
                 reached = between[:, None] + error[moves.before, : self.most + 1 - price]
                 error[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
         return error
@@ -101,7 +108,7 @@ class Programme:
             price = self.relaxation.prices[moves.time]
             if price <= self.most:
                 after = relaxation.after[moves.before, moves.time]
-                between = self._between(moves.before, self._instant(moves.time))
+                between = self._until(moves)
                 onward = between[:, None] + error[after, : self.most + 1 - price]
                 known, times = error[moves.before, price:], following[moves.before, price:]
                 # Between equal sums, the end wins, then the earliest time.
@@ -117,6 +124,18 @@ class Programme:
         rest = self._between(every, self.relaxation.horizon + 1)
         last_required = max(self.relaxation.constraints.required, default=NOTHING)
         return np.where(self.relaxation.last >= last_required, rest, np.inf)
+
+    def _until(self, moves: Moves) -> Array:
+        """Sums of errors from the last measurement of each window up to and with a measurement."""
+        sensor = moves.time % self.relaxation.constraints.sensors
+        multiplier = self.multipliers[sensor] if self.multipliers else 0.0
+        return self._between(moves.before, self._instant(moves.time)) + multiplier
+
+    def _mean(self, sums: Array) -> Array:
+        """Expected MSEs, or their bounds, from sums of errors and multipliers."""
+        most = self.relaxation.constraints.most if self.multipliers else {}
+        left: Array = sums - sum(self.multipliers[sensor] * most[sensor] for sensor in most)
+        return left / (self.relaxation.horizon + 1)
 
     def _between(self, windows: Indices, until: Indices | int) -> Array:
         """Sums of errors from the last measurement of each window to just before `until`.
@@ -181,11 +200,74 @@ class Programme:
         return tuple(times)
 
 
-def near_optimal(programme: Programme, spent: int, most: int, below: float) -> list[Times]:
-    """At most `most` different sets that are nearly the best of a relaxation, the best first.
+def with_multipliers(
+    relaxation: Relaxation, errors: Array, spent: int, known_mse: float
+) -> Programme:
+    """The programme of a sum, with the multipliers that maximise its least error.
 
-    Each set spends the sum `spent`. Each but the first is the best of all sets that pass a window
-    which no set before it passes, and its relaxed expected MSE is less than `below`.
+    Any multipliers give a lower bound. Each is limited to the sum of errors of a feasible set of
+    this sum, whose expected MSE is `known_mse`.
+    """
+    most, sensors = relaxation.constraints.most, relaxation.constraints.sensors
+    unlimited = Programme(relaxation, errors, spent)
+    if not (most and 0 < known_mse < np.inf):
+        return unlimited
+    largest = known_mse * (relaxation.horizon + 1)
+
+    def programme(shares: Array) -> Programme:
+        of_sensor = dict(zip(most, (largest * shares).tolist(), strict=True))
+        return replace(unlimited, multipliers=tuple(of_sensor.get(s, 0.0) for s in range(sensors)))
+
+    def lowest(shares: Array) -> tuple[float, Array]:
+        path = programme(shares).path(spent)
+        own = [sum(time % sensors == sensor for time in path) for sensor in most]
+        return unlimited.of_set(path) / known_mse, np.array(own) - [*most.values()]
+
+    return programme(highest(lowest, np.zeros(len(most))))
+
+
+_ROUNDS = 100  # at most
+_DIGITS = 6  # of an argument; those of the solver may end otherwise elsewhere, and all are valid
+_SETTLED = 1e-4  # relative distance of the value from the largest that the planes allow
+
+
+def highest(
+    lowest: Callable[[Array], tuple[float, Array]], start: Array, total: float | None = None
+) -> Array:
+    """The n arguments in 0..1 that maximise the minimum of many planes.
+
+    `lowest` gives the plane that is the lowest at some arguments: its value at 0 and its slopes
+    (n,). Source: Kelley, "The cutting-plane method for solving convex programs", Journal of the
+    Society for Industrial and Applied Mathematics 8, 1960.
+    """
+    from scipy.optimize import linprog  # noqa: PLC0415  it loads only where planes are cut
+
+    # Unknowns: the arguments, and the value of the lowest plane, which is maximised.
+    objective, bounds = [0.0] * len(start) + [-1.0], [(0.0, 1.0)] * len(start) + [(None, None)]
+    sums = None if total is None else [[1.0] * len(start) + [0.0]]
+    totals = None if total is None else [total]
+    best, largest, at = start, -np.inf, start
+    values, planes = list[float](), list[list[float]]()
+    for _ in range(_ROUNDS):
+        value, slopes = lowest(at)
+        values.append(value)
+        planes.append([*(-slopes).tolist(), 1.0])
+        value += float(np.sum(slopes * at))
+        if value > largest:
+            best, largest = at, value
+        found = linprog(objective, planes, values, sums, totals, bounds)
+        if found.x is None or found.x[-1] <= largest * (1 + _SETTLED):
+            break
+        at = np.asarray(np.round(np.clip(found.x[:-1], 0.0, None), _DIGITS), np.float64)
+        at = at if total is None else total * at / at.sum()
+    return best
+
+
+def near_optimal(programme: Programme, spent: int, most: int, below: float) -> list[Times]:
+    """At most `most` different near-optimal sets of a relaxation, best first.
+
+    Each set spends the sum `spent`. Each but the first is the best set through a window through
+    which no earlier set passes, and its relaxed expected MSE is less than `below`.
     """
     relaxation, through = programme.relaxation, programme.through(spent)
     sets, passed = dict[Times, None](), set[int]()
@@ -205,7 +287,7 @@ def near_optimal(programme: Programme, spent: int, most: int, below: float) -> l
 def longer(
     relaxation: Relaxation, sets: Iterable[Times]
 ) -> tuple[frozenset[Window], frozenset[Window]]:
-    """The windows of some sets with one more measurement each, unless the relaxation knows them."""
+    """The windows of some sets, each with one more measurement, that the relaxation lacks."""
     # Only windows that are not whole beginnings grow, each backwards by one measurement. In each
     # round the windows of a best set therefore become longer, until the set has its own error.
     windows, far = set[Window](), set[Window]()

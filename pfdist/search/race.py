@@ -1,4 +1,4 @@
-"""A race between a few sets on fresh draws; most draws go to the sets that are hard to tell apart.
+"""A race between a few sets on fresh draws; most draws go to sets with similar errors.
 
 All sets share the draws. After each round, sets that a paired test finds worse than the leader drop
 out (Birattari, Stützle, Paquete, Varrentrapp, "A racing algorithm for configuring metaheuristics",
@@ -32,14 +32,14 @@ class RaceState:
 
 @dataclass(frozen=True)
 class Race:
-    """Optimiser that finds the best of a few different sets."""
+    """An optimiser that finds the best of a few different sets."""
 
     sets: tuple[Times, ...]
     draws: int  # of the first round
 
     @property
     def generations(self) -> int:
-        """Number of rounds, if no test decides sooner."""
+        """Number of rounds, unless a test decides earlier."""
         return max(1, (len(self.sets) - 1).bit_length())
 
     @property
@@ -59,7 +59,7 @@ class Race:
         return [Candidate(times, draws=state.draws) for times in state.running]
 
     def tell(self, state: RaceState, evaluations: Sequence[Evaluation]) -> RaceState:
-        """Keep the leader and the sets near it."""
+        """Keep the leader and the sets that may be as good."""
         order = sorted(evaluations, key=lambda evaluation: evaluation.expected_mse)
         near = [
             evaluation
@@ -79,5 +79,5 @@ class Race:
         return bool(state.evaluations) and len(state.running) == 1
 
     def finalists(self, state: RaceState) -> tuple[Evaluation, ...]:
-        """The last evaluation of every set: the winner first, sets of later rounds earlier."""
+        """The last evaluation of every set: the winner first, then sets of later rounds first."""
         return *state.evaluations, *state.out

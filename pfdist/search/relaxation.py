@@ -1,15 +1,16 @@
-"""The relaxation behind the lower bound: a filter that may measure more than the set contains.
+"""The relaxation for the lower bound: filters with more measurements than the set has.
 
-To the exact filter of the true model, further measurements do no harm. So its error at t with a
-set M is at least its error with M and all allowed instants up to one of the measurements. A
-*window* is such a filter: the last measurement times of a set, and everything allowed up to the
-first of them. The longer a window, the less it adds, and the nearer is its error to the set's own.
+For the exact filter of the true model, further measurements never increase the expected error. So
+its error at t with a set M is at least its error with M and all allowed instants up to one of the
+measurements. A *window* is such a filter: the last measurement times of a set, and all allowed
+instants up to the first of them. The longer a window, the less it adds, and the closer its error is
+to the set's own.
 
-A relaxation knows some windows. A filter with a set is, at each instant, in the longest known
+A relaxation contains some windows, the known ones. At each instant, a set is in the longest known
 window that its measurements end with. Every beginning of a known window is known. So the next
-window follows from the last one and the next time, whatever was measured before, and a dynamic
-programme finds the set with the least relaxed error. All windows of two measurements are a good
-start, and `pfdist.search.programme` adds longer ones where they matter.
+window follows from the last one and the next time alone, and a dynamic programme finds the set with
+the least relaxed error. All windows of two measurements are a good start; `pfdist.search.programme`
+adds longer ones where they matter.
 
 Sources: Aho, Corasick, "Efficient string matching: an aid to bibliographic search", Communications
 of the ACM 18, 1975 (the longest known end, and how it changes with the next symbol). Vitus, Zhang,
@@ -62,10 +63,11 @@ class Moves(NamedTuple):
 
 @dataclass(frozen=True)
 class Relaxation:
-    """The known windows of a relaxed filter, and how a measurement leads from one to the next.
+    """The known windows of a relaxed filter, and the moves between them by measurements.
 
-    The constraints bind every path, but for their number of measurements: a path may have any
-    number. A `MeasurementTimesError` says that the longest gap is less than 1.
+    Every path satisfies the constraints, except for the number of measurements, which is free. The
+    limits of a sensor are checked only for a window with the next measurement. Raises
+    `MeasurementTimesError` if the longest gap is less than 1.
     """
 
     constraints: Constraints
@@ -126,14 +128,14 @@ class Relaxation:
 
     @cached_property
     def passable(self) -> NDArray[np.bool_]:
-        """Whether paths may pass each window, (W,)."""
+        """Whether paths may pass through each window, (W,)."""
         if self.only is None:
             return np.ones(len(self.windows), np.bool_)
         return np.array([window in self.only for window in self.windows])
 
     @cached_property
     def offsets(self) -> Indices:
-        """Where the errors of each window begin in an array of all errors that count, (W+1,)."""
+        """The index of each window's first error in an array of all errors that count, (W+1,)."""
         return np.cumsum(np.concatenate([[0], self.ends - self.first + 1]))
 
     @property
@@ -148,12 +150,12 @@ class Relaxation:
 
     @cached_property
     def single(self) -> Indices:
-        """For each window, (W,), the index of the window that has only its last time."""
+        """For each window, (W,), the index of the window with only its last time."""
         return np.array([self.index[window[-1:]] for window in self.windows])
 
     @cached_property
     def after(self) -> NDArray[np.int32]:
-        """Index of the window after a measurement at each time, (W, T+1); -1 if it is forbidden."""
+        """Index of the window after a measurement at each time, (W, T+1); -1 if not allowed."""
         # Short windows come first: a window takes the row of its longest known end, which is
         # shorter, and then the windows that continue it replace entries (Aho and Corasick).
         possible = self.constraints.possible
@@ -168,7 +170,8 @@ class Relaxation:
             after[number] = single if len(window) == 1 else after[self._suffix(window)]
             for longer in following.get(number, ()):
                 after[number, self.windows[longer][-1]] = longer
-        return np.where(self._follows[self.last + 1] & self.passable[after], after, -1)
+        allowed = self._follows[self.last + 1] & self._within_limits
+        return np.where(allowed & self.passable[after], after, -1)
 
     @cached_property
     def moves(self) -> list[Moves]:
@@ -184,7 +187,7 @@ class Relaxation:
         return moves
 
     def spent(self, times: Times) -> int:
-        """The sum, in units, whose bound holds for a set: its size, or all of the money."""
+        """The sum, in units, of the bound for a set: its size, or all of the money."""
         return len(times) if self.constraints.counted else self.total
 
     def windows_of(self, times: Times) -> list[int]:
@@ -197,13 +200,14 @@ class Relaxation:
         return numbers
 
     def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> "Relaxation":
-        """The relaxation that also knows these windows and their beginnings.
+        """The relaxation with these windows and their beginnings added.
 
-        The windows are ends of feasible sets. The errors of the known windows `far` count up to T.
-        A new window is far if the longest known window that it ends with is far. Otherwise errors
-        of a set could be lower than before.
+        Windows that break the limits of a sensor are left out. The errors of the known windows
+        `far` count up to T. A new window is far if the longest known window that it ends with is
+        far; otherwise errors of a set could become lower.
         """
         beginnings = {window[:size] for window in windows for size in range(1, len(window) + 1)}
+        beginnings = {window for window in beginnings if keeps_limits(self.constraints, window)}
         known_far = self.far | {*far}
         new = beginnings - self.index.keys()
         new_far = {window for window in new if self.windows[self._suffix(window)] in known_far}
@@ -215,7 +219,7 @@ class Relaxation:
         )
 
     def restricted(self, paths: Iterable[Times]) -> "Relaxation":
-        """The relaxation whose paths pass only windows that some of these sets pass."""
+        """The relaxation restricted to paths through the windows of these sets."""
         sets = list(paths)
         passed = {self.windows[number] for times in sets for number in self.windows_of(times)}
         far = {window for times in sets for window in self.overreached(times)}
@@ -232,7 +236,7 @@ class Relaxation:
         ]
 
     def without(self, windows: Collection[Window]) -> "Relaxation":
-        """The relaxation without these windows, and without those that begin with them."""
+        """The relaxation without these windows, and without windows that begin with them."""
         if not windows:
             return self
         remaining = (
@@ -252,6 +256,21 @@ class Relaxation:
             follows[last + 1, list(followers(constraints, last))] = True
         return follows
 
+    @cached_property
+    def _within_limits(self) -> NDArray[np.bool_]:
+        """Whether a time keeps the limits of its sensor, after those of each window, (W, T+1)."""
+        constraints, sensors = self.constraints, self.constraints.sensors
+        within = np.ones((len(self.windows), constraints.possible), np.bool_)
+        for sensor, limit in enumerate(constraints.limits):
+            for number, window in enumerate(self.windows):
+                own = [time for time in window if time >= 0 and time % sensors == sensor]
+                if limit.most is not None and len(own) >= limit.most:
+                    within[number, sensor::sensors] = False
+                elif own and limit.spacing is not None:
+                    until = limit.spacing.after(own[-1] // sensors) * sensors
+                    within[number, own[-1] : until : sensors] = False
+        return within
+
     def _suffix(self, window: Window) -> int:
         """Index of the longest known end of a window that is not the window itself."""
         numbers = (self.index.get(window[begin:]) for begin in range(1, len(window)))
@@ -259,10 +278,15 @@ class Relaxation:
 
 
 def followers(constraints: Constraints, last: int) -> Iterator[int]:
-    """The times that may be measured after a last time; none lies behind a required time."""
+    """The times that may follow a last time, up to the next required time."""
     first = constraints.spacing.after(last)
     until = min((t for t in constraints.required if t > last), default=constraints.possible)
     return (time for time in constraints.allowed if first <= time <= until)
+
+
+def keeps_limits(constraints: Constraints, window: Window) -> bool:
+    """Whether the measurements of a window satisfy the constraints on each sensor."""
+    return constraints.is_within_limits(window[window[0] == NOTHING :])
 
 
 def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:
@@ -271,21 +295,21 @@ def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:
 
 
 WINDOW = 2
-"""Largest number of measurements of the first windows, unless another number is wanted."""
+"""Largest number of measurements in the first windows, by default."""
 
 MOST_UNITS = 300
-"""Largest sum of money in a programme, in units; the memory of a programme grows with the sum."""
+"""Largest sum of money in a programme, in units; its memory grows with this sum."""
 
 _LEAST_OF_A_SEARCH = 1.2
-"""Least number of mean gaps between measurements that windows of a search must allow."""
+"""Smallest number of mean gaps between measurements that windows of a search must allow."""
 
 
 def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
     """The relaxation with all windows of at most `window` measurements.
 
     Windows with a gap longer than the longest gap are left out. The instants before the first
-    measurement of a set are no gap. A `MeasurementTimesError` says that the window or the gap is
-    less than 1.
+    measurement of a set do not count as a gap. Raises `MeasurementTimesError` if the window or the
+    gap is less than 1.
     """
     if window < 1:
         raise MeasurementTimesError(f"window must be at least 1, got {window}")
@@ -301,6 +325,7 @@ def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> 
         longer = [
             (*shorter, time) for time in followers(constraints, last) if time // sensors <= until
         ]
+        longer = [window for window in longer if keeps_limits(constraints, window)]
         new += longer
         windows.update(longer)
     return Relaxation(constraints, in_order(windows), longest_gap)
@@ -314,26 +339,26 @@ def relaxation_for(
     The longest gap is three mean gaps, or less if that needs too much memory, but at least two.
     `measurements` is the usual number of measurements of a set, which gives the mean gap; the
     relaxation holds for sets of any number. Money is counted in units of which the sum to spend has
-    at most `MOST_UNITS`. A `JobError` says that more than `most_cells` errors count.
+    at most `MOST_UNITS`. Raises `JobError` if more than `most_cells` errors count.
     """
     gap = _longest_gap(constraints, window, measurements, most_cells, least=2.0)
     cells = _cells(constraints, window, gap)
     if cells > most_cells:
         raise JobError(
             f"window = {window} needs about {cells:,} numbers for each group of draws, allowed: "
-            f"{most_cells:,}; take a smaller window, or more memory",
+            f"{most_cells:,}; take a smaller window or more memory",
             argument="window",
         )
     return _relaxation(constraints, window, gap)
 
 
 def relaxation_within(constraints: Constraints, measurements: int, most_cells: int) -> Relaxation:
-    """The relaxation with which a search begins, within a memory; none is refused.
+    """The first relaxation of a search, within a memory; it always exists.
 
     It has windows of `WINDOW` measurements with gaps of up to three mean gaps, or down to 1.2 if
-    three need too much memory. If these are too many, it has only single measurements, and windows
-    grow from them. This happens if few measurements lie far apart. The arguments are those of
-    `relaxation_for`.
+    three need too much memory. If these are too many, because measurements are few and far apart,
+    it has only windows of one measurement, and longer ones grow from them. The arguments are those
+    of `relaxation_for`.
     """
     for window, least in ((WINDOW, _LEAST_OF_A_SEARCH), (1, 3.0)):
         gap = _longest_gap(constraints, window, measurements, most_cells, least)

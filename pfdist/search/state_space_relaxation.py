@@ -1,14 +1,13 @@
 """Decremental state-space relaxation: a dynamic programme over windows of the last measurements.
 
 The error at an instant depends most on the last measurements. The programme finds the sets that
-would be best if the error depended on these alone, as if everything before had been measured. Then
-the search looks closer at these sets: their windows grow by a measurement each, and the programme
-is solved again. The search ends when no set of the relaxation is better than the best set that was
-evaluated, when no window can grow, or after the last round. See `pfdist.search.relaxation` and
-`pfdist.search.programme`.
+would be best if the error depended only on these, as if everything before had been measured. Then
+the windows of these sets grow by a measurement each, and the programme is solved again. The search
+ends when no set of the relaxation is better than the best set that was evaluated, when no window
+can grow, or after the last round. See `pfdist.search.relaxation` and `pfdist.search.programme`.
 
-If the errors are exact and the filter knows the truth, a search that ends before the last round has
-proved that its best set is optimal.
+If the errors are exact and the filter has the true model, a search that ends before the last round
+has proved that its best set is optimal.
 
 References
 ----------
@@ -30,11 +29,11 @@ from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import method
 from pfdist.problem.search_section import CommonNoiseSettings, Count
 from pfdist.search.base import Candidate, best_of
-from pfdist.search.programme import Programme, longer, near_optimal
+from pfdist.search.programme import Programme, longer, near_optimal, with_multipliers
 from pfdist.search.relaxation import Relaxation, Window, relaxation_within
 
 MOST_CELLS = 3_000_000
-"""Largest number of errors of windows of two measurements at the beginning."""
+"""Largest number of errors in the first windows of two measurements."""
 
 _ROUNDING = 1e-11  # relative rounding error of a proof
 _SCREENING = (16, 4)  # the first programmes have a 16th and a 4th of the draws
@@ -70,18 +69,20 @@ class RelaxationState:
 
     @property
     def infinite(self) -> set[Window]:
-        """Windows without usable errors: a draw is infinite."""
+        """The windows without usable errors, because a draw is infinite."""
         return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
 
-    def programme(self, most: int) -> Programme:
-        """The programme for all sums up to `most`."""
+    def programmes(self, sums: Sequence[int]) -> dict[int, Programme]:
+        """The programme for each sum; a single one if no sensor has a limit on its number."""
         relaxation = self.relaxation
         passable = (relaxation.windows[number] for number in np.flatnonzero(relaxation.passable))
         errors = np.concatenate([self.errors[window] for window in passable])
-        return Programme(relaxation, errors, most)
+        if not relaxation.constraints.most:
+            return dict.fromkeys(sums, Programme(relaxation, errors, max(sums)))
+        return {s: with_multipliers(relaxation, errors, s, self.least(s)) for s in sums}
 
     def least(self, spent: int) -> float:
-        """Least error of the evaluated sets that the bound of this sum covers; inf for none."""
+        """Least error of the evaluated sets for which this sum's bound holds; inf for none."""
         return min(
             (each.expected_mse for each in self.whole
              if self.relaxation.spent(each.measurement_times) == spent),
@@ -99,30 +100,30 @@ class RelaxationState:
 )
 @dataclass(frozen=True)
 class StateSpaceRelaxation:
-    """Decremental state-space relaxation: dynamic programme over the last measurements.
+    """Decremental state-space relaxation: dynamic programming over the last measurements.
 
     Parameters
     ----------
     feasible : Feasible
     draws : int
-        Number of draws of an evaluation. Two programmes with fewer draws come first, and leave few
-        windows for the others. The best sets of the first programme with all draws are evaluated in
-        any case, because its relaxed errors vary with the draws. With 0 the search begins with all
-        draws, and its first programme may already end it.
+        Number of draws of an evaluation. Two programmes with fewer draws come first and leave few
+        windows for the others. The best sets of the first programme with all draws are always
+        evaluated, because its relaxed errors are random. With 0, the search begins with all draws,
+        and its first programme may already end it.
     paths : int
-        Number of sets that are evaluated, and whose windows grow, in a round.
+        Number of sets in a round that are evaluated and whose windows grow.
     rounds : int
         Number of rounds in which windows grow.
     screened : int
-        Number of sets whose windows the first programme leaves. The second leaves those of half as
-        many.
+        Number of sets whose windows remain after the first programme. After the second, those of
+        half as many remain.
     sought : tuple of int, optional
-        Numbers of measurements, or sums of money, whose best sets are sought. By default those of
-        the feasible sets.
+        Numbers of measurements, or sums of money, for which the best sets are found. By default,
+        those of the feasible sets.
     known_sets : tuple of tuples of int
         Good sets to begin with; by default regular times, and the empty set if it is feasible.
     gap : float
-        The search ends when the lowest relaxed errors lie below the errors of the best sets by at
+        The search ends when the lowest relaxed errors are below the errors of the best sets by at
         most this share.
     start : Relaxation, optional
         The relaxation of the first round; by default that of `relaxation_within`.
@@ -151,7 +152,7 @@ class StateSpaceRelaxation:
         """Approximate work, in evaluations of whole sets.
 
         The first programme needs the errors of all windows, on a sixteenth of the draws. The few
-        windows of later programmes are left out of this number.
+        windows of later programmes are not counted.
         """
         cells, instants = int(self._start.offsets[-1]), self.feasible.horizon + 1
         few = cells / instants / _SCREENING[0] if self.draws else cells / instants
@@ -182,7 +183,7 @@ class StateSpaceRelaxation:
         return [*windows, *map(Candidate, state.sets)]
 
     def tell(self, state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
-        """Solve the programme, and let the windows grow along its best sets."""
+        """Solve the programme, and extend the windows along its best sets."""
         state = _with_evaluations(state, evaluations)
         if any(len(window) == 1 for window in state.infinite):
             # No relaxed error is known. Exchanges may still improve the sets that were evaluated.
@@ -192,9 +193,9 @@ class StateSpaceRelaxation:
         rounds = max(_ROUNDS_IF_EXACT, self.rounds) if exact else self.rounds
         if state.round > rounds:
             return replace(state, done=True)
-        programme = state.programme(max(self._sought))
+        programmes = state.programmes(self._sought)
         least = {spent: state.least(spent) for spent in self._sought}
-        lower = {spent: programme.mse[spent] for spent in self._sought}
+        lower = {spent: programmes[spent].mse[spent] for spent in self._sought}
         screening = state.level < len(_SCREENING) and not exact
         by_draws = bool(self.draws) and not exact and state.round == 0
         # Sums whose search goes on. Only a later programme on all draws may end it: few draws err,
@@ -209,16 +210,16 @@ class StateSpaceRelaxation:
         # forgotten: the remaining windows are evaluated again on more draws.
         if screening:
             share = max(_SCREENED_EACH, self.screened // len(left)) // (1 + state.level)
-            best_sets = [t for spent in left for t in near_optimal(programme, spent, share, np.inf)]
+            best_sets = [t for s in left for t in near_optimal(programmes[s], s, share, np.inf)]
             return replace(
                 state, relaxation=relaxation.restricted(best_sets), errors={}, level=state.level + 1
             )
         together = max(_PATHS_IF_EXACT, self.paths) if exact else self.paths
         share = max(_PATHS_EACH, together // len(left))
         below = {spent: np.inf if by_draws else least[spent] for spent in left}
-        paths = [t for spent in left for t in near_optimal(programme, spent, share, below[spent])]
+        paths = [t for s in left for t in near_optimal(programmes[s], s, share, below[s])]
         evaluated = {evaluation.measurement_times for evaluation in state.whole}
-        whole = dict.fromkeys(self._whole(programme, paths))
+        whole = dict.fromkeys(self._whole(programmes[max(self._sought)], paths))
         sets = tuple(times for times in whole if times not in evaluated)
         # The new windows have no errors yet: the next generation asks for them, and for the sets.
         grown = relaxation.grown(*longer(relaxation, paths)).without(state.infinite)
@@ -244,7 +245,7 @@ class StateSpaceRelaxation:
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
         """The paths that can be paid for, completed to feasible sets.
 
-        Paths ignore the limits of sensors, so those that break them are repaired.
+        Paths may break the limits of sensors; then they are repaired.
 
         Where prices are rounded down, all paths may be too expensive. Then paths of smaller and
         smaller sums are tried, until one can be paid for.

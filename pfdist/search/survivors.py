@@ -1,11 +1,11 @@
-"""The survivor dynamic programme: it extends prefixes and keeps the best of each state.
+"""Survivor dynamic programming: extends prefixes and keeps the best of each state.
 
 The error up to t depends only on the measurements up to t. So sets are built from the left. The
 state of a prefix is its last measurement time (or its last two), and the number of measurements, or
-the money spent. A few prefixes of least error survive in each state. Each survivor is extended by a
-measurement at every time that is not too far away and leaves a feasible set. The programme would be
-exact if the error of a prefix said all about it. But the particles of a prefix influence what
-follows, so several prefixes survive.
+the money spent. The few prefixes with the smallest error survive in each state. Each survivor is
+extended by a measurement at every time that is near enough and still allows a feasible set. The
+programme would be exact if later errors depended on the state alone. But they also depend on the
+particles of the prefix, so several prefixes survive.
 
 All prefixes should be evaluated under common noise. Then a common part of two prefixes is filtered
 once, and noise hardly affects the difference of their errors.
@@ -59,7 +59,7 @@ class SurvivorState:
 @method("survivors", polish=True, curve="best so far", additive=True)
 @dataclass(frozen=True)
 class Survivors:
-    """Survivor dynamic programme (beam search): extends prefixes, keeps the best at each time.
+    """Survivor dynamic programming (beam search): extends prefixes, keeps the best at each time.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Survivors:
     survivors : int
         Number of prefixes that survive in each state.
     by_previous : bool
-        Whether a state is the last two measurement times. Otherwise it is the last alone.
+        Whether a state is the last two measurement times; otherwise it is only the last.
     """
 
     feasible: Feasible
@@ -83,7 +83,7 @@ class Survivors:
     def evaluations(self) -> float:
         """Approximate work, in evaluations of whole sets.
 
-        Each survivor is extended up to the largest gap. About as much work is needed to reach the
+        Each survivor is extended up to the largest gap. About the same work is needed to reach the
         times at which the survivors differ.
         """
         state, instants = self.init(), len(self.feasible.allowed)
@@ -92,7 +92,7 @@ class Survivors:
         return 2 * extended * self.feasible.total / instants
 
     def init(self) -> SurvivorState:
-        """The state before the first generation, with the limits at first."""
+        """The state before the first generation, with the initial limits."""
         mean_gap = self.feasible.spent(self.feasible.allowed) / self.feasible.total
         largest_gap = max(2, math.ceil(LARGEST_GAPS * mean_gap))
         ended = ((),) if self.feasible.accepts(()) else ()
@@ -109,7 +109,7 @@ class Survivors:
         return [Candidate(times, times[-1] // sensors) for times in near or every]
 
     def tell(self, state: SurvivorState, evaluations: Sequence[Evaluation]) -> SurvivorState:
-        """Keep the best prefixes of each state; at the end, widen limits that a set reaches."""
+        """Keep the best prefixes of each state; at the end, widen the limits that a set reaches."""
         if not state.front:
             return self._whole(state, evaluations)
         state = replace(state, front=(), waiting=(*state.waiting, *evaluations))
@@ -192,8 +192,8 @@ class Survivors:
 def surviving(prefixes: Iterable[Evaluation], survivors: int, by_previous: bool) -> list[Times]:
     """The times of the best prefixes of each state, in the order of the states.
 
-    If `by_previous`, a state is the last two measurement times, else the last. All prefixes have
-    spent the same, so the sum spent need not be part of the state here.
+    With `by_previous`, a state is the last two measurement times, else the last. All prefixes have
+    spent the same sum, so it is not part of the state here.
     """
     reached: dict[Times, list[Evaluation]] = defaultdict(list)
     for prefix in prefixes:

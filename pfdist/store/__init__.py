@@ -1,7 +1,7 @@
 """A run on disk: Parquet tables, committed atomically, which are also the checkpoint.
 
-Only this package touches a run's files. It knows tables, columns and keys. The driver knows what
-they mean for a search.
+Only this package accesses a run's files. It defines tables, columns and keys; their meaning for a
+search is in the driver.
 """
 
 from pfdist.store.about import (
@@ -30,6 +30,7 @@ from pfdist.store.lock import held, is_held
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import (
     BOUND_PHASE,
+    EVEN_PHASE,
     FILTERED_PERCENTS,
     QUESTIONS,
     SCHEMA_VERSION,

@@ -1,7 +1,7 @@
-"""The files that say what a run is, job.toml, model.json and run.json, and the key of the run.
+"""The files that identify a run, job.toml, model.json and run.json, and the key of the run.
 
-files.json has their hashes, which are compared when a run is read. The key and the version of a run
-without files.json are read without hashes, for the error that names them.
+files.json has their hashes, which are checked when a run is read. Without files.json, the key and
+the version of a run are read without this check, for error messages.
 """
 
 import contextlib
@@ -36,8 +36,8 @@ _GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that m
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The contents of run.json and of job.toml.
 
-    Raises `StoreError` if the folder holds no run, one of another schema version, or one that is
-    damaged.
+    Raises `StoreError` if the folder does not hold a run, or if the run has another schema version
+    or is damaged.
     """
     check_version_of(path)
     # A driver may replace a file between the readings: then the second attempt sees the new ones.
@@ -59,14 +59,14 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def has_models(path: Path) -> bool:
-    """Whether a folder holds a run that has its model.json, and the list of its files."""
+    """Whether a folder holds a run with model.json and the list of its files."""
     return holds_run(path) and all((path / name).is_file() for name in (MODELS, FILES))
 
 
 def read_models(path: Path) -> tuple["StateSpaceModel", "StateSpaceModel"]:
-    """The truth and the filter's model of a run; the second may be the first.
+    """The truth and the filter's model of a run; they may be the same object.
 
-    Raises `StoreError` if model.json is missing, is not what was written, or is too large.
+    Raises `StoreError` if model.json is missing, damaged or too large.
     """
     # Imported here, so that commands that only read need no Numba.
     from pfdist.models.written import models_of  # noqa: PLC0415
@@ -78,7 +78,7 @@ def read_models(path: Path) -> tuple["StateSpaceModel", "StateSpaceModel"]:
 
 
 def check_models(path: Path) -> bytes:
-    """The content of a run's model.json, which is what was written.
+    """The undamaged content of a run's model.json.
 
     Raises `StoreError` if it is missing, damaged or too large.
     """
@@ -96,7 +96,7 @@ def check_models(path: Path) -> bytes:
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
-    """The error for a run whose job.toml, model.json or run.json is not what was written."""
+    """The error for a run with a damaged job.toml, model.json or run.json."""
     remedy = "remove it, and resume the run by its job" if name == MODELS else REMEDY
     return StoreError(f"{path / name} is damaged: {reason}; {remedy}")
 
@@ -117,14 +117,14 @@ def _hash_of(text: str | bytes) -> str:
 
 
 def write_about(path: Path, key: str, texts: Mapping[str, str]) -> None:
-    """Write some of these files; run.json, which makes the folder a run, comes last."""
+    """Write some of these files; run.json comes last, because it makes the folder a run."""
     change_listing(path, key, about={name: (_hash_of(text),) for name, text in texts.items()})
     for name in sorted(texts):
         files.write_file(path / name, partial(Path.write_text, data=texts[name], encoding="utf-8"))
 
 
 def run_text(run: Mapping[str, Any]) -> str:
-    """The text of run.json: identity and provenance."""
+    """The text of run.json, from identity and provenance."""
     return json.dumps(run, indent=2) + "\n"
 
 
@@ -136,10 +136,10 @@ def add_to_provenance(path: Path, facts: Mapping[str, Any]) -> None:
 
 
 def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
-    """Hash of everything that must not change between two starts of a run.
+    """A hash of everything that must stay the same between two starts of a run.
 
-    Every file of the run's tables carries this key. `identity` is the content of run.json without
-    the provenance, and `job` that of job.toml. Numbers of draws may grow, so they are left out.
+    Every file of the run's tables has this key. `identity` is the content of run.json without the
+    provenance, and `job` that of job.toml. Numbers of draws may grow, so they are left out.
     """
     without_growth = {
         name: {key: value for key, value in job[name].items() if key not in grown}
@@ -150,13 +150,13 @@ def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
 
 
 def run_key(path: Path) -> str | None:
-    """Key of the run in a folder, which each of its tables' files carries; None without a run."""
+    """The key of the run in a folder, which all files of its tables have; None without a run."""
     listing = read_listing(path)
     return None if listing is None else listing.run or None
 
 
 def recorded_key(path: Path) -> str | None:
-    """The key that run.json and job.toml give; it serves if files.json, which has it, is lost."""
+    """The key from run.json and job.toml, used if files.json is lost."""
     try:
         run, job = parse_json(_read(path, "run.json")), parse_toml(_read(path, "job.toml"))
         return key_of({k: v for k, v in run.items() if k != "provenance"}, job)
@@ -165,7 +165,7 @@ def recorded_key(path: Path) -> str | None:
 
 
 def check_version_of(path: Path) -> None:
-    """Raise a `StoreError` if run.json says that the run is of another schema version."""
+    """Raise `StoreError` if the schema version in run.json is another."""
     run: Any = None
     with contextlib.suppress(OSError, ValueError):  # `read_run` reports such a file
         run = parse_json(read_text(path / "run.json"))

@@ -1,8 +1,8 @@
-"""Files that are written whole: a reader sees the old file or the new one, never a part of it.
+"""Atomic writes of files: a reader sees the old file or the new one, never a part.
 
 A file is written under a temporary name, flushed, and renamed; then the folder is flushed. A kill
-before the renaming leaves a temporary file, which the next start removes. After a power
-cut the new name never stands for an empty file, because its content was flushed before.
+before the renaming leaves a temporary file, which the next start removes. After a power cut, the
+new name never leads to an empty file, because its content was flushed before.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ _TEMPORARY = re.compile(r"\.(?P<host>.+)-(?P<process>\d+)\.[0-9a-f]{32}\.tmp")
 
 @contextlib.contextmanager
 def reading(path: Path, action: str = "read") -> Iterator[None]:
-    """Turn each `OSError` into a `StoreError` that names the file or folder."""
+    """A context that turns an `OSError` into a `StoreError` that names the file or folder."""
     try:
         yield
     except OSError as error:
@@ -38,9 +38,9 @@ def reading(path: Path, action: str = "read") -> Iterator[None]:
 
 @contextlib.contextmanager
 def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Turn each `OSError` into a `StoreError` that says what to do.
+    """A context that turns an `OSError` into a `StoreError` with a remedy.
 
-    After an error, the temporary file is removed if there is one.
+    After an error, an existing temporary file is removed.
     """
     try:
         yield
@@ -49,21 +49,21 @@ def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[
             with contextlib.suppress(OSError):  # the next start removes it in that case
                 temporary.unlink(missing_ok=True)
         raise StoreError(
-            f"cannot {action} {path}: {error.strerror or error}; what was committed is kept, "
+            f"cannot {action} {path}: {error.strerror or error}; finished work is saved, "
             "run the same command again once this is fixed"
         ) from error
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A file that was written and flushed to disk, and still has a temporary name."""
+    """A file that is written and flushed to disk, but still has a temporary name."""
 
     temporary: Path
     sha256: str
 
 
 def prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
-    """Write a file into a folder, under a temporary name; `give_name` makes it visible."""
+    """Write a file to a folder under a temporary name; `give_name` makes it visible."""
     # Readers skip names with a dot. The name contains the machine and the process.
     temporary = folder / f".{_host()}-{os.getpid()}.{uuid4().hex}.tmp"
     with writing("write", folder, temporary):
@@ -74,7 +74,7 @@ def prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
 
 
 def give_name(prepared: Prepared, path: Path) -> None:
-    """Rename a file to its final name, in one atomic step; it replaces a file that is there."""
+    """Rename a file to its final name in one atomic step; an existing file is replaced."""
     with writing("write", path, prepared.temporary):
         prepared.temporary.replace(path)
         _flush(path.parent, os.O_RDONLY)
@@ -92,7 +92,7 @@ def make_folder(folder: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file that is no longer needed; it may already be gone."""
+    """Remove a file that is no longer needed and may already be gone."""
     with writing("remove", path):
         path.unlink(missing_ok=True)
 
@@ -100,7 +100,7 @@ def remove(path: Path) -> None:
 def open_plain(path: Path, flags: int = os.O_RDONLY) -> int:
     """Descriptor of a plain file; a link, a pipe or a device is never opened.
 
-    Raises `FileNotFoundError` if there is nothing, `StoreError` if it is not a plain file, and
+    Raises `FileNotFoundError` if it does not exist, `StoreError` if it is not a plain file, and
     `OSError` if it cannot be opened.
     """
     try:
@@ -120,9 +120,9 @@ def _not_plain(path: Path) -> StoreError:
 
 
 def read_if_hashed(path: Path, wanted: str) -> bytes | None:
-    """Content of a file whose hash begins so; None if it has another hash, or is not a plain file.
+    """Content of a file if its hash begins like this and it is a plain file; else None.
 
-    Nothing is kept in memory before the hash is compared. Errors are those of `open_plain`.
+    Nothing is kept in memory before the hash is compared. Raises as `open_plain`.
     """
     try:
         handle = open_plain(path)
@@ -136,15 +136,15 @@ def read_if_hashed(path: Path, wanted: str) -> bytes | None:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a plain file; errors are those of `open_plain`."""
+    """SHA-256 of a plain file; raises as `open_plain`."""
     with open(open_plain(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove unfinished files of killed processes of this machine below a folder.
+    """Remove unfinished files below a folder that killed processes of this machine have left.
 
-    A process of another machine may still be at work, so its files stay.
+    A process of another machine may still be running, so its files stay.
     """
     for temporary in folder.rglob(".*.tmp"):
         owner = _TEMPORARY.fullmatch(temporary.name)
@@ -153,16 +153,16 @@ def remove_unfinished(folder: Path) -> None:
 
 
 def begins_with(path: Path, mark: bytes, most: int) -> bool:
-    """Whether the first bytes of a file, so many, contain a mark."""
+    """Whether the first bytes of a file, at most so many, contain a mark."""
     with path.open("rb") as file:
         return mark in file.read(most)
 
 
 def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
-    """Raise a `StoreError` if a file exists that a result must not replace.
+    """Raise `StoreError` if a file exists that a result must not replace.
 
-    A result beside a user's own files may replace an earlier result, but no other file and no link.
-    `is_earlier` says whether a plain file is an earlier result.
+    A result may replace an earlier result, but no other file of the user, and no link. `is_earlier`
+    checks whether a plain file is an earlier result.
     """
     if not os.path.lexists(path):
         return
@@ -171,7 +171,7 @@ def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
     except OSError:
         is_result = False  # it cannot be read, so it may be anything
     if not is_result:
-        raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
+        raise StoreError(f"{path} exists and is not an earlier result: move it away")
 
 
 def _make_folder(folder: Path) -> None:

@@ -1,8 +1,8 @@
-"""The entries of a run's folder, and which folders hold a run; no file of a run is read here.
+"""The entries of a run's folder, and a search for runs; no file of a run is read here.
 
-A run's folder may come from anywhere, for instance from an archive, which keeps links. A link would
-lead out of the folder, and opening a pipe would wait for ever. So a caller checks the entries
-(`check_entries`) before it opens the first file, and files of tables are opened if they are plain.
+A run's folder may come from an untrusted source, for instance from an archive with links. A link
+may lead out of the folder, and opening a pipe may wait for ever. So a caller checks the entries
+(`check_entries`) before it opens the first file, and only plain files of tables are opened.
 """
 
 import contextlib
@@ -22,18 +22,18 @@ from pfdist.store.schema import TABLES
 MODELS = "model.json"
 ABOUT = ("job.toml", "run.json", MODELS)
 FILES, FIGURES_FOLDER, REPORT = "files.json", "figures", "report.html"
-FORMATS = ("png", "svg")
-"""Endings of the files of figures."""
+FORMATS = ("png", "svg", "pdf")
+"""File name extensions of figures."""
 
 _MARK = b'<meta name="generator" content="pfdist">'
 _START = 1024  # bytes of a report in which the mark stands
 
 
 def holds_run(path: Path) -> bool:
-    """Whether a folder holds a run, which has a run.json.
+    """Whether a folder holds a run, that is, has a run.json.
 
-    A start writes job.toml and model.json first, and run.json last. So a start that was cut short
-    has no run.json.
+    A start writes job.toml and model.json first, and run.json last. So an interrupted start has no
+    run.json.
     """
     with reading(path):
         return (path / "run.json").exists()
@@ -47,7 +47,7 @@ def is_job_of_run(job_file: Path) -> bool:
 def folder_of_run(job_file: Path) -> Path:
     """Folder of a job's run: results/NAME for NAME.toml.
 
-    A job.toml that a run keeps belongs to the run in its folder.
+    A job.toml in the folder of a run belongs to that run.
     """
     if not is_job_of_run(job_file):
         return Path("results") / job_file.stem
@@ -55,13 +55,13 @@ def folder_of_run(job_file: Path) -> Path:
     return folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
 
 
-def no_run(path: Path, lacking: str = "run.json") -> StoreError:
-    """The error for a folder that lacks a file of a run; it names a run that may be meant."""
+def no_run(path: Path, lacking: str) -> StoreError:
+    """The error for a folder that lacks a file of a run; it suggests a similar run."""
     if path.suffix == ".toml" and path.is_file():
         run = folder_of_run(path)
         return StoreError(f"a run must be a folder, got the job file {path}: its run is {run}")
     meant = did_you_mean_path(path, (path.parent, Path("results")), _has_run_json)
-    return StoreError(f"{path} holds no run: there is no {lacking} in it{meant}")
+    return StoreError(f"{path} holds no run: it has no {lacking}{meant}")
 
 
 def _has_run_json(path: Path) -> bool:
@@ -69,12 +69,12 @@ def _has_run_json(path: Path) -> bool:
 
 
 def check_page_replaceable(path: Path) -> None:
-    """Raise a `StoreError` unless a file is missing, or is an earlier report."""
+    """Raise `StoreError` if a file exists that is not an earlier report."""
     check_replaceable(path, partial(begins_with, mark=_MARK, most=_START))
 
 
 def has_report(path: Path) -> bool:
-    """Whether the folder of a run has a report, and not another file of this name."""
+    """Whether the folder of a run has a report, rather than another file of this name."""
     try:
         check_page_replaceable(path / REPORT)
     except StoreError:
@@ -90,7 +90,7 @@ def figures_in(path: Path) -> Iterator[Path]:
 
 
 def remove_figures(path: Path) -> None:
-    """Remove every PNG and SVG file from the folder ``figures`` of the run in a folder."""
+    """Remove every PNG, SVG and PDF file from the folder ``figures`` of the run in a folder."""
     for file in figures_in(path):
         remove_file(file)
 
@@ -101,7 +101,7 @@ def pages_in(path: Path) -> list[Path]:
 
 
 def check_entries(folder: Path) -> None:
-    """Raise a `StoreError` if a link, a pipe or another entry is in the place of a file or folder.
+    """Raise `StoreError` if a link, a pipe or another entry replaces a file or folder.
 
     Entries with other names belong to the user.
     """
@@ -128,10 +128,9 @@ def _kind(mode: int) -> str:
 def runs_below(folder: Path, depth: int) -> Iterator[Path]:
     """Yield the folders of runs, in the order of their names; numbers are ordered as numbers.
 
-    A folder that holds a run is the only one, because folders within a run are skipped. So are
-    hidden folders, links, and folders more than `depth` levels below this one. A folder below that
-    cannot be listed is yielded as if it held a run: opening it says why. Raises `StoreError` if the
-    folder itself cannot be listed.
+    Folders within a run are skipped, and so are hidden folders, links, and folders more than
+    `depth` levels below this one. An inner folder that cannot be listed is yielded like a run:
+    opening it raises the error. Raises `StoreError` if the folder itself cannot be listed.
     """
     with reading(folder, "list"):
         entries = _listed(folder)
@@ -159,10 +158,10 @@ def _listed(folder: Path) -> dict[str, bool]:
 
 
 def extent(folder: Path) -> tuple[int, float]:
-    """The bytes of all files in a folder, and when it changed last, in seconds since 1970.
+    """The bytes of all files in a folder, and its last change in seconds since 1970.
 
-    Everything in the folder counts, and links count as themselves. Entries that cannot be read, or
-    that vanish meanwhile, are left out.
+    Everything in the folder counts; links are not followed. Entries that cannot be read or that
+    vanish meanwhile are left out.
     """
     total, changed, waiting = 0, 0.0, [os.fspath(folder)]
     while waiting:
@@ -185,7 +184,7 @@ def extent(folder: Path) -> tuple[int, float]:
 
 
 _NUMBER = re.compile(r"((?:(?<==)-)?[0-9]+(?:\.[0-9]+)?(?:e[-+][0-9]+)?)")
-"""A number in a name. A minus counts after =, as in the names of a sweep's points."""
+"""A number in a name; a minus belongs to it only after =, as in names of a sweep's points."""
 
 
 def natural_key(name: str) -> list[tuple[float, str]]:

@@ -1,4 +1,4 @@
-"""files.json: which files a run must have, and whose run it is.
+"""files.json: the list of a run's files, and the key of the run.
 
 It names every published file of a table; the name of such a file ends with the hash of its content.
 It has the hashes that job.toml, model.json and run.json may have, and those of the pages: the
@@ -49,7 +49,7 @@ class Listing:
 def read_listing(folder: Path) -> Listing | None:
     """The content of files.json; None if there is no such file.
 
-    Raises `StoreError` if it is damaged: it has a hash of its own content, too.
+    Raises `StoreError` if it is damaged: it also contains a hash of its own content.
     """
     path = folder / FILES
     with files.reading(path):
@@ -71,9 +71,9 @@ def read_listing(folder: Path) -> Listing | None:
 
 
 def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None:
-    """Replace parts of files.json, which is made if there is none.
+    """Replace parts of files.json, which is created if it is missing.
 
-    It keeps the hashes of the present job.toml, model.json and run.json, and forgets those before.
+    It keeps the hashes of the current job.toml, model.json and run.json, and drops older ones.
     """
     listing = read_listing(folder)
     there = {name: files.digest(folder / name) for name in ABOUT if (folder / name).exists()}
@@ -91,9 +91,9 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
 def record_pages(folder: Path, *, locked: bool = False, without: str = "") -> None:
     """List the figures and the report of a run, unless another command may write to the run.
 
-    `locked` is whether the caller holds the run's lock. A driver lists the pages at its end. A page
-    that cannot be listed is no error: a command makes it again. A page that will be replaced is not
-    listed `without` its new hash: so a kill between the page and the list leaves no wrong hash.
+    `locked` is whether the caller holds the run's lock. A driver lists the pages at its end. If a
+    page cannot be listed, no error is raised, because a command can make it again. The page
+    `without` will be replaced and is left out, so that a kill leaves no wrong hash.
     """
     lock = nullcontext(True) if locked else held(folder, patience=0.0)
     with contextlib.suppress(StoreError, OSError), lock as is_locked:
@@ -105,7 +105,7 @@ def record_pages(folder: Path, *, locked: bool = False, without: str = "") -> No
 
 
 def forget_pages(folder: Path) -> None:
-    """List no pages of a run, whose lock the caller holds, because they will be made again."""
+    """Remove the pages of a run from the list, because they will be made again; needs the lock."""
     listing = read_listing(folder)
     if listing is not None and listing.pages:
         change_listing(folder, pages={})

@@ -1,7 +1,7 @@
 """The lock of a run's folder, so that one driver at a time computes the run.
 
-The lock is our own, because it does more than libraries' locks: its file says who holds it, a link
-or a pipe in its place is never opened, and a file system without locks costs a warning.
+Libraries' locks do not suffice: this lock file names the holder, a link or a pipe instead of it is
+never opened, and a file system without locks gives a warning.
 """
 
 import contextlib
@@ -26,13 +26,13 @@ _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 @contextlib.contextmanager
 def held(folder: Path, patience: float = 1.0) -> Iterator[bool]:
-    """Hold the lock of a run's folder; the lock ends with this process, however it ends.
+    """A context that holds the lock of a run's folder; the lock ends when this process ends.
 
-    It yields whether there is a lock. Another command may hold it for a moment, to list the pages
-    that it wrote: `patience` is the number of seconds to wait for it.
+    It yields whether the lock is held. Another command may hold it briefly to list the pages that
+    it wrote; `patience` is the number of seconds to wait for this.
 
-    If the file system has no locks, a warning says so, and the driver continues. Raises `BusyError`
-    if another driver holds the lock; the error says who, and since when.
+    If the file system has no locks, there is a warning, and the driver continues. Raises
+    `BusyError`, with the holder and the time, if another driver holds the lock.
     """
     files.make_folder(folder)
     with files.writing("lock", folder):
@@ -46,7 +46,7 @@ def held(folder: Path, patience: float = 1.0) -> Iterator[bool]:
 
 
 def check_not_held(folder: Path) -> None:
-    """Raise the `BusyError` of `held` if a driver holds a run's folder; lock nothing."""
+    """Raise the `BusyError` of `held` if a driver holds a run's folder, without locking it."""
     try:
         lock = files.open_plain(folder / _LOCK)
     except OSError:  # there was no driver yet, or the run belongs to another user
@@ -58,7 +58,7 @@ def check_not_held(folder: Path) -> None:
 
 
 def is_held(folder: Path) -> bool:
-    """Whether a driver holds a run's folder, or something else lies in the place of its lock."""
+    """Whether a driver holds a run's folder, or its lock is not a plain file."""
     try:
         check_not_held(folder)
     except StoreError:
@@ -67,7 +67,7 @@ def is_held(folder: Path) -> bool:
 
 
 def try_lock(path: Path) -> None:
-    """Lock a file as a driver locks its run, and unlock it; raise an `OSError` if it fails."""
+    """Lock a file as a driver locks its run, and unlock it; raises `OSError` if this fails."""
     with path.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
@@ -82,8 +82,8 @@ def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> bool:
             except BlockingIOError as error:
                 if time.monotonic() > deadline:
                     raise BusyError(
-                        f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
-                        "give results another folder"
+                        f"{folder} is being computed by {_holder(folder)}; wait for it, end it, or "
+                        "use another results folder"
                     ) from error
                 time.sleep(_PAUSE_SECONDS)
             except OSError as error:

@@ -1,4 +1,4 @@
-"""The store of one run: commit parts as they come, publish them as tables when a phase ends.
+"""The store of one run: parts are committed at once, and published as tables after a phase.
 
 ::
 
@@ -7,9 +7,8 @@
     files.json                                      the published files; see `pfdist.store.listing`
 
 A reader sees both as one. It reads the files in ``tables/`` that are listed, and those in
-``parts/`` whose content has the hash in their name. A phase may be published again and again with
-the same outcome, so a process may die at any instant of it. A commit reads and lists nothing, so it
-costs the same however much was committed before.
+``parts/`` whose content has the hash in their name. Publishing a phase again has the same outcome,
+so a process may die at any time. A commit reads and lists nothing, so its cost does not grow.
 """
 
 from __future__ import annotations
@@ -54,13 +53,13 @@ Value = TypeVar("Value")
 
 
 class Store:
-    """Tables of one run, to be read and written.
+    """The tables of one run, for reading and writing.
 
-    Every file must belong to the run with this key, or to that of the folder if no key is given.
-    With a clock, callers hand over instants, and the tables hold times on the clock.
+    Every file must belong to the run with this key, by default to the run in the folder. With a
+    clock, callers use instants, and the tables hold times on the clock.
 
-    Every reading raises a `StoreError` if a file is damaged, cannot be read, has another schema
-    version, or belongs to another run.
+    Every method that reads raises `StoreError` if a file is damaged, cannot be read, has another
+    schema version, or belongs to another run.
     """
 
     def __init__(
@@ -81,10 +80,10 @@ class Store:
         return schema if self._clock is None else self._clock.schema(schema)
 
     def recover(self) -> None:
-        """Remove what killed processes left, and make a run that has lost a file unfinished again.
+        """Remove leftovers of killed processes, and mark a run that has lost a file as unfinished.
 
-        Its published files become parts, which the driver publishes once it has computed what is
-        missing. So do the files of a run that has lost its files.json. Answers to questions stay
+        Its published files become parts, which the driver publishes once it has computed the
+        missing rows. The same happens to a run that has lost files.json. Answers to questions stay
         published, because a run is finished without them. A kill at any point is harmless: the next
         start does the rest.
         """
@@ -110,7 +109,7 @@ class Store:
                 files.remove(path)
 
     def commit(self, table: str, phase: str, rows: pa.Table) -> None:
-        """Commit rows of a phase; committing the same rows again changes nothing.
+        """Commit rows of a phase; a repeated commit changes nothing.
 
         The file gets its name in one step: before it nothing is committed, and after it all rows
         are.
@@ -122,15 +121,15 @@ class Store:
             self._note_holder(path, rows)
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
-        """Write all rows of a phase as files of its table, and remove the phase's parts.
+        """Write all rows of a phase to files of its table, and remove the phase's parts.
 
-        The pieces have all rows of the phase in their order, in any sizes. If the process dies
-        meanwhile, parts remain, and the next call writes the same files.
+        The pieces have all rows of the phase in order, in any sizes. If the process dies meanwhile,
+        parts remain, and the next call writes the same files.
         """
         self.publish_together(phase, {table: pieces})
 
     def publish_together(self, phase: str, pieces: Mapping[str, Iterable[pa.Table]]) -> None:
-        """Publish a phase in several tables, by name: a reader sees all of them before or after."""
+        """Publish a phase in several tables, by name; a reader sees all of them or none."""
         written, old, parts = set[Path](), set[Path](), list[Path]()
         for table, stream in pieces.items():
             folder, length = self.path / "tables" / table, ROWS_IN_A_FILE.get(table, _MANY)
@@ -165,7 +164,7 @@ class Store:
             self.publish(table, phase, [unique(pieces, keys_of(table, pieces[0].column_names))])
 
     def renew(self, table: str, phase: str, rows: pa.Table) -> None:
-        """Publish rows beside the published rows of a phase; they replace rows of the same keys."""
+        """Publish rows in addition to those of a phase; they replace rows with the same keys."""
         pieces = [self.timed(rows), *self._load(table, phase)]  # the first row of a key stays
         self.publish(table, phase, [unique(pieces, keys_of(table, rows.column_names))])
 
@@ -188,10 +187,10 @@ class Store:
         return frame.drop_duplicates(keys).sort_values(keys, ignore_index=True)
 
     def compared(self) -> pd.DataFrame:
-        """The table of the compared sets, whose names are checked.
+        """The table of the compared sets, with checked names.
 
-        The names become parts of the names of columns and files. Raises `StoreError` if a name is
-        not one that a job could have given.
+        Names of columns and files contain these names. Raises `StoreError` if a name is not allowed
+        in a job.
         """
         rows = self.read("compared")
         check_names(rows["name"], self.path / "tables" / "compared")
@@ -204,11 +203,11 @@ class Store:
         return dict(zip(map(str, rows["name"]), times, strict=True))
 
     def has(self, table: str, phase: str = "") -> bool:
-        """Whether rows of a table, or of a phase in it, were committed."""
+        """Whether a table, or a phase in it, has committed rows."""
         return bool(self._files(table, phase))
 
     def has_parts(self, table: str = "*", phase: str = "*", without: tuple[str, ...] = ()) -> bool:
-        """Whether a phase, or the run without some phases, has rows that are not published yet."""
+        """Whether a phase, or the run without some phases, has unpublished rows."""
         parts = self._parts(table, phase)
         return any(not path.name.startswith(without) for path in parts)
 
@@ -218,7 +217,7 @@ class Store:
             raise StoreError(fault)
 
     def damages(self) -> Iterator[str]:
-        """The faults of published files, a line each; every byte is read."""
+        """The faults of published files, one line each; every byte is read."""
         for path in sorted(self._listed()):
             try:
                 self._read(path, [])
@@ -228,7 +227,7 @@ class Store:
                 yield str(error)
 
     def strangers(self) -> Iterator[Path]:
-        """Files among the published ones that are not listed, unless a kill may leave them."""
+        """The files among the published ones that are not listed and that no kill can have left."""
         listed, parts = self._listed(), self._parts("*", "*")
         begun = {(part.parent.name, part.name.partition("-")[0]) for part in parts}
         for path in sorted((self.path / "tables").glob("*/[!.]*")):
@@ -237,34 +236,31 @@ class Store:
                 yield path
 
     def phases_of(self, table: str, start: str) -> list[str]:
-        """Phases with parts of a table whose names begin so; these names have no hyphen."""
+        """Phases with parts of a table whose names begin like this, without a hyphen."""
         parts = (self.path / "parts" / table).glob(f"{start}*.parquet")
         return sorted({path.name.partition("-")[0] for path in parts})
 
-    def blocks(
-        self, table: str, column: str, rows: int, last: int | None = None
-    ) -> Iterator[pa.Table]:
-        """Yield the rows whose column lies in 0..last-1, or all, in blocks of so many values.
+    def blocks(self, table: str, draws: int, last: int | None = None) -> Iterator[pa.Table]:
+        """Yield the rows of the draws 0..last-1, or of all draws, in blocks of so many draws.
 
         The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
-        reach into a block are read, so memory does not grow with the table.
+        overlap a block are read, so memory does not grow with the table.
         """
-        places = self._places(table, column, rows)
+        places = self._places(table, draws)
 
         def look(number: int) -> pa.Table:
             nonlocal places
-            first, end = number * rows, (number + 1) * rows
-            bounds = (pc.field(column) >= first) & (
-                pc.field(column) < (end if last is None else min(end, last))
-            )
+            first, end = number * draws, (number + 1) * draws
+            end, draw = end if last is None else min(end, last), pc.field("draw")
             try:
-                return self._sorted([p for p in places if number in places[p]], column, bounds)
+                paths = [path for path in places if number in places[path]]
+                return self._by_draw(paths, (draw >= first) & (draw < end))
             except FileNotFoundError:
-                places = self._places(table, column, rows)
+                places = self._places(table, draws)
                 raise
 
         for number in sorted(set[int]().union(*(numbers.tolist() for numbers in places.values()))):
-            if last is None or number * rows < last:
+            if last is None or number * draws < last:
                 yield self._again(partial(look, number))
 
     def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
@@ -272,20 +268,20 @@ class Store:
         for path in self._files(table):
             yield from self._read(path, columns)
 
-    def numbers(self, table: str, column: str) -> list[range]:
-        """The different values of a column of whole numbers, as ascending ranges with gaps between.
+    def draws(self, table: str) -> list[range]:
+        """The draws with rows in a table, as ascending disjoint ranges.
 
-        Draws are mostly one range, so memory does not grow with their number.
+        Usually this is one range, so memory does not grow with the number of draws.
         """
 
         def look() -> list[range]:
-            pieces = (piece[column].to_numpy() for piece in self.pieces(table, [column]))
+            pieces = (piece["draw"].to_numpy() for piece in self.pieces(table, ["draw"]))
             return _merged(each for piece in pieces for each in _ranges(piece))
 
         return self._again(look)
 
     def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
-        """Rows of the draws table of these evaluations, in their order and by draw, each once."""
+        """Rows of the table ``draws`` of these evaluations, in order and by draw, each once."""
         ids = list(evaluations)
         condition = pc.field("evaluation").isin(ids)
 
@@ -321,7 +317,7 @@ class Store:
         return self._again(look)
 
     def sums(self, evaluation: str, blocks: int) -> pa.Table:
-        """Rows of the table of sums of one evaluation, for its first blocks of draws, in order."""
+        """Rows of the table ``error_sums`` of one evaluation, for its first blocks, in order."""
         condition = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
         pieces = [schema("error_sums").empty_table(), *self._load("error_sums", filters=condition)]
         return unique(pieces, KEYS["error_sums"])
@@ -365,14 +361,14 @@ class Store:
             ]
         )
 
-    def _places(self, table: str, column: str, rows: int) -> dict[Path, NDArray[np.int64]]:
-        """For each file of a table, the blocks of so many values of a column that it reaches."""
+    def _places(self, table: str, draws: int) -> dict[Path, NDArray[np.int64]]:
+        """For each file of a table, the blocks of so many draws that it reaches."""
 
         def look() -> dict[Path, NDArray[np.int64]]:
             return {
-                path: np.unique(piece[column].to_numpy() // rows)
+                path: np.unique(piece["draw"].to_numpy() // draws)
                 for path in self._files(table)
-                for piece in self._read(path, [column])
+                for piece in self._read(path, ["draw"])
             }
 
         return self._again(look)
@@ -392,11 +388,11 @@ class Store:
                 time.sleep(_PAUSE_SECONDS)
         raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
 
-    def _sorted(self, paths: Iterable[Path], column: str, filters: pc.Expression) -> pa.Table:
-        """Some rows of files, sorted by a column, each once."""
+    def _by_draw(self, paths: Iterable[Path], filters: pc.Expression) -> pa.Table:
+        """Some rows of files, sorted by draw, each once."""
         pieces = [piece for path in paths for piece in self._read(path, filters=filters)]
-        rows = pa.concat_tables(pieces).sort_by(column)
-        return rows.filter(pa.array(first_occurrences(rows[column].to_numpy())))
+        rows = pa.concat_tables(pieces).sort_by("draw")
+        return rows.filter(pa.array(first_occurrences(rows["draw"].to_numpy())))
 
     def _read(
         self, path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None

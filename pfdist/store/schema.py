@@ -1,7 +1,7 @@
-"""Tables, columns and units; columns of times on a clock, and columns of components.
+"""Schemas of tables: columns and units, times on a clock, and components.
 
-Every file carries the schema's version, its table's name and the key of its run in its metadata,
-every column a unit and a description. ``mse`` and the like are in the square of the unit of z.
+The metadata of every file has the schema's version, the table's name and the key of the run; that
+of every column has a unit and a description. ``mse`` and the like have the square of z's unit.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 3
 _RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions
 RUN_KEY = b"pfdist_run"
-"""Name in a file's metadata of the key of the run that wrote it."""
+"""Name of the entry of a file's metadata with the key of its run."""
 
 FILTERED_PERCENTS = (5, 25, 50, 75, 95)
 """Quantiles, in per cent, in the table of a user's filtered measurements."""
 
 WINDOW_PERCENTS = (1, 5)
-"""Largest losses, in per cent, within the sampling windows of a measurement."""
+"""Limits of the regret, in per cent, that define the sampling windows of a measurement."""
 
 LABELS = "labels"
-"""Name among the attributes of a DataFrame of the labels of its columns."""
+"""Name of the attribute of a DataFrame with the labels of its columns."""
 
 _MSE = "square of z's unit"
 _INSTANTS: Final = ("t", "moved_to", "end")
@@ -52,6 +52,7 @@ KEYS: dict[str, list[str]] = {
     "timings": ["phase", "task", "session", "seconds"],
     "bound": ["window", "work", "memory", "particles", "draws", "position"],
     "error_sums": ["evaluation", "block"],
+    "evenly_spaced": ["measurements"],
     "profile": ["position", "t"],
     "worth": ["position", "t"],
     "sampling_windows": ["position", "t", "moved_to"],
@@ -60,11 +61,12 @@ KEYS: dict[str, list[str]] = {
 
 TABLES = tuple(KEYS)
 
-BOUND_PHASE, WHY_PHASE = "bound.proof", "why.measurements"
-"""Start of the names of phases of lower bounds, and the phase of everything that `why` computes."""
+BOUND_PHASE, WHY_PHASE, EVEN_PHASE = "bound.proof", "why.measurements", "evenly.spaced"
+"""Prefix of the phases of lower bounds, the phase of everything that `why` computes, and that of
+the comparison with other numbers of evenly spaced measurements."""
 
-QUESTIONS = (BOUND_PHASE, WHY_PHASE)
-"""Phases of questions about a run, which is finished without them. No search has such a name."""
+QUESTIONS = (BOUND_PHASE, WHY_PHASE, EVEN_PHASE)
+"""Phases of questions, without which a run is finished. No search may have these names."""
 
 
 def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
@@ -100,6 +102,7 @@ _OF_A_SET = (
     _column("name", pa.string(), "", "the set's name, as in compared"),
 )
 _LEFT_OUT = "whether no particle explains a measurement, which is left out"
+_CONTROL = "of expectation 0, if the job asks for it; the printed mean is that of mse - control"
 _DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
@@ -189,6 +192,12 @@ _SCHEMAS = {
         _column("block", pa.int64(), "", "index of the block of draws"),
         _column("sums", pa.list_(pa.float64()), _MSE, "errors of all states at their instants"),
     ],
+    "evenly_spaced": [
+        _column("measurements", pa.int32(), "", "number of evenly spaced measurements"),
+        _TIMES,
+        _column("draws", pa.int64(), "", "the first draws of the comparison; 0: exact"),
+        *_estimate("difference", "expected MSE less that of the plan, on the same draws"),
+    ],
     "profile": [
         *_OF_A_SET,
         _column("t", pa.int32(), "t", "instant"),
@@ -243,7 +252,7 @@ _OPTIONAL = {
         "shares", pa.list_(pa.float64()), "", "of the scenarios in the bound, if the worst decides"
     ),
 }
-"""Columns that a table has only for some jobs: of an exact engine, or with scenarios."""
+"""Columns that a table has only for some jobs: with an exact engine, or with scenarios."""
 
 
 _BY_DRAW = [_column("draw", pa.int64(), "", ""), _column("t", pa.int32(), "", "")]
@@ -252,10 +261,10 @@ _CLOCK_TYPES = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
 
 
 def check_schema_version(path: Path, version: object) -> None:
-    """Raise a `StoreError` if a run or a file has a former or newer schema version.
+    """Raise `StoreError` if a run or a file has an older or newer schema version.
 
-    `path` is the run's folder or the file, for the error. If the version that was read is no
-    number, nothing is raised.
+    `path` is the run's folder or the file, for the error. If the version is not a number, nothing
+    is raised.
     """
     if not isinstance(version, int) or version == SCHEMA_VERSION:
         return
@@ -272,12 +281,12 @@ def check_schema_version(path: Path, version: object) -> None:
 
 
 def schema(table: str, *optional: str) -> pa.Schema:
-    """Schema of a table whose columns have fixed names, with some of its optional columns."""
+    """Schema of a table with fixed column names and some of its optional columns."""
     return _schema(table, [*_SCHEMAS[table], *(_OPTIONAL[name] for name in optional)])
 
 
 def wrong_columns(columns: pa.Schema, table: str) -> str:
-    """The fault of the columns of a file of a table; empty if there is none."""
+    """The fault in the columns of a table's file; empty if there is none."""
     declared = {column.name: column.type for column in _SCHEMAS.get(table, _BY_DRAW)}
     for name in declared if table in _SCHEMAS else KEYS[table]:
         if name not in columns.names:
@@ -303,22 +312,26 @@ def keys_of(table: str, columns: Sequence[str]) -> list[str]:
     return [*KEYS[table], *(["sensor"] if "sensor" in columns else [])]
 
 
-def comparison_schema(names: Sequence[str], *, with_scenarios: bool = False) -> pa.Schema:
-    """Schema of the comparison: a row a draw, two columns a set, and the scenario."""
+def comparison_schema(
+    names: Sequence[str], *, with_control: bool = False, with_scenarios: bool = False
+) -> pa.Schema:
+    """Schema of the comparison: a row for each draw, with two or three columns for each set."""
     comparison = _of_sets("comparison", "mse", "with this set", names)
     for name in names:
         comparison = comparison.append(_column(f"degenerate_{name}", pa.bool_(), "", _LEFT_OUT))
+    for name in names if with_control else ():
+        comparison = comparison.append(_column(f"control_{name}", pa.float64(), _MSE, _CONTROL))
     return comparison.append(_OPTIONAL["scenario"]) if with_scenarios else comparison
 
 
 def distance_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of the errors that the filters' noise adds: a row a draw, a column a set."""
+    """Schema of the errors due to filter noise: a row for each draw, a column for each set."""
     text = "half the squared distance of two filters' estimates"
     return _of_sets("filter_distance", "distance", text, names)
 
 
 def variance_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of variances beside the truth: a row a draw, a column a set, and for no set."""
+    """Schema of variances beside the truth: a row for each draw, a column for each set or none."""
     text = "of particles among which the truth stands, with the true model"
     schema = _of_sets("filter_variance", "variance", text, names)
     return schema.append(_column("unmeasured", pa.float64(), _MSE, "without any measurement"))
@@ -333,7 +346,7 @@ def _of_sets(table: str, start: str, description: str, names: Sequence[str]) -> 
 def trajectories_schema(
     names: Sequence[str], quantities: Sequence[Component], measurements: Sequence[Component]
 ) -> pa.Schema:
-    """Schema of the trajectories of sets with these names: a row a draw and instant.
+    """Schema of the trajectories of sets with these names: a row for each draw and instant.
 
     The components are those of z and of y.
     """
@@ -354,7 +367,7 @@ def trajectories_schema(
 
 
 def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
-    """Schema of filtered measurements, by the components of z: a row an instant."""
+    """Schema of filtered measurements, by the components of z: a row for each instant."""
     columns = [
         _column("t", pa.int32(), "t", "instant"),
         _column("measured", pa.bool_(), "", "whether t was measured"),
@@ -377,7 +390,7 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
 
 @dataclass(frozen=True)
 class ClockColumns:
-    """Turns columns of instants into columns of times, in the clock's unit.
+    """A converter of columns of instants to columns of times, in the clock's unit.
 
     With sensors, columns of sets of measurements become columns of texts such as ``12 x-ray``.
     """
@@ -388,7 +401,7 @@ class ClockColumns:
     counts: bool = False  # whether the time of an instant is its number: such columns stay
 
     def table(self, rows: pa.Table) -> pa.Table:
-        """Table with times in place of instants; columns of times stay as they are."""
+        """A table with times instead of instants; columns of times are unchanged."""
         times = np.array(self.times)
         written = [f"{time:.10g} {sensor}" for time in self.times for sensor in self.sensors]
         for index, field in enumerate(rows.schema):
@@ -419,7 +432,7 @@ class ClockColumns:
 
 
 def frame_of(table: pa.Table) -> pd.DataFrame:
-    """DataFrame with the unit and the labels that the metadata has for its columns.
+    """A DataFrame with the units and labels from the table's metadata.
 
     If the column t has times on a clock, the DataFrame has the attribute ``time_unit``. If columns
     are those of components with names, it has the attribute ``labels``: names and units by column.
@@ -458,7 +471,7 @@ def components_in(table: pd.DataFrame, start: str) -> tuple[Component, ...]:
     """Components whose columns begin with these characters, such as ``z_``.
 
     The names and units are those of the attribute ``labels`` of the table. A column without a label
-    is called after its suffix, unless that is a number.
+    is named by its suffix, unless that is a number.
     """
     labels = table.attrs.get(LABELS, {})
     return tuple(

@@ -1,7 +1,7 @@
-"""One Parquet file, written and read; and its rows, cut at fixed counts and made unique.
+"""One Parquet file: writing, reading, and its rows, cut at fixed counts and made unique.
 
-If a path is text, pyarrow takes ``a:b`` for the address of a file system and refuses names that are
-not UTF-8. So pyarrow gets open files, which are opened by the bytes of their names.
+If a path is text, pyarrow interprets ``a:b`` as the address of a file system and does not accept
+names that are not UTF-8. So pyarrow gets open files, which are opened by the bytes of their names.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from pfdist.store.files import Prepared, prepare, read_if_hashed
 from pfdist.store.schema import RUN_KEY, check_schema_version, wrong_columns
 
 NAME = re.compile(r"([a-z][a-z0-9_.]*)-(?:\d{5}-)?([0-9a-f]{16})\.parquet")
-"""The name of a file of a table: the phase, a number if it is published, and the hash."""
+"""The name of a table's file: the phase, a number if it is published, and the hash."""
 
 HASH_DIGITS = 16  # of the SHA-256 in a name
 REMEDY = "remove it, and run the same command again"
@@ -38,7 +38,7 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:
-    """Write a table as a Parquet file into a folder, under a temporary name."""
+    """Write a table as a Parquet file to a folder, under a temporary name."""
 
     def write(path: Path) -> None:
         write_table(table, path)
@@ -48,7 +48,7 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
 
 
 def holds_table(path: Path, name: bytes) -> bool:
-    """Whether a file is a Parquet file whose metadata give its table this name."""
+    """Whether a file is a Parquet file of a table with this name, by its metadata."""
     try:
         with pa.OSFile(os.fsencode(path)) as file:
             return bool((pq.read_schema(file).metadata or {}).get(b"table") == name)
@@ -64,11 +64,11 @@ def read_file(
 ) -> pa.Table | None:
     """Columns and rows of a file, all of them by default; None if its name has another hash.
 
-    The one function that reads files of tables. Nothing of a file is looked at before its hash is
-    compared with that in its name. The table is that of the file's folder, and the file must belong
-    to the run with this key; None: it must carry no key. Raises `FileNotFoundError` if there is no
-    such file. Raises `StoreError` if it cannot be read, has another schema version, or belongs to
-    another run or table.
+    This is the only function that reads files of tables. Nothing in a file is used before its hash
+    is compared with that in its name. The table is that of the file's folder, and the file must
+    belong to the run with this key; None: it must have no key. Raises `FileNotFoundError` if there
+    is no such file. Raises `StoreError` if it cannot be read, has another schema version, or
+    belongs to another run or table.
     """
     named = NAME.fullmatch(path.name)
     with _reading(path):
@@ -96,7 +96,7 @@ def read_file(
 
 
 def signed(table: pa.Table, run_key: str | None) -> pa.Table:
-    """Table whose metadata says to which run it belongs."""
+    """A table with the key of its run in the metadata."""
     if run_key is None:
         return table
     metadata = table.schema.metadata or {}
@@ -104,7 +104,7 @@ def signed(table: pa.Table, run_key: str | None) -> pa.Table:
 
 
 def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
-    """Yield a stream of tables as tables of a fixed number of rows, the last one shorter."""
+    """Yield a stream of tables as tables with a fixed number of rows; the last may be shorter."""
     waiting: list[pa.Table] = []
     rows = 0
     for piece in pieces:
@@ -126,16 +126,16 @@ def first_occurrences(*columns: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def unique(pieces: list[pa.Table], key: list[str]) -> pa.Table:
-    """Rows sorted by their key, each once: the first row of each key."""
+    """The first row of each key, sorted by key."""
     rows = pa.concat_tables(pieces)
     rows = rows.sort_by([(name, "ascending") for name in key])  # a stable sort
     return rows.filter(pa.array(first_occurrences(*(rows[name].to_numpy() for name in key))))
 
 
 def check_names(names: Iterable[object], where: Path) -> None:
-    """Raise a `StoreError` unless each name of a compared set is one that a job could have given.
+    """Raise `StoreError` unless each name of a compared set is allowed in a job.
 
-    `where` is the table, for the error.
+    `where` is the table in the error message.
     """
     for name in names:
         if not (isinstance(name, str) and _NAME.fullmatch(name)):

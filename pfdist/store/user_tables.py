@@ -1,4 +1,4 @@
-"""Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
+"""Tables of numbers from a user, in CSV or Parquet, and tables for the user."""
 
 import stat
 from collections import Counter
@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.nearest import must_be
 from pfdist.errors import shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
 from pfdist.store.tables import holds_table, write_table
@@ -34,16 +34,16 @@ def read_user_table(
     only: Collection[str] = (),
     names: Mapping[str, Sequence[str]] = _NONE,
 ) -> dict[str, Array]:
-    """The columns of a table of numbers by their names; a missing number is NaN.
+    """The columns of a table of numbers by name; a missing number is NaN.
 
-    `names` has the texts that some columns may hold; such a column gives the places of its texts.
+    `names` has the texts that some columns may hold; such a column becomes indices of its texts.
 
     A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
     raises an error if the names of the columns are wrong. With `only`, other columns are left out,
     and may hold anything. Errors count rows from 1, without the line of names and blank lines.
 
-    Raises `ValueError` if the file is too large, is no such table, or holds other things than
+    Raises `ValueError` if the file is too large, is not such a table, or holds anything but
     numbers. Raises `OSError` if it cannot be read.
     """
     if isinstance(source, pd.DataFrame):
@@ -61,7 +61,7 @@ def read_user_table(
 
 
 def is_parquet(path: Path) -> bool:
-    """Whether a file's name is that of a Parquet file."""
+    """Whether a file's name ends like that of a Parquet file."""
     return path.suffix.lower() == ".parquet"
 
 
@@ -69,9 +69,9 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
     """The names of a file's columns, and its rows."""
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
-        raise ValueError("a table must be a file, got something else")
+        raise ValueError("a table must be a file, got a folder, a pipe or a device")
     if about.st_size > MOST_BYTES:
-        raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
+        raise ValueError(f"a table must have at most {MOST_BYTES:,} bytes, got {about.st_size:,}")
     try:
         return _in_parquet(path) if is_parquet(path) else _in_csv(path)
     except UnicodeDecodeError as error:
@@ -87,7 +87,7 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
         ) from error
     except pa.ArrowException as error:
         raise ValueError(
-            f"a Parquet table was expected, got {shown(_first_line(error))}"
+            f"must be a Parquet table, got an error: {shown(_first_line(error))}"
         ) from error
 
 
@@ -136,20 +136,19 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
             numbers = pd.to_numeric(texts, errors="coerce")
             wrong = numbers.isna() & column.notna() & ~texts.str.lower().isin(_MISSING)
         for row in np.flatnonzero(wrong)[:1]:
-            raise ValueError(
-                f"column {shown(name)} must hold {', '.join(names) or 'numbers'}, got "
-                f"{shown(texts.iloc[row])} in row {row + 1}{did_you_mean(texts.iloc[row], names)}"
-            )
+            rule = f"one of {', '.join(names)}" if names else "a number"
+            place = f"column {shown(name)} in row {row + 1}"
+            raise ValueError(must_be(place, rule, texts.iloc[row], names))
     elif kind not in "iuf":
         raise ValueError(f"column {shown(name)} must hold numbers, got {column.dtype}")
     return numbers.to_numpy(np.float64, copy=True, na_value=np.nan)
 
 
 def write_user_table(path: Path, table: pa.Table) -> None:
-    """Write a table for a user atomically: Parquet if the name ends in ``.parquet``, else CSV.
+    """Write a user's table atomically: as Parquet if the name ends in ``.parquet``, else as CSV.
 
-    It replaces an earlier table of the same kind, and no other file. The table has a schema of
-    `pfdist.store.schema`, which says its kind. Raises `StoreError` if the file cannot be written,
+    It replaces only an earlier table of the same kind. The table has a schema of
+    `pfdist.store.schema`, which names its kind. Raises `StoreError` if the file cannot be written,
     or if another file has this name.
     """
     check_table_replaceable(path, table.schema)
@@ -165,7 +164,7 @@ def write_user_table(path: Path, table: pa.Table) -> None:
 
 
 def check_table_replaceable(path: Path, schema: pa.Schema) -> None:
-    """Raise a `StoreError` unless a file is missing, or is an earlier such table."""
+    """Raise `StoreError` if a file exists that is not an earlier such table."""
     check_replaceable(path, partial(_is_earlier, schema))
 
 

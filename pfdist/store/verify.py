@@ -1,4 +1,4 @@
-"""Verifies the files and the rows of a run."""
+"""Verification of the files and rows of a run."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,11 +14,11 @@ from pfdist.store.schema import KEYS, QUESTIONS
 
 
 def verify_run(path: Path) -> Iterator[str]:
-    """The faults of a run, a line each: each byte, row and key is checked.
+    """The faults of a run, one line each; every byte, row and key is checked.
 
-    First the files, by their hashes and keys; if all are right, the keys of the rows. Last the
-    pages, which the tables do not need. Raises `StoreError` if the folder holds no run, one of
-    another schema version, or one that is being computed, or if a file cannot be read.
+    Files are checked by hashes and keys, then rows by their keys if all files are right, and last
+    the pages. Raises `StoreError` if the folder does not hold a run, if the run has another schema
+    version or is being computed, or if a file cannot be read.
     """
     check_not_held(path)
     check_version_of(path)
@@ -35,7 +35,7 @@ def verify_run(path: Path) -> Iterator[str]:
     damages = list(store.damages())
     yield from damages or _wrong_rows(store)
     for stranger in store.strangers():
-        yield f"{stranger} is not a file of this run, as files.json lists them: remove it"
+        yield f"{stranger} is not in files.json, so it is not a file of this run: remove it"
     listing = read_listing(path)
     for name, sha256 in listing.pages.items() if listing is not None else ():
         page = path / name
@@ -43,7 +43,7 @@ def verify_run(path: Path) -> Iterator[str]:
             differs = page.exists() and files.digest(page) != sha256
         if differs:
             command = "report" if name == REPORT else "plot"
-            yield f"{page} is not what was written: `pfdist {command} {path}` makes it again"
+            yield f"{page} has changed: `pfdist {command} {path}` makes it again"
 
 
 def _wrong_rows(store: Store) -> Iterator[str]:
@@ -64,7 +64,7 @@ def _wrong_rows(store: Store) -> Iterator[str]:
                 "among them"
             )
     if store.has("comparison"):
-        ranges = store.numbers("comparison", "draw")
+        ranges = store.draws("comparison")
         draws, end = sum(map(len, ranges)), max((each.stop for each in ranges), default=0)
         counted = sum(piece.num_rows for piece in store.pieces("comparison", ["draw"]))
         if not counted == draws == end:

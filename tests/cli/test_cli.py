@@ -53,20 +53,20 @@ def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> 
     answer = " ".join(call(f"status {run}").out.split())
     for words in (
         "finished, 34 evaluations, 250 draws compared",
-        "Measuring at these 4 times instead of every 4 instants",
+        " than with evenly spaced times (every 4 instants). Its root, the typical error, is ",
         "Measure at t = ",
-        "Expected error on 250 draws that took no part in the search",
+        "Expected MSE on 250 draws that took no part in the search",
         f"tables: {run}/tables",
         f"figures: {run}/figures",
-        "The mean relative gain of genetic is ",
+        "The mean relative gain of the set genetic is ",
     ):
         assert words in answer
     details = " ".join(call(f"status {run} --verbose").out.split())
     for words in (
         "what it is regular times (N = 4)",
         "quartiles",
-        "mean log10 of ratio",
-        "gain over itself",
+        "mean log10 of the ratio of MSEs",
+        "mean gain over itself, by other noise",
         "quartiles of gains",
     ):
         assert words in details
@@ -95,7 +95,7 @@ def test_evaluate_names_the_constraints_that_are_broken_and_evaluates_all_the_sa
     changes = "--set problem.forbidden=[3] problem.required=[6] problem.minimum_spacing=2"
     line = f"evaluate {run}/job.toml --draws 20 {changes} --times"
     broken = call(line, "0,2,3,9")
-    assert re.match(r"expected MSE [\d.]+ ± [\d.]+, 20 draws\n", broken.out)
+    assert re.match(r"Expected MSE [\d.]+ ± [\d.]+ \(4 measurements, 20 draws\)", broken.out)
     note = "Note: these times break a constraint: problem"
     assert [each for each in broken.out.splitlines() if each.startswith("Note")] == [
         f"{note}.forbidden: 3 is measured",
@@ -109,9 +109,9 @@ def test_evaluate_names_the_constraints_that_are_broken_and_evaluates_all_the_sa
 def test_what_is_known_exactly_is_said_to_be(small_job: Job, tmp_path: Path, call: Call) -> None:
     exact = "--set model.name=random_walk filter.engine=kalman"
     told = call(f"evaluate {small_job.path} --times 0,4 {exact}").out
-    assert re.match(r"expected MSE \d\.\d{4} \(exact\)\n", told)
+    assert re.match(r"Expected MSE \d\.\d{4} \(exact\) \(2 measurements\)", told)
     told = call(f"plan {small_job.path} --results {tmp_path}/run {exact}").out
-    assert "the filter knows both exactly" in " ".join(told.split())
+    assert " % lower (exact) than with" in " ".join(told.split())
 
 
 def test_what_is_infinite_is_null_in_json(tmp_path: Path, small_job: Job, call: Call) -> None:
@@ -136,16 +136,16 @@ def test_evaluate_says_how_many_draws_are_degenerate(
     )
     mine = "--set model.name=mine.py:model filter.engine=numpy"
     told = call(f"evaluate {small_job.path} --times 3 {mine}").out
-    assert re.match(r"expected MSE [\d.]+ ± [\d.]+, 30 draws\n", told)
+    assert re.match(r"Expected MSE [\d.]+ ± [\d.]+ \(1 measurement, 30 draws\)", told)
     assert "30 of 30 draws are degenerate" in " ".join(told.split())
     answer = json.loads(call(f"evaluate {small_job.path} --times 3 --json {mine}").out)
     assert answer["degenerate_draws"] == answer["draws"] == 30
 
 
-def test_plot_draws_every_figure_as_png_and_svg(run: Path, call: Call) -> None:
+def test_plot_draws_every_figure_as_png_svg_and_pdf(run: Path, call: Call) -> None:
     files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
     names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
-    wanted = {f"{name}.{kind}" for name in names for kind in ("png", "svg")}
+    wanted = {f"{name}.{kind}" for name in names for kind in ("png", "svg", "pdf")}
     assert {file.name for file in files} == wanted
     assert all(file.stat().st_size > 5000 for file in files)
 
@@ -253,7 +253,7 @@ def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(run: Pat
 def test_without_a_terminal_progress_is_plain_lines(
     small_job: Job, tmp_path: Path, call: Call
 ) -> None:
-    lines = call(f"run {small_job.path} --results {tmp_path}/run").err.splitlines()
+    lines = call(f"run {small_job.path} --verbose --results {tmp_path}/run").err.splitlines()
     assert lines[0].startswith("  0.0 %  genetic  generation 1/4")
     assert lines[1].startswith("Serial pool is ready: 1 worker")  # it starts with the first task
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
@@ -278,8 +278,10 @@ def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call
     )
     few = "filter.engine=numpy evaluation.draws=3 comparison.draws=20"
     line = f"run {small_job.path} --results {run} --set model.name=mine.py:model {few}"
-    assert f"runs the model file {model}, which your job names\n" in call(line).err
+    told = f"Running the model file {model}, which your job names\n"
+    assert told in call(f"{line} --verbose").err
+    assert told not in call(line).err
     assert flag.exists()  # to compute, the model's file was run
     files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
     kinds = {path.suffix or path.name for path in files if path.stat().st_size}
-    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".html"}
+    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".pdf", ".html"}

@@ -52,24 +52,15 @@ def refused(call: Callable[..., Any]) -> Refused:
     ("line", "code", "words"),
     [
         ("run missing.toml", 1, "cannot read the job file missing.toml"),
-        ("run {job} --results {run} --set seed=9", 1, "another run .* seed: 1 -> 9"),
-        ("run {job} --set filter.partcles=3", 1, "unknown key 'partcles' .* allowed: particles"),
-        (
-            "run {job} --set model.name=nothing",
-            1,
-            "must be 'ungm', the model of the run in .*, got 'nothing'",
-        ),
-        ("run {job} --set model.parameters.process_sd=-1", 1, r"process_sd .* 0\.\.inf, got -1"),
-        ("run {job} --set model.parameters.sd=1", 1, "unknown parameter 'sd', .* process_sd"),
-        ("run {job} --results {job}", 1, r"must be a folder, got the file .* \(--results\)"),
+        ("run {job} --results {job}", 1, r"--results must be a folder, got the file "),
         ("run {job} --workers -3", 1, "execution.workers .* got -3"),
         ("run {job} --workers 99999 --pool threads", 1, "at most 1,000 on one machine, got 99,999"),
         ("run {job} --workers 99999 --address local", 1, "at most 1,000 on one machine"),
         ("run {job} --pool dask", 2, "'dask'"),
         ("run", 2, "required: JOB"),
         ("evaluate {job}", 2, "required: --times"),
-        ("evaluate {job} --times 0,3,13", 1, r"must lie in 0\.\.12, got 13 \(--times\)"),
-        ("evaluate {job} --times=" + "1," * 100_000, 1, r"got 1 twice \(--times\)"),
+        ("evaluate {job} --times 0,3,13", 1, r"--times must lie in 0\.\.12, got 13"),
+        ("evaluate {job} --times=" + "1," * 100_000, 1, r"--times must .*, got 1 twice"),
         ("evaluate {job} --times=1e3", 1, "must name times"),
         ("evaluate {job} --times=1,,2", 2, "got '' in '1,,2'"),
         (f"evaluate {{job}} --times={NINES}", 2, "numbers and ranges"),
@@ -77,8 +68,6 @@ def refused(call: Callable[..., Any]) -> Refused:
         ("evaluate {job} --times 1 --draws 1", 1, "evaluation.draws .* got 1"),
         ("evaluate {job} --times 1 --draws 1_0", 2, "digits 0-9"),
         (f"evaluate {{job}} --times 1 --draws {HUGE}", 1, "must be .* 10,000,000, got 10{30} "),
-        ("evaluate {job} --times 1 --particles 0", 1, "filter.particles .* got 0"),
-        ("evaluate {job} --times 1 --seed=-1", 1, "seed must"),
         (f"evaluate {{job}} --times 1 --{LONG}", 2, "unknown option --xxx"),
         ("plan {job} --draws 9", 2, r"option --draws \(--set KEY=VALUE changes a key of the job"),
         (f"evaluate {{job}} --times 1 --set seed={NINES}", 1, "19 digits"),
@@ -89,19 +78,12 @@ def refused(call: Callable[..., Any]) -> Refused:
         ("evaluate {job} --times 1 --set seed=a\udcffb", 1, "UTF-8"),
         ("evaluate {job} --times 1 --set seed=1\nseed=2", 1, "key=value"),
         ("budget {job} --measurements \u0662:5", 2, "ranges"),
-        ("budget {job} --measurements 2:3 --target 1_0", 2, "digits 0-9 and a point"),
+        ("budget {job} --measurements 2:3 --target 1_0", 2, "digits 0-9, such as 0.25"),
         ("check-model ungm --horizon " + NINES, 2, "digits 0-9"),
-        ("status {job}", 1, "a run must be a folder, got the job file"),
-        ("status nowhere", 1, "nowhere holds no run: there is no run.json"),
+        ("status nowhere", 1, "nowhere holds no run: it has no run.json"),
         ("status " + "x" * 300, 1, "cannot read|holds no run"),
         ("status " + "x/" * 5000, 1, "cannot read|holds no run"),
-        ("plot nowhere", 1, "nowhere holds no run"),
-        ("why nowhere", 1, "cannot read the job file nowhere"),
-        ("why {run}/job.toml --draws 1", 1, r"draws must be at least 2, got 1 \(--draws\)"),
         (f"why {{run}}/job.toml --draws {HUGE}", 1, "at most 100,000,000"),
-        ("table {run} --out t.xlsx", 1, "end in one of .csv, .parquet, .tex, got 't.x"),
-        ("list {run}/lacking", 1, "lacking: No such file or directory"),
-        ("table", 2, "required: RUN"),
         ("status  ", 2, "RUN: must be a path, got ''"),
         ("evaluate {job} --draws 20 --times", 2, "--times needs a value"),
         ("evaluate {job} --times 0 --set", 2, "--set needs a value"),
@@ -141,10 +123,8 @@ FILES = {
     "deep lists": (_changed("seed = 1", "seed = " + "[" * 9999), "16 deep"),
     "3 MB of text": (_changed("seed = 1", f"seed = '{LONG}'"), "seed must be"),
     "a key of 3 MB": (_changed("seed = 1", f"{LONG} = 1"), "unknown key 'xx"),
-    "a required key lacks": (_changed("seed = 1", ""), "seed must be given"),
     "a date": (_changed("seed = 1", "seed = 1979-05-27"), "seed must be"),
     "NaN": (_changed("seed = 1", "seed = nan"), "seed must be .* got nan"),
-    "a list for a section": (_changed("[problem]", "[[problem]]"), "problem must be"),
     "NUL in a model's name": (_named("a\\u0000.py:m"), "none that is NUL"),
     "a name of a model": (_named("a/" * 3000 + "b.py:m"), "4,096 characters"),
     "NUL in a search's name": (
@@ -160,10 +140,6 @@ FILES = {
         "search must",
     ),
     "a dot in a key": (b'"a.b" = 1\n' + JOB.encode(), "unknown key 'a.b', allowed: seed"),
-    "a dot in a key of a section": (
-        _changed("[filter]", '[filter]\n"a.b" = 1'),
-        r"unknown key 'a\.b' in \[filter\], allowed: particles",
-    ),
     "not UTF-8": (JOB.encode() + b"# \xff", "UTF-8, got byte 0xff"),
     "NUL alone": (b"\0" * 100, "must be TOML"),
     "16 MB of comment": (b"#" * 16_000_001, "16,000,000 bytes"),
@@ -204,9 +180,7 @@ def test_no_pipe_device_socket_or_huge_file_is_read(
             server.bind(str(path))
     code, told = refused(line.format(path=path, job=small_job.path).split())
     assert code == 1
-    words = (
-        "16,000,000 bytes is read, got 10,000,000,000" if kind == "huge" else "a plain file is read"
-    )
+    words = "16,000,000 bytes, got 10,000,000,000" if kind == "huge" else "must be a plain file"
     assert words in told
 
 
@@ -355,7 +329,7 @@ def test_errors_in_python_name_arguments_and_no_options(
     [
         ({"seed": -1, "problem": {"horizon": 5, "measurement_budget": 2}}, "seed must .* got -1"),
         ({"seed": 1}, "problem must be given"),
-        ({"sed": 1}, "unknown key 'sed', allowed: seed"),
+        ({"sed": 1}, r"unknown key 'sed'; did you mean 'seed'\? Allowed: seed"),
     ],
 )
 def test_a_job_that_is_made_in_python_is_refused_as_that_of_a_file(

@@ -14,7 +14,7 @@ from rich.console import Console
 from pfdist.cli.main import main
 from pfdist.common.estimate import Estimate
 from pfdist.questions.display import Display
-from pfdist.runner.progress import Progress, SetGain
+from pfdist.runner.progress import Detail, Progress, SetGain
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic")
 ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
@@ -87,7 +87,9 @@ def test_a_summary_is_written_in_any_encoding(
     assert main(["status", str(ASSET)]) == 0
     sys.stdout.flush()
     plus_minus = b"+-" if encoding == "ascii" else "±".encode(encoding)
-    assert re.search(rb"regular +[\d.]+ " + re.escape(plus_minus) + rb" [\d.]+", out.getvalue())
+    assert re.search(
+        rb"evenly spaced +[\d.]+ " + re.escape(plus_minus) + rb" [\d.]+", out.getvalue()
+    )
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
@@ -217,6 +219,15 @@ def test_a_rate_is_that_of_the_present_count_and_never_negative(
         display.show(Progress("why genetic", float(step), 7.0, evaluations=draws))
     rates = [re.findall(r"(-?[\d.]+) draws/s", each) for each in out.getvalue().splitlines()]
     assert rates == [[], ["60.0"], ["60.0"], [], [], ["50.0"]]
+
+
+def test_details_are_said_if_they_are_asked_for() -> None:
+    for verbose in (False, True):
+        out = io.StringIO()
+        display = Display(Console(file=out, width=80), verbose=verbose)
+        display.say(Detail("Serial pool is ready"))
+        display.say("a warning")
+        assert out.getvalue() == "Serial pool is ready\n" * verbose + "a warning\n"
 
 
 def test_what_is_said_is_no_markup() -> None:

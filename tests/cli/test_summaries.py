@@ -1,6 +1,7 @@
-"""Tables, lists and budgets are printed in 80 columns; JSON has all of them."""
+"""Tables, lists and budgets fit the terminal, of 80 columns by default; JSON has all of them."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,14 +14,15 @@ import pytest
 import pfdist
 from oracles.listed import forget
 from oracles.results_of import results_of
-from pfdist.common.parts import Table, Text
+from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.rounding import with_error
-from pfdist.pages.terminal import COLUMNS, lines_of, lines_of_blocks
+from pfdist.pages.terminal import aligned, line_width, lines_of, lines_of_blocks
 from pfdist.questions.budget_page import budget
 from pfdist.questions.runs import list_page, table_page
 from pfdist.results import columns
 
 Printed = Callable[..., str]
+COLUMNS = 80
 
 
 @pytest.fixture(scope="module")
@@ -49,21 +51,43 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
     lines = printed("table", runs / "a", runs / "b").splitlines()
     assert max(map(len, lines)) <= COLUMNS
     words = lines[0].split() + lines[1].split()
-    assert {"run", "seed", "measurement_budget", "set", "gain", "seconds"} <= set(words)
+    assert {"run", "seed", "measurement_", "set", "gain,", "seconds"} <= set(words)
     summary = results_of(pfdist.open_run(runs / "b"))["random"]
     row = next(line for line in lines if line.startswith("b ") and "random" in line)
     assert with_error(summary.expected_mse, summary.standard_error) in row
     assert row.split()[:3] == ["b", "2", "5"]
-    assert lines[-1] == (
-        "±: one standard error; gain %: how far the MSE is below that of regular (95 %)"
+    assert " ".join(lines[-2:]) == (
+        "The gain says how far the expected MSE lies below that of evenly spaced times (95 % CI)."
     )
 
 
-def test_a_table_that_does_not_fit_names_what_it_leaves_out(runs: Path, printed: Printed) -> None:
+def test_a_table_that_does_not_fit_keeps_what_tells_its_rows_apart(
+    runs: Path, printed: Printed, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lines = printed("table", runs).splitlines()
     assert max(map(len, lines)) <= COLUMNS
-    (told,) = [number for number, line in enumerate(lines) if line.startswith("Left out: ")]
-    assert "process_sd" in " ".join(lines[told:])  # which two of the jobs lack
+    assert lines[1].split()[:1] == ["run"]
+    assert "Left out" not in " ".join(lines)
+    monkeypatch.setenv("COLUMNS", "120")
+    wide = printed("table", runs).splitlines()
+    assert COLUMNS < max(map(len, wide)) <= 120
+    assert len(wide[1].split()) > len(lines[1].split())
+
+
+@pytest.mark.parametrize(("wanted", "width"), [("20", 40), ("100", 100), ("300", 120), ("", 80)])
+def test_lines_are_as_wide_as_the_terminal(
+    wanted: str, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", wanted)
+    assert line_width() == width
+    words, name = " ".join(["word"] * 50), "_".join(["name"] * 30)
+    rows = [[Cell(name), Cell(words), Cell("1.5", 1.5)]]
+    lines = aligned(Table("", ["long_name", "about it", "error"], rows))
+    assert width / 2 < max(map(len, lines)) <= max(width, 2 * 24 + 9)
+    cells = [line[: lines[0].index("about it")].strip() for line in lines[1:]]
+    assert "".join(cells) == name  # cut within words, but whole
+    assert " ".join(lines).count("word") == 50
+    assert lines[1].endswith("  1.5")
 
 
 def test_a_table_without_rows_says_nothing() -> None:
@@ -101,7 +125,8 @@ def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printe
         shutil.copytree(runs / name, tmp_path / name)
     (tmp_path / "a" / "run.json").write_text("{}")
     forget(tmp_path / "b", "comparison")
-    folder, _, head, bad, unfinished, good = printed("list", tmp_path).splitlines()
+    *above, _, folder = printed("list", tmp_path).splitlines()
+    head, bad, unfinished, good = above
     assert folder == str(tmp_path)
     assert head.split() == ["run", "state", "age", "size", "found"]
     assert max(map(len, (bad, unfinished, good))) <= COLUMNS
@@ -109,7 +134,7 @@ def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printe
     assert "run.json is damaged" in bad
     assert unfinished.split()[:2] == ["b", "unfinished"]
     assert unfinished.endswith("0 of 250 draws")
-    assert " % below regular" in good or " % above regular" in good
+    assert re.search(r"(genetic|random): [\d.]+ % (below|above) evenly spaced$", good)
     answer = json.loads(printed("list", tmp_path, "--json"))
     assert [row["state"] for row in answer["runs"]] == ["damaged", "unfinished", "finished"]
     assert answer["runs"][1]["gain_of_means"] is None
@@ -145,8 +170,7 @@ class Budget:
                     "measurement_times": [*range(16)],
                     "measurements": 16,
                     "expected_mse": scale * mse,
-                    "expected_mse_low": scale * (mse - 2 * error),
-                    "expected_mse_high": scale * (mse + 2 * error),
+                    "standard_error": scale * error,
                 }
             )
             for kind, mse, error in (("regular", 34.207, 0.195), ("found", 25.846, 0.187))
@@ -154,11 +178,17 @@ class Budget:
         vars(self.rows["found_16"]).update(changes)
         self.target = None if reached is None else 25.0
         nobody = {"measurements": None, "impossible": None}
-        answers = {"found": nobody if reached is None else reached}
+        nobody |= {"interval": [None, None], "larger_that_do_not": [], "measurement_times": None}
+        answers = {"found": nobody if reached is None else reached, "regular": nobody}
         self.reaching = lambda target: answers
+        if reached is not None and reached["measurements"]:
+            self.rows["found_16"].measurements = reached["measurements"]
         self.run = SimpleNamespace(tables=())
 
     unit = ""
+
+    def typical_errors(self, row: SimpleNamespace) -> str:
+        return f"{row.measurements} g/L"
 
     def listed(self, times: list[int]) -> str:
         return str(times)
@@ -170,33 +200,39 @@ class Budget:
 
 def test_the_table_of_a_budget_has_the_bound_and_the_limit_holds_as_it_is_printed() -> None:
     bound = {"bound": 25.4371, "bound_error": 0.145, "bound_low": 24.9399}
-    _, _, head, row, *_ = Budget(**bound).lines
-    assert head.split() == ["N", "regular", "times", "found", "times", "lower", "bound"]
-    assert row.endswith("16  34.21 (33.82 to 34.60)  25.85 (25.47 to 26.22)  25.44 (from 24.93)")
+    _, _, *heads, row = Budget(**bound).lines[:6]
+    words = "N evenly spaced plan as good, evenly spaced lower bound (95 % limit)"
+    assert sorted(" ".join(heads).split()) == sorted(words.split())
+    assert row == "16  34.21 ± 0.20  25.85 ± 0.19  above all  25.44 (24.93)"
     exact = Budget(bound=25.4371, bound_error=0.0, bound_low=25.4371).lines
     assert any(line.endswith("  25.437") for line in exact)
     wide = Budget(1e-20, **{key: 1e-20 * value for key, value in bound.items()}).lines
-    assert wide[3].endswith("2.585e-19 (2.547e-19 to 2.622e-19)")
-    assert "Left out: lower bound" in wide[4]
-    assert max(map(len, wide)) <= COLUMNS
+    assert "(2.585 ± 0.019)e-19  above all" in "\n".join(wide)
+    assert max(map(len, wide)) <= COLUMNS + 1  # no cell of numbers is cut
     assert not any("bound" in line for line in Budget().lines)
 
 
-PROVED = "proved: no 15 times can (95 % confidence)"
+FEW, REACH = "15 are provably too few", "To reach an MSE of 25 you need"
+AT = f": t = {[*range(16)]} (typical error {{}} g/L)"  # as `Budget` gives it
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({}, f"17 found times reach it (95 %: 16 to 18); {PROVED}"),
-        ({"impossible": None}, "17 found times reach it (95 %: 16 to 18)"),
+        ({}, f"{REACH} 17 measurements (95 % CI 16 to 18){AT.format(17)}; {FEW}."),
+        ({"impossible": None}, f"{REACH} 17 measurements (95 % CI 16 to 18){AT.format(17)}."),
+        (
+            {"measurements": 1, "interval": [1, 1], "impossible": None},
+            f"{REACH} 1 measurement{AT.format(1)}.",
+        ),
         (
             {"interval": [16, None], "larger_that_do_not": [19, 20]},
-            f"17 found times reach it (95 %: 16 to more), but not 19, 20; {PROVED}",
+            f"{REACH} 17 measurements (95 % CI 16 to more){AT.format(17)}, "
+            f"but 19, 20 do not reach it; {FEW}.",
         ),
         (
             {"measurements": None},
-            f"none of these numbers of found times reaches it; {PROVED}",
+            f"None of these numbers of measurements reaches an MSE of 25; {FEW}.",
         ),
     ],
 )
@@ -207,4 +243,4 @@ def test_a_line_says_which_number_reaches_a_target_and_which_cannot(
     found |= {"impossible": 15, "measurement_times": None} | changes
     blocks = budget(cast("Any", Budget(reached=found))).blocks
     texts = [block.text for block in blocks if isinstance(block, Text)]
-    assert f"target 25: {told}" in texts
+    assert told in texts

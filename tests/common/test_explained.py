@@ -72,17 +72,21 @@ def sentence(data: dict[str, Any]) -> str:
         (
             "inner",
             {"cont": 3},
-            "unknown key 'cont' in [inner], allowed: count; did you mean 'count'?",
+            "unknown key 'cont' in [inner]; did you mean 'count'? Allowed: count",
         ),
-        ("kind", "comon", "kind must be 'fresh' or 'common', got 'comon'; did you mean 'common'?"),
+        ("kind", "comon", "kind: got 'comon'; did you mean 'common'? Allowed: 'fresh' or 'common'"),
         (
             "count",
             3,
-            f"unknown key 'count', allowed: {', '.join(Section.model_fields)}; "
-            "did you mean 'inner.count'?",
+            "unknown key 'count'; did you mean 'inner.count'? Allowed: "
+            f"{', '.join(Section.model_fields)}",
         ),
         ("either", 0, "either must be at least 1 or 'auto', got 0"),
-        ("either", "atuo", "either must be an integer or 'auto', got 'atuo'; did you mean 'auto'?"),
+        (
+            "either",
+            "atuo",
+            "either: got 'atuo'; did you mean 'auto'? Allowed: an integer or 'auto'",
+        ),
         ("entries", (1, 2.5), "each entry of entries must be an integer or a string, got 2.5"),
         ("prices", 3, "prices must be a list or a section, got 3"),
         ("prices", {"a": "x"}, "prices must be a number, got 'x'"),

@@ -18,7 +18,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
 from pfdist.pages import figure as figures
 from pfdist.pools.kinds import POOLS
-from pfdist.questions.model_checks import check_model
+from pfdist.questions.model_checks import check_loaded
 from pfdist.questions.sweep import foreseen
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
@@ -56,7 +56,7 @@ def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
 @pytest.mark.parametrize("name", _by_model(SHIPPED, str))
 def test_check_model_finds_nothing_wrong(name: str) -> None:
     times = times_of(30) if load_model(name).reads_clock else ()
-    checks = list(check_model(name, horizon=30, particles=100, times=times))
+    checks = list(check_loaded(lambda: load_model(name), 30, 100, times))
     assert [check for check in checks if check.state == "wrong"] == []
     assert checks[-1].name == "an evaluation"
 
@@ -76,7 +76,7 @@ def test_there_is_a_job_of_it(name: str) -> None:
 def test_a_job_is_evaluated_and_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(figures, "FORMATS", ("svg",))  # the other takes as long again
+    monkeypatch.setattr(figures, "FORMATS", ("svg",))  # the others take as long again
     job = _small(path)
     times = job.problem.clock.written_of(job.problem.feasible.regular())
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf

@@ -41,8 +41,8 @@ FAULTS = {"ended": Ended, "ENOSPC": StoreError, "EIO": StoreError}
 faults = pytest.mark.parametrize(
     "fault", ["ended", "ENOSPC", pytest.param("EIO", marks=pytest.mark.slow)]
 )
-SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error); what"
-SAYS += r" was committed is kept, run the same command again once this is fixed$"
+SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error);"
+SAYS += r" finished work is saved, run the same command again once this is fixed$"
 
 
 @pytest.fixture

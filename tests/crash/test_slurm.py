@@ -118,7 +118,7 @@ def test_parts_of_a_sweep_in_an_array_have_the_same_bytes(
 def test_a_plan_on_several_nodes_has_the_same_bytes(
     cluster: Slurm, folder: Path, tmp_path: Path
 ) -> None:
-    words = ["plan", "small.toml", "--results", "results/x", "--set", FEW]
+    words = ["plan", "small.toml", "--verbose", "--results", "results/x", "--set", FEW]
     job = submit(cluster, folder, "nodes.sbatch", *words, options=f"--nodes={NODES}")
     ended, said = cluster.ended(job), (folder / "out.txt").read_text()
     assert ended == "JobState=COMPLETED ExitCode=0:0", said[-3000:]

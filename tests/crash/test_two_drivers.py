@@ -68,7 +68,7 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
         error = capsys.readouterr().err
         told = re.fullmatch(
             rf"pfdist: {run} is being computed by process {first.pid} on "
-            rf"{re.escape(platform.node())} since (\S+): wait for it, .*\n",
+            rf"{re.escape(platform.node())} since (\S+); wait for it, .*\n",
             error,
         )
         assert told, error

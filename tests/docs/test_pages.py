@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.image
+import numpy as np
 import pandas as pd
 import pytest
 from matplotlib import pyplot
 
 import pfdist
+from pfdist import load_model
 from pfdist.cli.main import main
 from pfdist.cli.program import line_of
-from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.filters.simulation import simulate
 from pfdist.problem.online_section import Online
+from pfdist.problem.sections import DEFAULT_METHOD
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -147,7 +150,7 @@ def test_the_page_about_particles_prints_and_draws_what_it_shows(
     names = _play("particles", capsys)
     assert names["axes"].has_data()
     assert names["losses"]["particle_loss"].is_monotonic_decreasing
-    [(_, section)] = _blocks(DOCS / "particles.md", "toml")
+    (_, section), *_ = _blocks(DOCS / "particles.md", "toml")
     assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
 
 
@@ -197,6 +200,20 @@ def test_the_model_with_angles_is_checked_as_its_page_shows(
     assert main(shlex.split(command.removeprefix("$ pfdist "))) == 0
     printed = capsys.readouterr().out
     assert OutputChecker().check_output(shown, printed, ELLIPSIS), printed
+
+
+@pytest.mark.parametrize(
+    ("page", "file"),
+    [
+        ("models.md", "tank.py"),
+        pytest.param("simulators.md", "growth.py", marks=pytest.mark.recipes),
+    ],
+)
+def test_a_model_of_a_page_is_a_model(page: str, file: str, tmp_path: Path) -> None:
+    (code,) = (text for _, text in _blocks(DOCS / page) if text.startswith(f"# {file}"))
+    (tmp_path / file).write_text(code, encoding="utf-8")
+    model = load_model(f"{tmp_path / file}:model")
+    assert np.isfinite(simulate(model, 20, range(10), 0).z).all()
 
 
 def test_the_readme_is_short() -> None:
@@ -274,7 +291,7 @@ def test_the_example_of_the_page_about_sweeps_draws_the_regret_of_wrong_beliefs(
     whole = pfdist.sweep
     changes = ("problem.horizon=12", "problem.measurement_budget=4", "filter.particles=30")
     changes += ('search=[{method="random", evaluations=3}]', "evaluation.draws=20")
-    changes += ("comparison.draws=60",)
+    changes += ("comparison.draws=60", "comparison.control=false")
 
     def small(file: str) -> pfdist.Sweep:
         assert (ROOT / file).is_file()
@@ -291,7 +308,7 @@ def test_the_example_of_the_page_about_sweeps_draws_the_regret_of_wrong_beliefs(
     assert len(wrong) == 4
     assert (names["judged"].groupby("run")["regret"].min() == 0).all()
     [axes] = pyplot.gcf().axes
-    assert axes.get_xlabel() == "model.parameters.process_sd"
+    assert axes.get_xlabel() == "truth"
     assert axes.get_ylabel() == "regret [%]"
     assert len(axes.containers) == 2
 

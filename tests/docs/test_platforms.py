@@ -1,38 +1,6 @@
-"""The page about installing: what it promises about other systems than Linux."""
+"""The page about installing: what it names exists."""
 
-import os
 from pathlib import Path
-from typing import Any
-
-import pytest
-
-import pfdist
-from pfdist import Job
-from pfdist.runner import provenance
-
-LINUX = ("/proc/", "/sys/")
-
-
-@pytest.fixture
-def _not_linux(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing lies in /proc and /sys, and the affinity of a process is unknown, as on macOS."""
-    read = Path.read_text
-
-    def read_text(path: Path, *arguments: Any, **options: Any) -> str:
-        if str(path).startswith(LINUX):
-            raise FileNotFoundError(path)
-        return read(path, *arguments, **options)
-
-    monkeypatch.setattr(Path, "read_text", read_text)
-    monkeypatch.delattr(os, "sched_getaffinity")
-    monkeypatch.setattr(provenance, "processor", provenance.processor.__wrapped__)
-
-
-@pytest.mark.usefixtures("_not_linux")
-def test_a_plan_on_threads_needs_nothing_of_linux(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.plan(small_job, tmp_path / "run", pool="threads", bound_draws=0, figures=False)
-    assert run.state == "finished"
-    assert len(run.sets["relaxation"]) == len(run.sets["regular"])
 
 
 def test_every_file_and_extra_that_the_page_names_exists() -> None:

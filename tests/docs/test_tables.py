@@ -119,7 +119,7 @@ def test_a_measured_number_with_an_error_stands_in_a_made_table_or_in_what_a_com
     None
 ):
     made = re.compile(r"(?ms)<!-- table: .*?<!-- end -->|^```.*?^```")
-    number = re.compile(r"\d ± \d|\(95 %: ")
+    number = re.compile(r"\d ± \d|\(95 % CI ")
     texts = {page.name: made.sub("", page.read_text(encoding="utf-8")) for page in PAGES}
     texts["README.md"] = made.sub("", (DOCS.parent / "README.md").read_text(encoding="utf-8"))
     assert not [name for name, text in texts.items() if number.search(text)]
@@ -134,7 +134,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables(
     start = " ".join((DOCS / "start.md").read_text(encoding="utf-8").split())
     assert main(["status", str(root / "results" / "example")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    for pattern in (r"Measuring at these 21 .*? the error is lower\.", r"Measure at t = [\d, ]+\."):
+    for pattern in (r"The expected MSE is .*? instead of [\d.]+\.", r"Measure at t = [\d, ]+\."):
         answer = re.search(pattern, printed)
         assert answer is not None
         assert answer[0] in readme

@@ -46,15 +46,6 @@ def test_otherwise_a_degenerate_draw_counts_with_its_error() -> None:
     assert not _evaluation([1.0, 2.0], "kill").degenerate_text
 
 
-def test_the_estimate_does_not_depend_on_how_the_draws_are_cut(ungm: StateSpaceModel) -> None:
-    evaluator = Evaluator(ungm, 20)
-
-    def mse(first: int, last: int) -> np.ndarray:
-        return evaluator(_work(((3, 7), (1, 2)), 20, 64, (first, last))).mse
-
-    np.testing.assert_array_equal(mse(0, 40), np.concatenate([mse(0, 7), mse(7, 40)]))
-
-
 def test_sets_compared_share_their_draws_and_not_their_filters_noise(ungm: StateSpaceModel) -> None:
     same_set = ((3, 7, 11),) * 2
     mse = Evaluator(ungm, 20)(_work(same_set, 20, 200, (0, 400))).mse

@@ -35,7 +35,7 @@ class Case(NamedTuple):
 # Without process noise all is known but two numbers: a patient's clearance and volume; or, of an
 # epidemic whose transmission rate never returns to its mean, this rate and the first infectious.
 CASES = {
-    "ungm": Case(load_model("ungm"), 60, regular(60, 21), 1000),
+    "ungm": Case(load_model("ungm"), 60, regular(60, 21), 500),
     "ungm_gordon": Case(load_model("ungm_gordon"), 60, regular(60, 21), 1000),
     "stochastic_volatility": Case(load_model("stochastic_volatility"), 60, regular(60, 21), 1000),
     "pharmacokinetics": Case(
@@ -104,7 +104,7 @@ def test_on_a_linear_gaussian_model_it_is_the_kalman_filter(times: tuple[int, ..
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_half_the_step_changes_nothing(name: str) -> None:
     model = load_model(name)
-    draws = simulate(model, 20, range(100), 2020)
+    draws = simulate(model, 20, range(40), 2020)
     coarse, fine = (
         np.mean((draws.z[:, :, 0] - grid_filter(model, draws, regular(20, 7), points)[0]) ** 2)
         for points in (POINTS, 2 * POINTS)

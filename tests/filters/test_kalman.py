@@ -135,7 +135,7 @@ def test_engine_kalman_evaluates_and_searches_exactly(
 @pytest.mark.parametrize(
     ("changes", "believed", "message"),
     [
-        ({"linear_gaussian": False}, {}, "declares itself linear_gaussian"),
+        ({"linear_gaussian": False}, {}, "needs a model with linear_gaussian=True"),
         ({"process_noise": ("uniform",)}, {}, "process_noise.* must be normal, got 'uniform'"),
         ({"error": lambda z, e, t, p: abs(z[0] - e[0])}, {}, "error of a linear-Gaussian"),
         (
@@ -148,7 +148,7 @@ def test_engine_kalman_evaluates_and_searches_exactly(
             {},
             "measurement at t = 0 must be linear",
         ),
-        ({}, {"step_sd": 2.0}, "knows the truth"),
+        ({}, {"step_sd": 2.0}, "needs a filter with the true model"),
     ],
     ids=["not declared", "noise", "error", "transition", "measurement", "another filter"],
 )

@@ -173,7 +173,7 @@ def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None
 WRONG = UNGM.with_parameters({"process_sd": 0.5})
 NORM = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
 DOUBTFUL = UNGM.with_parameters({"process_sd": 2.0})
-KNOWS = "^the estimator '{}' needs a filter that knows the truth, .*'squared_er"
+KNOWS = "^the estimator '{}' needs a filter with the true model, .*'squared_er"
 REFUSED: list[tuple[Evaluator, dict[str, Any], str]] = [
     *(
         (Evaluator(UNGM, 5, DOUBTFUL, engine=engine), {"estimator": name}, KNOWS.format(name))

@@ -1,9 +1,7 @@
 """The intermittent particle filter against exact filters, its plain twin, and published figures."""
 
-import resource
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,24 +36,10 @@ UNIFORM = StateSpaceModel(
 
 @pytest.mark.parametrize(
     ("model", "resampling"),
-    [
-        ("ungm", "multinomial"),
-        ("three", "systematic"),
-        *(
-            pytest.param(model, resampling, marks=pytest.mark.slow)
-            for model, resampling in (
-                *(("ungm", resampling) for resampling in RESAMPLING if resampling != "multinomial"),
-                ("three", "multinomial"),
-                ("uniform", "stratified"),
-                ("uniform", "residual"),
-            )
-        ),
-    ],
+    [("three", "systematic"), pytest.param("uniform", "residual", marks=pytest.mark.slow)],
 )
-def test_compiled_and_plain_filter_agree_draw_for_draw(
-    model: str, resampling: str, ungm: StateSpaceModel
-) -> None:
-    chosen = {"ungm": ungm, "three": THREE.as_model(), "uniform": UNIFORM}[model]
+def test_compiled_and_plain_filter_agree_draw_for_draw(model: str, resampling: str) -> None:
+    chosen = {"three": THREE.as_model(), "uniform": UNIFORM}[model]
     draws = simulate(chosen, HORIZON, range(5, 11), 17)
     arguments = (chosen, draws, TIMES["some"], 130, 23, resampling, True)
     fast, slow = filter_draws(*arguments), plain.filter_draws(*arguments)
@@ -89,7 +73,7 @@ def test_a_linear_gaussian_model_gives_the_kalman_filter(
 def test_the_expected_mse_of_the_regular_times(ungm: StateSpaceModel) -> None:
     # REFERENCE: multinomial 31.240 ± 0.025, systematic 31.195 ± 0.025 with 500 particles. The
     # others lie between them, or below by what their smaller variance is worth: 0.05.
-    draws = simulate(ungm, 60, range(8000), 2020)
+    draws = simulate(ungm, 60, range(4000), 2020)
     expected = {"multinomial": 31.240, "stratified": 31.2, "systematic": 31.195, "residual": 31.2}
     expected["sorted_systematic"] = expected["systematic"]
     for resampling in RESAMPLING:
@@ -108,14 +92,6 @@ def test_the_expected_mse_of_no_and_of_all_measurements(
     draws = simulate(ungm, 60, range(2000), 7)
     mse = filter_draws(ungm, draws, times, 500, 1).mse
     assert abs(mse.mean() - expected) < 3.5 * np.hypot(mse.std() / np.sqrt(mse.size), error)
-
-
-def test_a_draw_does_not_depend_on_the_others_filtered_with_it(ungm: StateSpaceModel) -> None:
-    pieces = [range(10), range(4), range(4, 5), range(5, 10)]
-    whole, *parts = (
-        filter_draws(ungm, simulate(ungm, 30, piece, 5), (2, 9, 20), 100, 6).mse for piece in pieces
-    )
-    np.testing.assert_array_equal(whole, np.concatenate(parts))
 
 
 @pytest.mark.parametrize(
@@ -181,20 +157,6 @@ def test_figures_change_only_with_the_kernels_version(ungm: StateSpaceModel) -> 
     draws = simulate(ungm, 60, range(3), 2020)
     mse = [filter_draws(ungm, draws, regular(60, 21), 500, 1, scheme).mse for scheme in RESAMPLING]
     np.testing.assert_array_equal(mse, pinned[KERNEL_VERSION])
-
-
-@pytest.mark.slow
-def test_compiled_and_plain_filter_have_the_same_mse_on_average(ungm: StateSpaceModel) -> None:
-    # Their sums round otherwise, which may decide an ancestor: then a draw differs, else by 1e-9.
-    draws = simulate(ungm, 60, range(500), 6)
-    arguments = (ungm, draws, regular(60, 21), 500, 1)
-    fast, slow = filter_draws(*arguments).mse, plain.filter_draws(*arguments).mse
-    difference = fast - slow
-    assert (np.abs(difference) > 1e-9 * slow).sum() <= 5
-    assert difference.std() < 0.05 * slow.std()
-    assert abs(difference.mean()) < max(
-        4 * difference.std() / np.sqrt(difference.size), 1e-9 * slow.mean()
-    )
 
 
 @pytest.mark.slow
@@ -264,43 +226,3 @@ def test_a_filter_that_is_none_is_refused(
     right = {"model": ungm, "measurement_times": (1,), "particles": 10, "stream": 1}
     with pytest.raises((MeasurementTimesError, ModelError, ValueError), match=message):
         engine(**{**right, "draws": simulate(ungm, 4, range(2), 0), **changes})
-
-
-TABLE = np.array([1.0, 2.0, 3.0])
-
-
-@pytest.mark.slow
-def test_an_error_in_the_middle_of_a_filter_leaves_no_array_behind(ungm: StateSpaceModel) -> None:
-    draws = simulate(ungm, 12, range(20), 1)
-    short = replace(ungm, transition=lambda x, t, w, p: (x[0] / 2 + w[0] + TABLE[t],))
-
-    def resident() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-
-    before = 0
-    for repetition in range(60):  # each with 5 MB of arrays
-        before = resident() if repetition < 20 else before
-        with pytest.raises(ModelError, match="transition failed: IndexError"):
-            filter_draws(short, draws, (0, 3, 6), 50_000, 1)
-    assert resident() - before < 40 * 50_000 * 8 / 4  # a quarter of the smallest
-    again = filter_draws(ungm, draws, (0, 3, 6), 50, 1)
-    assert np.isfinite(again.mse).all()
-
-
-@pytest.mark.slow
-def test_what_lies_behind_the_last_particle_raises_no_error(ungm: StateSpaceModel) -> None:
-    # The transition fails where its noise is larger than that of any particle that there is. Under
-    # this key 57 of the variates that lie behind it are.
-    draws, largest = simulate(ungm, 5, range(50), 1), [0.0]
-
-    def seen(x: Any, t: Any, w: Any, p: Any) -> Any:
-        largest[0] = max(largest[0], np.abs(w[0]).max())
-        return (x[0] / 2 + w[0],)
-
-    plain.filter_draws(replace(ungm, transition=seen), draws, (2,), 1, 10)
-    bound = largest[0]
-
-    def edged(x: Any, t: Any, w: Any, p: Any) -> Any:
-        return (x[0] / 2 + w[0] + TABLE[np.int64(np.abs(w[0]) > bound) * 3],)
-
-    filter_draws(replace(ungm, transition=edged), draws, (2,), 1, 10)

@@ -34,29 +34,21 @@ SETS = [*random_sets(40, seed=0), (), tuple(range(HORIZON + 1)), (12,), (0,), (1
 
 
 @pytest.mark.parametrize(
-    ("model", "believed", "resampling"),
+    ("model", "believed"),
     [
-        pytest.param(UNGM, UNGM, "multinomial", id="ungm"),
-        *(
-            pytest.param(*case, marks=[pytest.mark.slow] * (name != "degenerate"), id=name)
-            for name, case in {
-                "systematic": (UNGM, UNGM, "systematic"),
-                "bearings": (BEARINGS, BEARINGS, "multinomial"),
-                "degenerate": (UNGM, DEGENERATE, "multinomial"),
-                "infinite": (UNGM, INFINITE, "multinomial"),
-            }.items()
-        ),
+        pytest.param(UNGM, DEGENERATE, id="degenerate"),
+        pytest.param(UNGM, INFINITE, id="infinite", marks=pytest.mark.slow),
+        pytest.param(BEARINGS, BEARINGS, id="bearings", marks=pytest.mark.slow),
     ],
 )
 def test_together_they_are_bit_for_bit_as_one_by_one(
-    model: StateSpaceModel, believed: StateSpaceModel, resampling: str
+    model: StateSpaceModel, believed: StateSpaceModel
 ) -> None:
     ends = believed is not model  # a draw that ended has ended for all that share it
     draws = simulate(model, HORIZON, range(60 if ends else 5), 3)
-    settings = Estimation(70, resampling)
-    given = [HORIZON] * len(SETS), 9, settings
+    given = [HORIZON] * len(SETS), 9, Estimation(70)
     together, degenerate = filter_checked_sets(believed, draws, SETS, *given)
-    alone = [filter_draws(believed, draws, times, 70, 9, resampling) for times in SETS]
+    alone = [filter_draws(believed, draws, times, 70, 9) for times in SETS]
     np.testing.assert_array_equal(together, np.stack([each.mse for each in alone], axis=1))
     np.testing.assert_array_equal(degenerate, np.stack([each.degenerate for each in alone], axis=1))
     assert not np.isnan(together).any()

@@ -21,6 +21,7 @@ from pfdist.models import installed_models
 
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
+QUICK = {"ungm", "bearings_only", "two_compartments"}  # `pytest -m zoo` compiles the others
 UNGM = load_model("ungm")
 
 
@@ -42,7 +43,15 @@ def difference(with_all, singles):
 @pytest.mark.parametrize(
     ("model", "settings"),
     [
-        *(pytest.param(load_model(name), Estimation(100), id=name) for name in SHIPPED),
+        *(
+            pytest.param(
+                load_model(name),
+                Estimation(100),
+                id=name,
+                marks=[pytest.mark.zoo] * (name not in QUICK),
+            )
+            for name in SHIPPED
+        ),
         pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted"),
         pytest.param(UNGM, Estimation(100, "residual", threshold=0.5), id="carried"),
         pytest.param(UNGM, Estimation(100, estimator=TWO_FILTERS.name), id="two filters"),

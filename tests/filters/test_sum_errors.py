@@ -11,7 +11,7 @@ import pytest
 
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
-from pfdist.filters.particle_filter import filter_checked_sets, filter_draws, sum_errors
+from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS
@@ -68,18 +68,6 @@ def test_the_error_of_the_model_itself_is_summed(engine):
     with_error = replace(draws, model=model)
     (found,) = engine.sum_errors(model, with_error, [times], [HORIZON], STREAM, settings)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-@estimators
-def test_draws_may_be_added_in_blocks(estimator):
-    draws, settings = (
-        simulate(UNGM, HORIZON, range(8), 1),
-        Estimation(PARTICLES, estimator=estimator),
-    )
-    parts = [sum_errors(UNGM, draws[i : i + 2], SETS, ENDS, STREAM, settings) for i in (0, 2, 4, 6)]
-    whole = sum_errors(UNGM, draws, SETS, ENDS, STREAM, settings)
-    for row, added, end in zip(whole, np.sum(parts, axis=0), ENDS, strict=True):
-        np.testing.assert_allclose(added[: end + 1], row[: end + 1], rtol=1e-12)
 
 
 DEGENERATE = {  # some draws alone, and at one instant alone

@@ -75,15 +75,15 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         ("1,2,3\n2,3,4", "the first line must name the columns"),
         ("t,y0,y0\n1,2,3", "the columns must have different names, got 'y0' twice"),
         ("", "must have a line that names the columns, got none"),
-        ("t,y0,y1\n1,2,3\n1,2,3", "a time must stand in one row, got t = 1 twice"),
+        ("t,y0,y1\n1,2,3\n1,2,3", "each time must have one row, got t = 1 twice"),
         ("t,y0,y1\n1.5,2,3", "t must be an integer, got 1.5"),
         ("t,y0,y1\n0,2,3", "t must lie in 1..10, got 0"),
         ("t,y0,y1\n3,inf,3", "got y0 = inf at t = 3"),
-        ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' must hold numbers, got 'high' in row 2"),
-        ("t,y0,y1\n3,1_000,3", "column 'y0' must hold numbers, got '1_000' in row 1"),
+        ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' in row 2 must be a number, got 'high'"),
+        ("t,y0,y1\n3,1_000,3", "column 'y0' in row 1 must be a number, got '1_000'"),
         ("t,y0,y1\n3,1,2,3", "as many values as the first: Expected 3 fields in line 2, saw 4"),
         (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text, got other bytes: save the sheet as CSV"),
-        ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' must hold numbers, got 'xxx"),
+        ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' in row 1 must be a number, got 'xxx"),
         (",".join(map(str, range(1001))) + "\n", "at most 1,000 columns, got 1,001"),
     ],
 )  # fmt: skip
@@ -105,12 +105,12 @@ def test_a_wrong_parquet_table_is_explained_in_one_line(
 ) -> None:
     path = tmp_path / "ship.parquet"
     path.write_bytes(b"PAR1" + b"\xff" * 500 + b"PAR1")
-    words = r"a Parquet table was expected, got \"Parquet file size"
+    words = r"must be a Parquet table, got an error: \"Parquet file size"
     with pytest.raises(MeasurementsError, match=words):
         read_measurements(path, ship, Clock.counting(10))
-    for wrong, got in (("high", "'high' in row 1"), (True, "bool")):
+    for wrong, must in (("high", "in row 1 must be a number"), (True, "must hold .* bool")):
         _written(path, {"t": [1], "y0": [wrong], "y1": [1.0]})
-        with pytest.raises(MeasurementsError, match=f"'y0' must hold numbers, got {got}"):
+        with pytest.raises(MeasurementsError, match=f"'y0' {must}"):
             read_measurements(path, ship, Clock.counting(10))
     _written(path, {"t": [1, 2], "y0": [1, 2], "y1": [None, None]})
     assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
@@ -121,7 +121,7 @@ def test_a_file_that_is_none_or_too_large_is_not_read(
 ) -> None:
     with pytest.raises(MeasurementsError, match=r"^cannot read .*none\.csv: No such file"):
         read_measurements(tmp_path / "none.csv", ship, Clock.counting(10))
-    with pytest.raises(MeasurementsError, match="a table must be a file, got something else"):
+    with pytest.raises(MeasurementsError, match="a table must be a file, got a folder"):
         read_measurements(tmp_path, ship, Clock.counting(10))
     rows = {"t": [1, 2], "y0": [1.0, 2.0], "y1": [1.0, 2.0]}
     for name in ("ship.csv", "ship.parquet"):
@@ -132,7 +132,7 @@ def test_a_file_that_is_none_or_too_large_is_not_read(
                 read_measurements(path, ship, Clock.counting(10))
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_BYTES", 15)
-            with pytest.raises(MeasurementsError, match="at most 15 bytes is read, got"):
+            with pytest.raises(MeasurementsError, match="must have at most 15 bytes, got"):
                 read_measurements(path, ship, Clock.counting(10))
         assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
 
@@ -151,18 +151,18 @@ def test_a_table_in_memory_may_have_an_index_missing_values_and_numbers_as_texts
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ([True], "got bool"),
-        ([1j], "got complex128"),
-        (pd.to_datetime(["2020-01-01"]), "got datetime64"),
-        ([[1.0, 2.0]], "got '[1.0, 2.0]' in row 1"),
-        (["high"], "got 'high' in row 1"),
+        ([True], "must hold numbers, got bool"),
+        ([1j], "must hold numbers, got complex128"),
+        (pd.to_datetime(["2020-01-01"]), "must hold numbers, got datetime64"),
+        ([[1.0, 2.0]], "in row 1 must be a number, got '[1.0, 2.0]'"),
+        (["high"], "in row 1 must be a number, got 'high'"),
     ],
 )
 def test_a_column_in_memory_that_holds_no_numbers_is_named(
     wrong: Any, words: str, ship: StateSpaceModel
 ) -> None:
     table = pd.DataFrame({"t": [1], "y0": wrong, "y1": [1.0]})
-    must = re.escape(f"measurements: column 'y0' must hold numbers, {words}")
+    must = re.escape(f"measurements: column 'y0' {words}")
     with pytest.raises(MeasurementsError, match=must):
         read_measurements(table, ship, Clock.counting(10))
 

@@ -14,7 +14,7 @@ from pfdist.errors import ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
-from pfdist.questions.model_checks import check_model
+from pfdist.questions.model_checks import check_loaded
 
 HORIZON = 6
 RATES = tuple(0.5 + 0.1 * t for t in range(HORIZON + 1))
@@ -116,7 +116,7 @@ def test_a_job_says_how_many_numbers_a_parameter_needs(count: int, tmp_path: Pat
 def test_a_check_and_a_filter_say_how_many_numbers_a_parameter_needs(tmp_path: Path) -> None:
     """Before the formulas are called, which would end in an IndexError at some t."""
     (tmp_path / "model.py").write_text(SOURCE.replace("COUNT", "4"))
-    *_, last = check_model("model.py:model", 30, 50, tmp_path)
+    *_, last = check_loaded(lambda: pfdist.load_model("model.py:model", tmp_path), 30, 50)
     assert last.state == "wrong"
     assert last.text == (
         "parameter rate needs 31 values, one for each instant, got 4; "

@@ -1,15 +1,18 @@
 """Blocks: programs as machine code have the values of their plain twins, on every processor."""
 
+import math
+
 import numpy as np
 import pytest
 
 from oracles.clocked import with_clock
 from oracles.computed import called, called_elsewhere
-from pfdist import load_model
+from pfdist import load_model, where
 from pfdist.kernels import lowering
 from pfdist.kernels.blocks import Source, compile_blocks
 from pfdist.kernels.lowering import split
 from pfdist.models.program import Operation, Program, merged
+from pfdist.models.repeating import repeated
 from pfdist.models.tracing import Formula, trace
 
 MODELS = ("ungm", "bearings_only", "robot", "lotka_volterra", "epidemic_counts", "xray_tumour")
@@ -62,6 +65,41 @@ def test_a_program_of_single_instants_reads_its_constants():
     for t in range(6):
         (got,) = called(compiled.blocks, t, x, x.astype(np.float32), np.zeros((2, 1)), 1)
         np.testing.assert_array_equal(got, x[0] * table[t] if t % 2 else x[0] + table[t])
+
+
+@pytest.mark.parametrize("most_together", [5, 300])
+def test_a_loop_has_the_values_of_the_plain_twin(most_together, monkeypatch):
+    """Also where it is one of several pieces, and where its number of steps varies with t.
+
+    Each step takes its own of some variates, and its own of some values that were computed.
+    """
+    monkeypatch.setattr(lowering, "MOST_TOGETHER", most_together)
+    counts = [1, 3, 2, 4, 0, 9, math.nan]  # at least one step, and at most four
+
+    def transition(x, t, w, p):
+        def step(state, k, entries):
+            a, b = state
+            noise, computed = entries
+            larger = (a > b) & (k > 0.0)
+            return (where(larger, a * p.rate, a + noise), 0.5 * b + computed * k / x[1])
+
+        computed = [np.exp(-k * x[0]) for k in range(4)]
+        a, b = repeated(step, x, counts[t], [w[1::2], computed], 4)
+        again, _ = repeated(step, (b, a), 2, [w[0:4], computed], 4)
+        return (np.sin(a) + b, again)
+
+    parameters = {"rate": 0.75}
+    formula = Formula(
+        transition, "transition", {"x": 2, "t": 0, "w": 8, "p": 0}, parameters, "mine"
+    )
+    traced, rng = trace(formula, range(7)), np.random.default_rng(2)
+    assert len(traced.programs) == 1
+    x, w = rng.uniform(0.2, 1.5, (2, 2, 48)), rng.normal(size=(8, 2, 48)).astype(np.float32)
+    compiled = compile_blocks([Source(traced, LAYOUT, parameters, 2)], range(7))
+    for t in range(7):
+        got = called(compiled.blocks, t, x, w, np.zeros((2, 1)), 2)
+        groups = {"x": x, "w": w.astype(float)}
+        np.testing.assert_allclose(got, traced.values(groups, t, parameters), rtol=1e-13)
 
 
 def test_what_all_particles_share_is_not_computed_for_each():

@@ -48,21 +48,16 @@ def folders(cache: Path) -> set[str]:
     return {each.name for each in cache.iterdir()}
 
 
-def test_the_second_process_compiles_nothing(tmp_path):
-    computed(tmp_path)
-    files = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
-    assert files
-    assert computed(tmp_path)[1] == []
-    assert files == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
-
-
-def test_two_processes_fill_one_folder_at_a_time(tmp_path):
+def test_two_processes_fill_one_folder_at_a_time_and_the_third_compiles_nothing(tmp_path):
     """As two nodes do that share a home."""
     with ThreadPoolExecutor(2) as together:
         both = [*together.map(computed, [tmp_path] * 2)]
     assert [said for _, said, _ in both] == [[], []]
     assert len(folders(tmp_path)) == 1
+    files = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
+    assert files
     assert computed(tmp_path)[1] == []
+    assert files == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nb*")}
 
 
 def test_an_edited_source_has_a_folder_of_its_own(tmp_path):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pfdist import evaluate
+from pfdist import evaluate, load_model
 from pfdist.errors import ModelError
-from pfdist.questions.model_checks import check_model
+from pfdist.questions.model_checks import check_loaded
 
 MODEL = """
 import numpy as np
@@ -96,7 +96,7 @@ def evaluated(folder: Path, engine: str, times: Iterable[int]) -> float:
 
 
 def wrong_checks(folder: Path) -> list[str]:
-    checks = check_model("mine.py:model", horizon=12, particles=20, folder=folder)
+    checks = check_loaded(lambda: load_model("mine.py:model", folder), 12, 20)
     return [check.text for check in checks if check.state == "wrong"]
 
 

@@ -4,27 +4,26 @@ from pathlib import Path
 import pytest
 
 import pfdist.models
+from oracles.model_text import MEASURED
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.models import installed_models, load_model
 
-MODEL = """
+MODEL = (
+    """
 from pfdist import StateSpaceModel
 
 damped = StateSpaceModel(
     name="damped",
     initial=lambda w, p: (w[0],),
     transition=lambda x, t, w, p: (p.factor * x[0] + w[0],),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    parameters={"factor": 0.9},
+"""
+    + MEASURED
+    + """    parameters={"factor": 0.9},
 )
 number = 3
 """
+)
 FOLDER = Path(pfdist.models.__file__).parent / "library"
 SHIPPED = {
     file.stem for file in FOLDER.glob("*.py") if "\nmodel = " in file.read_text(encoding="utf-8")
@@ -79,8 +78,8 @@ def test_an_entry_point_is_a_model_but_takes_no_name_of_a_model_that_ships(plug)
     [
         ("sub/other.py:damped", ["cannot read", "sub/other.py", "got 'sub/other.py:damped'"]),
         ("sub/mine.py:model", ["mine.py must contain a StateSpaceModel named 'model'", "nothing"]),
-        ("sub/mine.py:number", ["named 'number', got int", "models in this file: damped"]),
-        ("ghost", ["no_such_package.module", "fails when imported: ModuleNotFoundError"]),
+        ("sub/mine.py:number", ["named 'number', got int", "Models in this file: damped"]),
+        ("ghost", ["no_such_package.module", "failed: ModuleNotFoundError"]),
     ],
 )
 def test_a_name_without_its_model_is_an_error(plug, folder, name, words):
@@ -101,11 +100,11 @@ def test_an_unknown_name_lists_the_known_ones(name):
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"1 / 0", "fails when loaded: ZeroDivisionError: division by zero"),
-        (b"raise SystemExit(0)", "fails when loaded: SystemExit"),
-        (b"def f(:", "fails when loaded: SyntaxError"),
+        (b"1 / 0", "broken.py failed: ZeroDivisionError: division by zero"),
+        (b"raise SystemExit(0)", "broken.py failed: SystemExit"),
+        (b"def f(:", "broken.py failed: SyntaxError"),
         (b"'\xff'", "text must be UTF-8, got byte 0xff"),
-        (b"", "models in this file: none"),
+        (b"", "Models in this file: none"),
         (MODEL.replace("(w[0],)", "w[0]").encode(), "model damped: initial must give a tuple"),
     ],
 )

@@ -17,6 +17,7 @@ from pfdist.models.recorded import differences, recorded, untraced
 from pfdist.models.written import key_of_model, models_of, text_of
 
 INSTANTS = range(13)
+QUICK = {"ungm", "bearings_only", "two_compartments"}  # `pytest -m zoo` compiles the others
 IMPORTS = """
 import collections, dataclasses, functools, types
 import numpy as np
@@ -166,7 +167,7 @@ def test_a_formula_that_cannot_be_traced_is_known_by_its_values(write: Write) ->
         return write("", f"np.piecewise(x[0], [x[0] > {value}], [1.0, 0.0])")
 
     first = taken("0.5")
-    assert untraced(first) == ["transition"]
+    assert [*untraced(first)] == ["transition"]
     assert not [*differences(first, taken("0.5"))]
     assert [*differences(first, taken("0.7"))] == [("transition", "it gives other values")]
     read, _ = models_of(text_of(first, first).encode())
@@ -177,7 +178,13 @@ def test_a_formula_that_cannot_be_traced_is_known_by_its_values(write: Write) ->
         read.transition((np.zeros(2),), 0, (np.zeros(2),), read.p)
 
 
-@pytest.mark.parametrize("name", installed_models())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.zoo] * (name not in QUICK))
+        for name in installed_models()
+    ],
+)
 def test_every_model_computes_the_same_by_its_text(name: str) -> None:
     model = load_model(name)
     clock = [float(t) for t in INSTANTS] if model.reads_clock else None

@@ -283,22 +283,8 @@ def is_random(x, t, w, p):
     return (x[0] + random.random(), x[1])
 
 
-def branches(x, t, w, p):
-    if x[0] > 0:
-        return (x[0], x[1])
-    return (x[1], x[0])
-
-
-def chains(x, t, w, p):
-    return (x[0] * (0 < x[0] < 1), x[1])
-
-
 def takes_minimum(x, t, w, p):
     return (min(x[0], x[1]), x[1])
-
-
-def takes_sine(x, t, w, p):
-    return (math.sin(x[0]), x[1])
 
 
 def indexes(x, t, w, p):
@@ -372,10 +358,7 @@ REFUSED = {
     sums_one_component: "np.sum of a single value",
     counts_calls: "must compute the same whenever it is called",
     is_random: "takes randomness from the noise it is given",
-    branches: "pfdist.where(condition, a, b)",
-    chains: "0 < x < 1",
     takes_minimum: "np.minimum",
-    takes_sine: "np.sin and not math.sin",
     indexes: "it is take(table, value.astype(int))",
     looks_up: "take(table, value.astype(int))",
     loops: "pfdist.where(condition, a, b)",
@@ -397,7 +380,7 @@ def test_what_cannot_be_traced_is_named_with_its_line(function):
     if function not in (counts_calls, is_random, gives_text, looks_at_types):
         first = function.__code__.co_firstlineno
         assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
-        assert "the engine 'numpy'" in message
+        assert "the engine 'batched'" in message
 
 
 def test_a_formula_that_fails_with_numbers_fails_in_numpy_too():
@@ -429,7 +412,7 @@ def test_bits_of_t_are_those_of_a_number():
 
 
 def test_an_index_that_arrays_of_particles_have_is_left_to_numpy():
-    with pytest.raises(TraceError, match=r"too many indices.*the engine 'numpy'"):
+    with pytest.raises(TraceError, match=r"too many indices.*the engine 'batched'"):
         traced(lambda x, t, w, p: (np.stack(x)[0, :], x[1]))
 
 

@@ -20,10 +20,7 @@ from pfdist.models.twin import traced, twin_of
 
 MODEL = (
     """
-import math
-import numba
 import numpy as np
-import pandas as pd
 import pfdist
 from pfdist import StateSpaceModel
 {before}
@@ -41,33 +38,13 @@ model = StateSpaceModel(
 )
 """
 )
-WAYS = {
+WAYS = {  # `test_tracing.py` has more of them; these are compiled in different ways
     "a dictionary": ("DOSES = {0: 5.0, 4: 3.0}", "return (x[0] / 2 + DOSES.get(t, 0.0) + w[0],)"),
-    "a list": ("RATES = [0.1 * k for k in range(20)]", "return (RATES[t] * x[0] + w[0],)"),
-    "a frame": (
-        "FRAME = pd.DataFrame({'dose': np.arange(20.0)})",
-        "return (0.5 * x[0] + 0.1 * FRAME.loc[t, 'dose'] + w[0],)",
-    ),
-    "a generator": ("", "return tuple(p.sigma * each + w[0] for each in x)"),
     "a regime by a table": (
         "GAINS = [0.9, -0.5, 0.1]",
         "return (pfdist.take(GAINS, np.clip(np.abs(x[0]), 0, 2).astype(int)) * x[0] + w[0],)",
     ),
-    "a helper of Numba": (
-        "@numba.njit\ndef half(a):\n    return 0.5 * a",
-        "return (half(x[0]) + w[0],)",
-    ),
-    "math of t": ("", "return (0.5 * x[0] + math.cos(t) + w[0],)"),
     "a branch on t": ("", "return (x[0] + w[0] if t % 3 else 0.5 * x[0],)"),
-    "a loop": (
-        "",
-        "a = x[0]\n    for _ in range(5):\n        a = a + 0.1 * np.sin(a)\n"
-        "    return (a + p.sigma * w[0],)",
-    ),
-    "a small matrix": (
-        "A = np.array([[0.5, 0.2], [0.1, 0.7]])",
-        "return ((A @ np.array([x[0], w[0]]))[0] + w[0],)",
-    ),
 }
 
 

@@ -33,9 +33,9 @@ def committed_draws(run: Path) -> int:
     store = Store(run)
     searched = len(store.read("draws")) if store.has("draws") else 0
     compared = sum(
-        sum(map(len, store.numbers(table, "draw")))
+        sum(map(len, store.draws(table)))
         for table in ("comparison", "trajectories", "filter_distance", "filter_variance")
     )
     alone = ("repeated", "filter_variance")  # the reference again, and no measurement at all
-    once_more = sum(len(each) for table in alone for each in store.numbers(table, "draw"))
+    once_more = sum(len(each) for table in alone for each in store.draws(table))
     return searched + SETS * compared + once_more

@@ -1,4 +1,4 @@
-"""Searches run to their ends where the cost is a function of the times, and an odd problem."""
+"""Searches run to their ends where the cost is a function of the times."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -9,7 +9,6 @@ from pfdist import StateSpaceModel
 from pfdist.common.measurement_times import Times
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
-from pfdist.problem.feasible import Feasible
 from pfdist.search import Candidate, Optimiser
 
 
@@ -51,22 +50,3 @@ def exactly(model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]) ->
             )
         )
     return told
-
-
-class EvenTimes(Feasible):
-    """Even times alone may be measured: of all sets of so many times, next to none."""
-
-    def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
-        half = Feasible(self.horizon // 2, self.measurement_budget)
-        return [tuple(2 * time for time in times) for times in half.random(sets, rng)]
-
-    def accepts(self, times: Times) -> bool:
-        return super().accepts(times) and not any(time % 2 for time in times)
-
-    def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
-        return [moved for moved in super().exchanges(times, reach) if self.accepts(moved)]
-
-    def additions(self, times: Times) -> list[Times]:
-        return [
-            longer for longer in super().additions(times) if not any(time % 2 for time in longer)
-        ]

@@ -111,10 +111,11 @@ def relaxed_errors(relaxation: Relaxation, errors: Array, times: Times) -> Array
     times : tuple of int
     """
     only = relaxation.windows if relaxation.only is None else relaxation.only
-    columns = []
+    columns, sensors = [], relaxation.constraints.sensors
     for t in range(relaxation.horizon + 1):
-        window = longest_end(relaxation.index, tuple(time for time in times if time <= t))
-        near = t < window[-1] + relaxation.longest_gap or window in relaxation.far
+        until = tuple(time for time in times if time // sensors <= t)
+        window = longest_end(relaxation.index, until)
+        near = t < window[-1] // sensors + relaxation.longest_gap or window in relaxation.far
         counts = window if near else window[-1:]  # nothing was measured for too long
         if window in only and counts in only:
             number = relaxation.index[counts]

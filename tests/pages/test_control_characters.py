@@ -40,6 +40,14 @@ def test_every_part_of_a_page_is_clean(show: Callable[[Page], str]) -> None:
     assert GOOD in text
 
 
+def test_a_number_stays_beside_its_unit_but_code_is_copied_as_it_is() -> None:
+    text = "At t = 3 h, 10.0 ± 0.5 % of 8,000 draws."
+    html = as_html(Page("", "", [Section("", [Text(text), Code(text)])]))
+    glued = "At t =\xa03\xa0h, 10.0\xa0±\xa00.5\xa0% of 8,000\xa0draws."
+    assert f"<p>{glued}</p>" in html
+    assert f">{text}</pre>" in html
+
+
 def test_the_texts_of_a_figure_are_clean() -> None:
     def draw(panels: Any) -> None:
         panels[0].plot([0, 1], [0, 1], label=BAD)

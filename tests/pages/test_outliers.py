@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pfdist.pages.panel import shown_range
-from pfdist.pages.plots import budget, error_profile, searches, shifts, worth
+from pfdist.pages.plots import budget, error_profile, searches, worth
 
 RNG = np.random.default_rng(5)
 WORTH = pd.DataFrame(
@@ -77,11 +77,11 @@ def test_measurements_worth_a_hundred_times_the_others_are_arrows_with_one_numbe
     assert _arrows(worth(WORTH, ax=_axes())) == {}
 
 
-def test_a_shift_far_below_is_an_arrow_at_the_lower_edge_with_a_true_minus_sign() -> None:
-    table = WORTH.assign(earlier=WORTH["removed"], earlier_error=0.1, later=0.0, later_error=0.1)
-    table.loc[7, "earlier"] = -90.0
-    axes = shifts(table, ax=_axes())
-    assert _arrows(axes) == {"v": [6.7]}
+def test_a_rise_far_below_is_an_arrow_at_the_lower_edge_with_a_true_minus_sign() -> None:
+    table = WORTH.copy()
+    table.loc[7, "removed"] = -90.0
+    axes = worth(table, ax=_axes())
+    assert _arrows(axes) == {"v": [7.0]}
     assert _legend(axes)[-1] == "mine, off the axis: \N{MINUS SIGN}90"
 
 
@@ -124,9 +124,9 @@ def test_small_budgets_with_huge_errors_leave_the_curve_its_room() -> None:
     table = pd.concat(
         pd.DataFrame({"kind": kind, "measurements": numbers, "expected_mse": mse})
         for kind, mse in costs.items()
-    ).assign(bound=np.nan, bound_low=np.nan)
+    ).assign(bound=np.nan, bound_low=np.nan, draws=9, standard_error=0.1, measurement_times=None)
     for end, factor in (("low", 0.9), ("high", 1.1)):
         table[f"expected_mse_{end}"] = factor * table["expected_mse"]
     axes = budget(table, ax=_axes())
     assert axes.get_ylim()[1] < 40
-    assert _legend(axes) == ["regular times", "found times", r"found, off the axis: 30,000"]
+    assert _legend(axes) == ["plan, off the axis: 30,000"]

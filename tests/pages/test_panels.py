@@ -4,7 +4,7 @@ import inspect
 import io
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import pairwise
+from itertools import combinations, pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,15 +15,17 @@ from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import pfdist
 from pfdist import plots
 from pfdist.common.clock import Clock
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
+from pfdist.pages import panel
 from pfdist.pages.figure import FIGURES, Tables, drawn
-from pfdist.pages.panel import styles_of
-from pfdist.pages.style import BLUE, PRINT, SCREEN, styled
+from pfdist.pages.panel import label_ends, styles_of
+from pfdist.pages.style import BLUE, GREY, OCHRE, PRINT, RED, SCREEN, styled
 from pfdist.results import Run
 from pfdist.results.online import OnlineDraws
 from pfdist.results.runs_table import RESULTS
@@ -46,10 +48,8 @@ PROFILE = pd.DataFrame(
 )  # fmt: skip
 LOSSES = pd.DataFrame({"particles": [50, 200, 1000], "particle_loss": [0.05, 0.012, 0.001]})
 LOSSES = LOSSES.assign(particle_loss_error=0.002, particle_loss_limit=[0.1, 0.03, 0.004])
-CHANGES = ("removed", "earlier", "later")
 WORTH = pd.DataFrame([{"name": name, "t": t} for name in SETS for t in range(0, 10, 3)])
-WORTH = WORTH.assign(**dict.fromkeys(CHANGES, 0.1 * WORTH["t"]))
-WORTH = WORTH.assign(**{f"{change}_error": 0.02 for change in CHANGES})
+WORTH = WORTH.assign(removed=0.1 * WORTH["t"], removed_error=0.02)
 WINDOWS = pd.DataFrame(
     [
         {"name": name, "t": t, "moved_to": t + step, "within_1": strict, "within_5": wide}
@@ -133,25 +133,22 @@ def test_each_sensor_has_a_row_below_a_draw() -> None:
     axes = plots.one_draw(_trajectory(), sets, ax=_axes())
     times = [sorted(at) for (_, level), at in sorted(_markers(axes).items())]
     assert sorted(times) == [[0, 3], [1], [1]]
-    assert [text.get_text() for text in axes.texts] == ["ct", "ct", "x-ray"]
-    assert len(axes.get_legend().get_texts()) == 5  # as without sensors
+    assert [text.get_text() for text in axes.texts] == ["regular, ct", "mine, ct", "mine, x-ray"]
+    assert len(axes.get_legend().get_texts()) == 3  # as without sensors
 
 
 def test_each_sensor_has_a_marker_at_the_worth_of_its_measurements() -> None:
-    """Sensors that measure at one time stand beside each other, in both panels."""
+    """Sensors that measure at one time stand beside each other."""
     worth = pd.DataFrame({"name": "mine", "t": [1, 1, 4], "sensor": ["ct", "x-ray", "ct"]})
-    for column in ("removed", "earlier", "later"):
-        worth = worth.assign(**{column: [1.0, 2.0, 3.0], f"{column}_error": 0.1})
-    for draw, level in ((plots.worth, [1.0, 3.0]), (plots.shifts, [0.0, 0.0])):
-        axes = draw(worth, ax=_axes())
-        shown = {label.get_text() for label in axes.get_legend().get_texts()}
-        assert {"mine", "ct", "x-ray"} <= shown
-        rows = _markers(axes)
-        found = sorted((t, y) for (shape, y), at in rows.items() for t in at if shape == "o")
-        assert found == [(pytest.approx(0.8), level[0]), (pytest.approx(3.8), level[1])]
-        assert [t for (shape, _), at in rows.items() for t in at if shape == "s"] == [
-            pytest.approx(1.2)
-        ]
+    axes = plots.worth(worth.assign(removed=[1.0, 2.0, 3.0], removed_error=0.1), ax=_axes())
+    shown = {label.get_text() for label in axes.get_legend().get_texts()}
+    assert {"mine", "ct", "x-ray"} <= shown
+    rows = _markers(axes)
+    found = sorted((t, y) for (shape, y), at in rows.items() for t in at if shape == "o")
+    assert found == [(pytest.approx(0.8), 1.0), (pytest.approx(3.8), 3.0)]
+    assert [t for (shape, _), at in rows.items() for t in at if shape == "s"] == [
+        pytest.approx(1.2)
+    ]
 
 
 def _trajectory() -> pd.DataFrame:
@@ -185,7 +182,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
             call(SimpleNamespace(table=lambda: MINE)),
         ],
         "belief": [call(_filtered(), component=1), call(filtered)],
-        "bound": [call(proved), call(proved.table("bound"))],
+        "bound": [call(proved.table("bound").assign(steps=1e9))],  # it is exact
         "budget": [call(several), call(several.table("sets"))],
         "comparison": [call(plain), call(proved.table("ranks"))],
         "searches": [
@@ -206,7 +203,6 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "online_raster": [call(proved)],
         "online_shares": [call(proved)],
         "particle_losses": [call(LOSSES), call(LOSSES.iloc[::-1])],
-        "shifts": [call(WORTH), call(WHY)],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
         "uncertainty": [call(proved), call(plain, ["regular", "genetic"]), call(_trajectory())],
         "sampling_windows": [
@@ -225,7 +221,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 20
+    assert len(NAMES) == 19
 
 
 @every
@@ -281,15 +277,20 @@ def test_no_legend_of_a_runs_figures_covers_data(plain: Run, proved: Run, severa
         for figure in FIGURES.values()
         for _, plot in figure.plots(Tables(run))
     ]
-    for style in (PRINT, SCREEN):
-        with styled(style):
+    for style, size in ((PRINT, {}), (SCREEN, {"figure.figsize": (5.4, 3.0)})):  # of a report
+        with styled(style, size):
             for plot in figures:
                 _check_legends(drawn(plot))
 
 
 def _check_legends(figure: Figure) -> None:
-    """Check that legends lie on the figure, and on no axes, marker or other legend."""
+    """Check that texts lie on the figure, and legends on no axes, marker or other legend."""
     figure.draw_without_rendering()
+    whole = figure.bbox.padded(1)
+    for axes in figure.axes:
+        for text in filter(Text.get_text, (axes.xaxis.label, axes.yaxis.label, *axes.texts)):
+            box = text.get_window_extent()
+            assert np.all((whole.min <= box.min) & (box.max <= whole.max)), text
     legends = [axes.get_legend() for axes in figure.axes if axes.get_legend()]
     boxes = [legend.get_window_extent() for legend in legends]
     for number, box in enumerate(boxes):
@@ -311,7 +312,7 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
 ) -> None:
     axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == list(proved.sets) == ["regular", "genetic", "random"]
+    assert names == ["evenly spaced", "genetic", "random"]
     rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
     assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets.values()]
     assert [line.get_markerfacecolor() == "white" for line in rows] == [True, False, False]
@@ -327,10 +328,11 @@ def test_a_set_has_one_colour_in_all_figures_of_a_run_and_the_reference_alone_is
     proved: Run,
 ) -> None:
     tables, colours = Tables(proved), dict[str, set[Any]]()
-    for figure in ("times", "bound", "filters", "why", "draw", "searches"):
+    for figure in ("times", "filters", "why", "draw", "searches"):
         for _, plot in FIGURES[figure].plots(tables):
             for line in (line for axes in drawn(plot).axes for line in axes.get_lines()):
-                words = str(line.get_label()).replace(",", " ").split()
+                label = str(line.get_label()).replace("evenly spaced", "regular")
+                words = label.replace(",", " ").split()
                 for name in {*words} & {*proved.names}:
                     colours.setdefault(name, set()).add(line.get_color())
     for name in proved.names[1:]:
@@ -343,12 +345,50 @@ def test_a_set_has_one_colour_in_all_figures_of_a_run_and_the_reference_alone_is
     assert [style["color"] for style in many.values()].count(BLUE) == 1
 
 
-def test_a_bound_of_one_step_is_a_line_and_not_a_point(proved: Run) -> None:
+def test_the_plan_is_red_and_evenly_spaced_times_are_blue_wherever_they_stand() -> None:
+    labels = {"mine": "mine", "regular": "evenly spaced", "genetic": "plan"}
+    colours = {name: style["color"] for name, style in styles_of(labels, []).items()}
+    assert colours == {"regular": BLUE, "genetic": RED, "mine": OCHRE}
+
+
+def test_names_beside_curves_that_end_together_do_not_touch() -> None:
+    axes = _axes()
+    label_ends(axes, [(0.5, "upper", RED), (0.5, "also", BLUE), (0.1, "lower", GREY)])
+    axes.figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(box.overlaps(other) for box, other in combinations(boxes, 2))
+    assert axes.texts[0].get_text() == "lower"
+
+
+@pytest.mark.parametrize(
+    ("names", "angles", "unit"),
+    [
+        (["mass [mg]"], [False], "mg"),
+        (["drug [g/L]", "blood [g/L]"], [False, False], "(g/L)"),
+        (["drug [g/L]", "mass"], [False, False], ""),
+        ([], [False], ""),
+        (["heading [rad]"], [True], ""),  # its error is no square
+        (["mass [mg]"], [], ""),  # an error of the model's own
+    ],
+)
+def test_squared_errors_have_the_unit_of_z_squared(
+    names: list[str], angles: list[bool], unit: str, several: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = {"provenance": {"names": {"z": names}}}
+    monkeypatch.setattr(panel, "read_recorded", lambda path: (about, {}))
+    monkeypatch.setattr(panel, "angles_of", lambda run: angles)
+    label = plots.budget(several, ax=_axes()).get_ylabel()
+    assert label == (f"expected MSE [{unit}²]" if unit else "expected MSE")
+
+
+def test_a_bound_is_drawn_once_it_has_grown_and_an_exact_one_never(proved: Run) -> None:
+    assert not FIGURES["bound"].files(proved)
+    assert "no lower bound" in plots.bound(proved, ax=_axes()).texts[0].get_text()
     rows = proved.table("bound").assign(steps=1e9, bound_error=0.1)
-    axes = plots.bound(rows, ax=_axes())
-    (line,) = [line for line in axes.get_lines() if "lower bound" in str(line.get_label())]
-    assert (line.get_ls(), list(line.get_xdata())) == ("--", [0, 1])
-    assert (list(axes.get_xticks()), axes.get_xlabel()) == ([], "")
+    grown = pd.concat([rows, rows.assign(steps=2e9, bound=rows["bound"] + 0.1, draws=99)])
+    (bars,) = plots.bound(grown, ax=_axes()).containers
+    assert bars[0].get_xydata()[:, 0].tolist() == [1.0, 2.0]
+    assert bars[0].get_color() == "black"
 
 
 def test_panels_that_share_an_axis_say_nothing_twice(proved: Run) -> None:
@@ -356,7 +396,7 @@ def test_panels_that_share_an_axis_say_nothing_twice(proved: Run) -> None:
     legends = [axes.get_legend() for axes in drawn(plot).axes]
     labels = [text.get_text() for legend in legends if legend for text in legend.get_texts()]
     assert len({*labels}) == len(labels)
-    assert labels[-2:] == ["one instant earlier", "one instant later"]
+    assert labels == ["genetic, mean 2.357"]  # the plan alone
 
 
 def test_degenerate_draws_are_a_share_that_steps_up() -> None:
@@ -463,7 +503,7 @@ def test_a_table_of_another_kind_is_refused() -> None:
         plots.error_profile(SimpleNamespace(profile=3))
     with pytest.raises(TypeError, match=r"^names must be of type Sequence, got int$"):
         plots.worth(WORTH, 3)  # type: ignore[arg-type]
-    assert next(line.get_label() for line in plots.shifts(WORTH, "mine").get_lines()) == "mine"
+    assert next(line.get_label() for line in plots.worth(WORTH, "mine").get_lines()) == "mine"
 
 
 COSTLY = r"US$\frac$_^{"  # what Matplotlib would take for a formula, and could not read
@@ -492,7 +532,6 @@ def _with_costly_names() -> dict[str, Draw]:
         "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
         "one_draw": call(trajectory, sets),
         "online_shares": call(OnlineDraws("regular", COSTLY, (1,), rows, Clock.counting(12))),
-        "shifts": call(worth),
         "times": call(sets),
         "worth": call(worth),
     }
@@ -505,7 +544,12 @@ def test_a_name_is_no_formula(name: str) -> None:
     axes = _with_costly_names()[name](ax=figure.subplots())
     figure.savefig(io.BytesIO(), format="svg")
     legend = axes.get_legend()
-    texts = [*axes.get_yticklabels(), axes.xaxis.label, *(legend.get_texts() if legend else [])]
+    texts = [
+        *axes.texts,
+        *axes.get_yticklabels(),
+        axes.xaxis.label,
+        *(legend.get_texts() if legend else []),
+    ]
     assert any(COSTLY.replace("$", r"\$") in text.get_text() for text in texts)
 
 

@@ -17,8 +17,8 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common import stopping
 from pfdist.common.percent import gap_sentence, percent
-from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError
+from pfdist.problem.set_key import phrase_of
 from pfdist.questions.about_run import _LOAD
 from pfdist.questions.run_page import page_of, searches
 from pfdist.questions.subject import Subject, effect
@@ -78,12 +78,7 @@ def test_an_exact_gain_is_that_of_evaluate(
     gain = results["genetic"].gain_of_means
     assert gain == pytest.approx(1 - costs[1] / costs[0])
     page = see(run)
-    assert f"from {rounded(costs[0])} to {rounded(costs[1])}: the filter knows" in page.text
-    told = re.search(
-        r"Measuring at these 4 times instead of every 4 instants lowers the expected error by "
-        r"([\d.]+) %",
-        page.text,
-    )
+    told = re.search(r"The expected MSE is ([\d.]+) % lower \(exact\) than with ev", page.text)
     assert told is not None
     assert float(told[1]) == pytest.approx(100 * gain, abs=0.006)  # rounded
     times = ", ".join(map(str, results["genetic"].measurement_times))
@@ -93,11 +88,11 @@ def test_an_exact_gain_is_that_of_evaluate(
         "What the times gain",
         "How to cite",
         "How the times were found",
-        "An exact filter knows both",
+        "usually too low",
     ):
         assert words in page.text
     assert "its draws chose the set" not in page.text  # which is said of other filters
-    proved = "Proved: no other 4 times lower the error by more than a further" in page.text
+    proved = "Proved: no other 4 times lower the expected MSE by more than" in page.text
     assert proved is (ask is pfdist.bound)
     assert not list(verify_run(run.path))
 
@@ -107,13 +102,13 @@ def test_it_has_the_sampling_windows_of_every_set(run: pfdist.Run, see: See) -> 
     assert "sampling window" not in see(run).text
     found = pfdist.why(run.path / "job.toml", figures=False)
     page = see(run)
-    assert "A sampling window holds the instants" in page.text
-    assert "Sampling windows of genetic." in page.text  # the title of the figure
+    assert "the instants of its sampling window" in page.text
+    assert "Sampling windows of the plan." in page.text  # the title of the figure
     for name, rows in found.sampling_windows.groupby("name"):
-        assert f"Sampling windows, times of {name}" in page.text
+        assert f"Measurements of {phrase_of(run.labels[str(name)])}" in page.text
         records = rows.to_dict("records")
-        for said in sentences(records):
-            assert said in page.text
+        if name != run.names[0]:  # whose figure is not drawn
+            assert all(said in page.text for said in sentences(records)[:1])
         for window in windows_of(records, 1):
             assert window.text in page.text
 
@@ -175,7 +170,7 @@ def test_of_many_searches_the_best_sets_have_figures(make: Make, see: See) -> No
     page = see(run)
     best = sorted(results_of(run).items(), key=lambda each: each[1].expected_mse)
     best_sets = [name for name, _ in best if name != "regular"][:4]
-    shown = [name for name in run.names if f"the times of {name} err" in page.text]
+    shown = [name for name in run.names if f"lower with the set {name} than" in page.text]
     assert sorted(shown) == sorted(best_sets)
     assert "Those of the other 16 sets are in the folder figures" in page.text
     assert len(page.html.encode()) < 2_000_000
@@ -289,18 +284,20 @@ def test_a_mistake_in_the_report_does_not_spoil_a_finished_run(
 
 
 def test_a_gain_is_said_as_far_as_its_interval_supports_it() -> None:
-    assert effect(0.05, [0.01, 0.09])[1] == effect(-0.05, [-0.09, -0.01])[1] == ""
-    told, left_open = effect(-0.05, [-0.09, 0.01])
-    assert told == "raises the expected error by 5.0 % (95 %: -1.0 to 9.0 %)"
-    assert "do not tell which times are better" in left_open
-    told, left_open = effect(0.2, [None, None])
-    assert told == "lowers the expected error by 20.0 %"
-    assert "too few draws" in left_open
+    for gain, ends in ((0.05, [0.01, 0.09]), (-0.05, [-0.09, -0.01])):
+        side = "lower" if gain > 0 else "higher"
+        said = f"The expected MSE is 5.0 % {side} (95 % CI 1.0 to 9.0 %) than with these"
+        assert effect(gain, ends, "these") == said
+    said = (
+        "No clear difference from these; the expected MSE is 5.0 % higher (95 % CI -1.0 to 9.0 %)"
+    )
+    assert effect(-0.05, [-0.09, 0.01], "these") == said
+    assert "20.0 % lower (too few draws for an interval)" in effect(0.2, [None, None], "these")
 
 
 def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
     none = gap_sentence(BOUND | {"gap": 1e-16}, 4)
-    assert none == "Proved: no other 4 times have a lower expected error."
+    assert none == "Proved: no other 4 times have a lower expected MSE."
     assert percent(-1e-17) == "0.00 %"
     assert gap_sentence(BOUND, 3, is_constrained=True).startswith(
         "Proved: no other times that are no more expensive and that the constraints allow lower"
@@ -309,7 +306,7 @@ def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
 
 def test_the_reference_itself_is_no_gain(make: Make) -> None:
     whole = ("problem.horizon=1", "problem.measurement_budget=2", "search=[{method='exhaustive'}]")
-    assert "found no better times than the reference's own" in _text(make(*whole))
+    assert "found no better times than evenly spaced times" in _text(make(*whole))
 
 
 def test_two_draws_give_no_interval(make: Make) -> None:
@@ -324,7 +321,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     subject = Subject(run)
     costs = {name: found.search_mse for name, found in subject.found_rows.items()}
     assert subject.by_error == sorted(costs, key=lambda name: costs[name])
-    assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
+    assert "the best of 4 sets by their expected MSEs, which are known exactly" in _text(run)
 
 
 def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) -> None:
@@ -359,7 +356,9 @@ def test_report_and_commands_say_alike_whether_constraints_exclude_times(
 
 def test_the_best_of_online_and_plan_is_named(exact: Job, tmp_path: Path) -> None:
     text = _text(pfdist.online(exact, tmp_path / "run", draws=5, figures=False))
-    assert re.search(r"is known (lowers|raises) the expected error .*the times of genetic", text)
+    assert re.search(
+        r"Online times \(5 draws\): .* the expected MSE is [\d.]+ % (lower|higher)", text
+    )
 
 
 def test_a_report_names_no_folder_of_the_machine(exact: Job, tmp_path: Path) -> None:
@@ -410,4 +409,4 @@ def test_long_names_of_many_searches_leave_room_for_the_curves(make: Make, see: 
     names = [f"{'long' * 9}_{number}" for number in range(5)]
     several = ", ".join(f"{{method='random', name='{name}', evaluations=2}}" for name in names)
     page = see(make(f"search=[{several}]"))
-    assert "The root mean square error" in page.text
+    assert "root mean square error" in page.text

@@ -54,7 +54,7 @@ def test_so_many_tasks_are_in_flight(demanded, number, most, cores):
 
 def test_a_pool_waits_for_cores(cores):
     cores(-1, 2, 2, 6)
-    said = r"^the Ray cluster has 2 of 6 cores \(execution\.wait_for_cores\): waiting 300 s at most"
+    said = r"^the Ray cluster has 2 of 6 cores \(execution\.wait_for_cores\); waiting at most 300 s"
     with pytest.warns(EngineWarning, match=said), RayPool(wait_for_cores=6) as pool:
         assert pool.workers == 6
 

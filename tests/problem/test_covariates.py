@@ -8,26 +8,25 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.model_text import MEASURED
 from pfdist import Problem, load_job, load_model
 from pfdist.errors import JobError, ModelError
 
 RAIN = [0.0, 2.5, 0.5, 1.0, 0.0, 0.25, 4.0]
 SUN = [7.0, 1.0, 3.0, 3.5, 8.0, 6.0, 0.0]
-MODEL = """
+MODEL = (
+    """
 from pfdist import StateSpaceModel
 model = StateSpaceModel(
     name="lake",
     initial=lambda w, p: (w[0],),
     transition=lambda x, t, w, p: (0.8 * x[0] + p.rain[t] - 0.1 * p.sun[t] + w[0],),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    parameters={"rain": (0.0,), "sun": (0.0,)},
+"""
+    + MEASURED
+    + """    parameters={"rain": (0.0,), "sun": (0.0,)},
 )
 """
+)
 JOB = """seed = 1
 [model]
 name = "lake.py:model"
@@ -112,14 +111,14 @@ TABLE = '{file="data/weather.csv", '
 WRONG = [
     (
         TABLE + 'column="rian"}',
-        r"^model\.parameters\.rain: the table must have the column 'rian', got the columns day, "
-        r"rain, hours of sun; did you mean 'rain'\? \(.*weather\.csv\) \(",
+        r"^model\.parameters\.rain: the table has no column 'rian'; did you mean 'rain'\? Columns: "
+        r"day, rain, hours of sun \(.*weather\.csv\) \(",
     ),
     (
         '{file="data/wether.csv"}',
         r"rain: cannot read .*wether\.csv: No such .*; did you mean '.*weather\.csv'",
     ),
-    (TABLE + 'column="day"}', r"column 'day' must hold numbers, got 'a' in row 1 \("),
+    (TABLE + 'column="day"}', r"column 'day' in row 1 must be a number, got 'a' \("),
     (TABLE + 'colum="rain"}', r"rain must be numbers, or a column of a table, as \{file"),
     ("{column=3}", r"rain must be numbers, or a column of a table"),
     ('"wet"', r"rain must be a number, a list with .* or a column of a table, as .* got 'wet'"),

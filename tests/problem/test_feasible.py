@@ -180,7 +180,7 @@ def test_shifts_are_the_sets_in_which_a_run_of_times_lies_one_allowed_time_off(c
         assert {*found} == {other for other in alike if is_shifted(times, other)}
 
 
-@pytest.mark.parametrize("number", [41, 48, 100, 300])
+@pytest.mark.parametrize("number", [41, 48, 100])
 def test_a_set_has_so_many_shifts_as_its_number_of_times_and_no_square(number: int) -> None:
     feasible = Feasible(3 * number, number)
     times = tuple(range(1, 3 * number, 3))
@@ -336,7 +336,7 @@ def test_many_sets_are_counted_exactly_and_drawn() -> None:
 
 BUDGET = {"measurement_budget": 3}
 IMPOSSIBLE = [
-    ({}, r"measurement_budget must be given, or price and total_price in its place$"),
+    ({}, r"measurement_budget must be given, or instead price and total_price$"),
     (BUDGET | {"total_price": 5}, r"given without .*, got measurement_budget and total_price$"),
     ({"price": ()}, r"^total_price must be given with price$"),
     ({"total_price": 5}, r"^price must be given with total_price$"),

@@ -1,7 +1,7 @@
 import math
 import re
 from fractions import Fraction
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -81,26 +81,3 @@ def test_random_times_take_each_set_equally_often():
     sets, counts = np.unique(drawn, axis=0, return_counts=True)
     assert [tuple(times) for times in sets] == list(combinations(range(6), 3))
     assert stats.chisquare(counts).pvalue > 1e-3
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_the_nearest_times_are_those_of_the_least_sum_of_distances(seed):
-    rng = np.random.default_rng(seed)
-    spacing, number = rng.integers(1, 4), rng.integers(1, 4)
-    required = tuple(np.sort(rng.choice(12, rng.integers(0, 2), replace=False)).tolist())
-    usable = tuple(
-        t for t in range(12) if t in required or not any(abs(t - r) < spacing for r in required)
-    )
-    wanted = tuple(np.sort(rng.choice(12, number, replace=False)).tolist())
-
-    def distance(times):
-        return sum(abs(a - b) for a, b in zip(times, wanted, strict=True))
-
-    possible = [
-        times
-        for times in combinations(usable, number)
-        if set(required) <= set(times) and all(b - a >= spacing for a, b in pairwise(times))
-    ]
-    least, apart = min(map(distance, possible)), Spacing.constant(int(spacing), 11)
-    best = [times for times in possible if distance(times) == least]
-    assert nearest(wanted, usable, required, apart) == min(best, key=lambda times: times[::-1])

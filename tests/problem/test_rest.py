@@ -6,8 +6,7 @@ import pytest
 
 from oracles.every_set import every_set
 from pfdist.common.measurement_times import Times
-from pfdist.problem.feasible import Feasible
-from pfdist.problem.rest import rest_of
+from pfdist.problem.feasible import Feasible, rest_of
 
 PROBLEMS: list[dict[str, Any]] = [
     {"horizon": 9, "measurement_budget": 4},

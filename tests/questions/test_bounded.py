@@ -82,6 +82,12 @@ def test_long_horizons_have_fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None
 # --- the filter of a job --------------------------------------------------------------------------
 
 
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand draws take less; only larger numbers of particles are not tried."""
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 2.0)
+
+
 def by_name(problem: Problem | Path) -> dict[str, tuple[str, str]]:
     """State and text of each check; of a name that comes again, the last."""
     rows = pfdist.check_model(problem).itertuples()
@@ -95,23 +101,25 @@ def estimated(text: str) -> tuple[float, float]:
 
 
 def test_a_job_is_checked_at_its_own_regular_times() -> None:
-    problem = Problem(WALK, horizon=12, measurement_budget=3, forbidden=range(9), particles=2000)
+    problem = Problem(WALK, horizon=12, measurement_budget=3, forbidden=range(9), particles=500)
     checks = by_name(problem)
     times = problem.job().problem.feasible.regular()
     assert checks["degenerate draws"][1] == (
-        "0.00% of draws with 3 regular times and 2000 particles"
+        "0.00% of draws with 3 regular times and 500 particles"
     )
     mse, error = estimated(checks["expected MSE"][1])
     assert mse == pytest.approx(expected_mse(WALK, 12, [times])[0], abs=4 * error)
+    assert "float32" not in checks
 
 
+@pytest.mark.usefixtures("soon")
 def test_the_sensors_of_a_job_are_filtered_together_and_once() -> None:
     system = ThreeSensors(0.4, 0.95, 0.5, ((1, 0), (0, 1), (1, 1)), (0.6, 0.5, 0.7))
     costs: dict[str, Any] = {name: {"price": cost} for name, cost in zip(
         ("near", "far", "both"), (1, 2, 3), strict=True
     )}  # fmt: skip
     problem = Problem(
-        system.as_model(), horizon=HORIZON, total_price=9, sensors=costs, particles=2000
+        system.as_model(), horizon=HORIZON, total_price=9, sensors=costs, particles=500
     )
     table = pfdist.check_model(problem)
     names = table["check"].tolist()
@@ -124,9 +132,10 @@ def test_the_sensors_of_a_job_are_filtered_together_and_once() -> None:
     assert mse == pytest.approx(system.expected_mse(times), abs=4 * error)
 
 
+@pytest.mark.usefixtures("soon")
 def test_sensors_without_a_job_measure_in_turn() -> None:
     system = ThreeSensors(0.4, 0.95, 0.5, ((1, 0), (0, 1), (1, 1)), (0.6, 0.5, 0.7))
-    found = list(check_loaded(system.as_model, HORIZON, 2000))
+    found = list(check_loaded(system.as_model, HORIZON, 500))
     assert [check.name for check in found].count("particles") == 1
     (cost,) = (check.text for check in found if check.name == "expected MSE")
     mse, error = estimated(cost)
@@ -134,6 +143,7 @@ def test_sensors_without_a_job_measure_in_turn() -> None:
     assert mse == pytest.approx(system.expected_mse(times), abs=4 * error)
 
 
+@pytest.mark.usefixtures("soon")
 def test_a_job_whose_filter_has_another_model_has_one_loss_on_its_own_draws() -> None:
     """A filter with less process noise than the truth; the loss is that of its own model."""
     wrong = replace(WALK, parameters={**WALK.parameters, "step_sd": 0.3})
@@ -169,6 +179,7 @@ def test_a_job_that_finds_its_number_of_particles_is_checked_with_the_usual_numb
     assert checks["particles"][1].startswith("500 particles lose ")
 
 
+@pytest.mark.usefixtures("soon")
 @pytest.mark.parametrize(("origin", "state"), [(0.0, "ok"), (1e8, "note")])
 def test_float32_states_far_from_the_origin_lose_digits(origin: float, state: str) -> None:
     """Near 1e8 neighbours are 8 apart, and a step of the walk is about 1."""
@@ -182,7 +193,6 @@ def test_float32_states_far_from_the_origin_lose_digits(origin: float, state: st
     change, error = map(float, re.findall(r"-?[\d.]+", text)[:2])
     assert found == state
     assert (change > 4 * error) == (state == "note")
-    assert "float32" not in by_name(Problem(model, **keys))
 
 
 def test_a_job_with_the_kalman_filter_has_no_particles() -> None:

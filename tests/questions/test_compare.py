@@ -14,7 +14,12 @@ import pfdist
 from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
+from pfdist.common.parts import Table, Text
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.pages.terminal import lines_of
+from pfdist.questions.compared_page import compared as compared_section
+from pfdist.questions.run_page import answer_of, page_of
+from pfdist.questions.subject import Subject
 from pfdist.results import Run
 from pfdist.results.stored_run import found_sets, named_sets
 
@@ -113,18 +118,53 @@ def test_one_command_gives_the_numbers_of_three_lines_of_python(
     assert sets["clinic"]["broken_constraints"] == []
 
 
+@pytest.mark.parametrize("kind", ["compared", "exact"])
+def test_the_answer_names_the_best_set_and_how_far_the_others_are_above_it(
+    kind: str, request: pytest.FixtureRequest
+) -> None:
+    run: Run = request.getfixturevalue(kind)
+    section = compared_section(Subject(run))
+    assert section is not None
+    sentence, table, *_ = section.blocks
+    best, *others = run.table("ranks").to_dict("records")
+    share = 100 * (others[0]["expected_mse"] / best["expected_mse"] - 1)
+    assert isinstance(sentence, Text)
+    assert re.match(rf"Best of 3 sets \(.*?\): the set {best['name']}, t = \d", sentence.text)
+    told = re.search(r"of the set (\w+), the second, is ([\d.]+) % higher (.*)\.", sentence.text)
+    assert told is not None
+    assert told[1] == others[0]["name"]
+    assert float(told[2]) == pytest.approx(share, abs=0.01 if kind == "exact" else 0.1)
+    assert told[3].startswith("(exact)") is (kind == "exact")
+    assert isinstance(table, Table)
+    place = table.head.index("above the best by, %")
+    for row, cells in zip(others, table.rows[1:], strict=True):
+        above = row["difference"] / best["expected_mse"]
+        assert cells[place].value == pytest.approx(above)
+        assert ("(" in cells[place].text) is (kind != "exact")
+
+
+def test_sets_that_do_not_differ_clearly_are_all_named(few: Job, tmp_path: Path) -> None:
+    times = {"one": [0, 3, 6, 12], "two": [0, 3, 7, 12]}
+    (sentence, *_) = lines_of(answer_of(compare(few, times=times, results=tmp_path / "run")))[1:]
+    assert sentence.startswith("The best of 2 sets do not differ clearly (95 % confidence): ")
+
+
 def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     compared: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status", str(compared.path)]) == 0
-    *lines, files = capsys.readouterr().out.splitlines()
+    *lines, place, files = capsys.readouterr().out.splitlines()
+    assert place.startswith(f"{compared.path}: finished, ")
     assert files.startswith("tables: ")
-    assert [line for line in lines[1:] if len(line) > 80] == []
+    assert [line for line in lines if len(line) > 80] == []
     text = " ".join(" ".join(lines).split())
-    assert "break a constraint of the job. problem.measurement_budget is 4, got 2 times." in text
+    assert text.startswith("Best of 3 sets (95 % confidence, all pairs together): ")
+    assert "is compared all the same: problem.measurement_budget is 4, got 2 times." in text
     assert "Ranks on 1,500 draws" in text
-    assert "Pairs of sets first second" in text
-    page = pfdist.report(compared).read_text()
+    assert "Pairs of sets" not in text
+    assert main(["status", str(compared.path), "--verbose"]) == 0
+    assert "Pairs of sets first second" in " ".join(capsys.readouterr().out.split())
+    page = str(page_of(compared))
     assert "How the sets compare" in page
     assert "problem.measurement_budget is 4, got 2 times" in page
     for words in ("took no part in the search", "found times", "The answer", "How the times were"):
@@ -148,12 +188,6 @@ def test_an_interrupted_comparison_takes_more_draws_and_ends_with_the_same_bytes
     assert _bytes(results) == _bytes(compared.path)
     with pytest.raises(RunMismatchError, match=r"comparison\.sets\.few: \[4, 9\] -> \[4, 8\]"):
         compare(job, times=SETS | {"few": [4, 8]}, results=results)
-
-
-@pytest.mark.slow
-def test_workers_change_no_byte(job: Job, tmp_path: Path, compared: Run, ray_cluster: None) -> None:
-    run = compare(job, times=SETS, results=tmp_path / "ray", pool="ray", workers=2)
-    assert _bytes(run.path) == _bytes(compared.path)
 
 
 @pytest.mark.slow
@@ -273,7 +307,7 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     assert (tmp_path / "both" / "figures" / "compared.svg").exists()
     page = (tmp_path / "both" / "report.html").read_text()
     assert "How the sets compare" in page
-    assert "The times of mine break a constraint of the job." in page
+    assert "The set mine breaks a constraint" in page
     assert results["every"].expected_mse < results["random"].expected_mse
 
 

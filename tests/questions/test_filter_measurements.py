@@ -87,7 +87,7 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
     assert {file.name for file in tmp_path.iterdir()} == {path.name, *names}
     assert matplotlib.image.imread(found.files[1]).shape[:2] == (825, 1050)
     report = " ".join(found.files[2].read_text().split())  # names files and no folder
-    assert "3 measurements of patient 7.csv, filtered as the run run does" in report
+    assert "3 measurements of patient 7.csv, by the filter of the run run" in report
     made = "Made by pfdist from the measurements patient 7.csv by the filter of the run run."
     assert made in report
     assert "from tables alone" not in report
@@ -144,8 +144,8 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     words = ["filter", str(job), str(path), "--planned", "regular"]
     assert main(words) == 0
     text = capsys.readouterr().out
-    assert text.startswith("3 measurements, filtered as ")
-    assert "does; planned: regular" in " ".join(text.split())
+    assert re.match(r"At t = 8: z0 = [\d.-]+ \(90 % band [\d.-]+ to [\d.-]+\)\. The 3\n?", text)
+    assert "The 3 measurements fit the model." in " ".join(text.split())
     for line in (
         "  planned, missing      4\n",
         "  planned, to come      12\n",
@@ -237,7 +237,7 @@ def test_the_exact_filter_gives_its_evidence(
 
 def test_no_file_of_others_is_overwritten(job: Path, y: Any, tmp_path: Path) -> None:
     def refused(path: Path, name: str) -> None:
-        with pytest.raises(StoreError, match=rf"{name} exists and is no earlier result"):
+        with pytest.raises(StoreError, match=rf"{name} exists and is not an earlier result"):
             pfdist.filter_measurements(job, path)
 
     path = _written(tmp_path / "mine.csv", (0, 3), y)
@@ -262,7 +262,7 @@ def test_a_set_or_a_folder_that_there_is_not_is_one_line(
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
     for words, message in (
-        (["--planned", "none"], ", genetic, random, got 'none' (--planned)\n"),
+        (["--planned", "none"], ", genetic, random, got 'none'\n"),
         (["--out", str(path)], "cannot "),
     ):
         assert main(["filter", str(job), str(path), *words]) == 1

@@ -126,6 +126,8 @@ RIGHT = {
     "volatility": model_of(
         lambda x, v: (np.exp(x / 2) * v[0],), lambda y, x: -0.5 * (x + y[0] ** 2 * np.exp(-x))
     ),
+    "a sign": model_of(with_noise(0.8, np.sign), normal(0.8, np.sign)),
+    "steps": model_of(with_noise(0.8, np.floor), normal(0.8, np.floor)),
     "an angle that winds with x": model_of(
         lambda x, v: (densities.von_mises_draw(v[0], x, 4.0),),
         lambda y, x: densities.von_mises_logpdf(y[0], x, 4.0),
@@ -138,6 +140,10 @@ WRONG = {
     "deviation 20 % too small": model_of(with_noise(1.0), normal(0.8)),
     "deviation 20 % too large": model_of(with_noise(0.5), normal(0.6)),
     "deviation 5 % too small": model_of(with_noise(1.0), normal(0.95)),
+    "a sign, deviation too small": model_of(with_noise(0.8, np.sign), normal(0.7, np.sign)),
+    "a sign and a term that depends on it": model_of(
+        with_noise(0.8, np.sign), lambda y, x: normal(0.8, np.sign)(y, x) + 0.2 * np.sign(x)
+    ),
     "no normaliser": model_of(
         lambda x, v: (np.exp(x / 2) * v[0],), lambda y, x: -0.5 * y[0] ** 2 * np.exp(-x)
     ),
@@ -205,6 +211,20 @@ def test_what_cannot_be_told_is_not_called_wrong(name: str) -> None:
     found, text = looked(model)
     assert found == state, text
     assert ("cannot be checked" in text) == (state == "note"), text
+
+
+@pytest.mark.parametrize(
+    ("level", "state", "says"),
+    [
+        # The states are N(0, 25 + t): about 1 % of them are above 12.
+        (lambda x: np.where(x > 12.0, 2.0, 0.0), "ok", "it agrees with"),
+        (lambda x: 0 * x, "note", "it does not depend on x: it is the same in"),
+    ],
+    ids=["rare", "without x"],
+)
+def test_a_level_that_rarely_or_never_changes(level: Any, state: str, says: str) -> None:
+    found, text = looked(model_of(with_noise(0.8, level), normal(0.8, level)))
+    assert (found, text[: len(says)]) == (state, says)
 
 
 @pytest.mark.parametrize("name", sorted(installed_models()))

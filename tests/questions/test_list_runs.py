@@ -108,8 +108,8 @@ def _empty(table: str) -> Any:
         (_write("job.toml", b"\xff"), "job.toml is damaged: text must be UTF-8"),
         (_write("job.toml", b"seed = 1"), "job.toml is damaged: its content has another hash"),
         (_empty("tables/comparison"), "is damaged: its name has another hash"),
-        (lambda run: (run / "run.json").unlink(), "there is no run.json in it"),
-        (lambda run: (run / "job.toml").unlink(), "there is no job.toml in it"),
+        (lambda run: (run / "run.json").unlink(), "it has no run.json"),
+        (lambda run: (run / "job.toml").unlink(), "it has no job.toml"),
         (
             lambda run: (run / "figures").symlink_to("/etc"),
             "must be a plain folder, got a link",

@@ -17,6 +17,7 @@ from pfdist.common.clock import Clock
 from pfdist.errors import JobError, MeasurementsError, PriorError, RunMismatchError
 from pfdist.filters.measurements import read_measurements
 from pfdist.filters.user_prior import read_prior
+from pfdist.questions.run_page import page_of
 from pfdist.runner.build import build
 
 NAMES = """
@@ -131,11 +132,11 @@ def test_a_long_label_has_several_lines_and_keeps_its_dollar_signs() -> None:
 
 
 def test_the_report_of_a_run_uses_the_names(run: pfdist.Run, plain: pfdist.Run) -> None:
-    text = pfdist.report(run.path).read_text()
+    text = str(page_of(run))
     assert "quantity of interest" in text
     assert "Tumour mass [mg], change of mass" in text
     assert "marker [U/ml], weight [kg]" in text
-    assert "what is measured" not in pfdist.report(plain.path).read_text()
+    assert "what is measured" not in str(page_of(plain))
 
 
 @pytest.mark.parametrize("columns", [("y0", "y1"), ("y_marker", "y_weight")])
@@ -156,7 +157,7 @@ def test_filter_reads_both_kinds_of_columns_and_writes_names(
     assert ax.get_ylabel() == "Tumour mass [mg]"
     report = " ".join(found.files[2].read_text().split())
     assert "mean of Tumour mass [mg]" in report
-    assert re.search(r"In the end the filter believes Tumour mass to be [\d.]+ mg, and", report)
+    assert re.search(r"The last estimate of Tumour mass is [\d.]+ mg \(90 % band ", report)
 
 
 def test_wrong_columns_are_told_with_all_that_is_allowed(run: pfdist.Run) -> None:

@@ -11,6 +11,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.pools.cores import usable_cores
+from pfdist.runner import provenance
 
 
 @pytest.fixture
@@ -27,6 +28,7 @@ def not_linux(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("io.open", opened)
     monkeypatch.setattr("builtins.open", opened)
     monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(provenance, "processor", provenance.processor.__wrapped__)  # no cache
 
 
 @pytest.mark.usefixtures("not_linux")

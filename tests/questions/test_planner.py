@@ -239,17 +239,17 @@ def test_the_command_says_when_or_why_no_measurement_is_left(
 
     text = told((0, 3), "--now", "5")
     found = pfdist.next_time(kept, tmp_path / "y.csv", now=5)
-    assert text.startswith(f"measure next at t = {found.next}; then about ")
-    assert "2 measurements so far" in text
+    assert text.startswith(f"Measure next at t = {found.next}; then at about ")
+    assert "2 measurements, at t = 0, 3" in text
     assert "from t = " in text
-    assert "now must lie in 3..14, got 99 (--now)" in told((0, 3), "--now", "99", code=1)
-    assert "the budget is spent" in told((0, 3, 7, 10, 13))
-    assert "no further" in told((14,))
+    assert "--now must lie in 3..14, got 99" in told((0, 3), "--now", "99", code=1)
+    assert "The budget is spent" in told((0, 3, 7, 10, 13))
+    assert "No further" in told((14,))
     # The last planned time was missed, and the budget allows a measurement after it.
     *planned, last = planned_in(kept)
     text = told(tuple(planned), "--now", str(last))
-    assert text.startswith("measure next at t = ")
-    assert re.search(r"^  survivors +plans no further measurement$", text, re.MULTILINE)
+    assert text.startswith("Measure next at t = ")
+    assert re.search(r"^  planned before +no further measurement$", text, re.MULTILINE)
 
 
 def test_measurements_that_contradict_the_model_are_told(

@@ -14,6 +14,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.model_text import MEASURED
 from pfdist import Problem, Run, StateSpaceModel
 from pfdist.errors import PfdistError, RunMismatchError, StoreError
 from pfdist.models.library import epidemic
@@ -23,8 +24,8 @@ from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.sections import Filter
 from pfdist.runner.build import build
 
-ROOT = Path(__file__).parents[2]
-ROBOT = '''
+ROBOT = (
+    '''
 import numpy as np
 import pfdist
 from pfdist import StateSpaceModel
@@ -33,21 +34,18 @@ WIND = np.array([0.1, 0.3])
 
 def steered(x):
     """Give the heading after the wind."""
-    return {slope} * x + WIND[1] * np.sin(x)
+    return 0.8 * x + WIND[1] * np.sin(x)
 
 robot = StateSpaceModel(
     name="robot",
     initial=lambda w, p: (w[0],),
     transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
-    measurement=lambda x, t, v, p: (x[0] + 0.5 * v[0],),
-    log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    parameters={{"sd": 0.7}},
-)
 '''
+    + MEASURED
+    + """    parameters={"sd": 0.7},
+)
+"""
+)
 IN_NUMPY = {"horizon": 10, "measurement_budget": 3, "particles": 30, "engine": "numpy"}
 """For tests in which the engine makes no difference: nothing is compiled."""
 SHORT = {"horizon": 10, "measurement_budget": 3, "particles": 30}
@@ -57,10 +55,7 @@ if __name__ == "__main__":
     import sys
     problem = pfdist.Problem(robot, horizon=10, measurement_budget=3, particles=30, engine="numpy")
     job = problem.job(seed=4, **SECTIONS)
-    try:
-        print(pfdist.run(job, sys.argv[1], pool=sys.argv[2], workers=1, figures=False).state)
-    except pfdist.PfdistError as error:
-        sys.exit(f"{type(error).__name__}: {error}")
+    print(pfdist.run(job, sys.argv[1], pool=sys.argv[2], workers=1, figures=False).state)
 """
 SECTIONS: dict[str, Any] = {
     "search": [{"method": "random", "evaluations": 3}],
@@ -180,7 +175,7 @@ def test_ranges_arrays_and_mappings_may_stand_for_numbers() -> None:
             lambda: Problem("ungm", horizon=3, total_price=4, price={-1: 1, "0-3": 1}),
             r"name every time in 0\.\.3 once, got -1 for a horizon of 3",
         ),
-        (lambda: Problem("ungm", **SHORT).job(filter={}), "got 'filter': all else is an argument"),
+        (lambda: Problem("ungm", **SHORT).job(filter={}), "unknown section 'filter', allowed: "),
         (lambda: pfdist.evaluate("job.toml", [0]), "'python:robot' was given as an object in Py"),
     ],
 )
@@ -290,14 +285,14 @@ def test_the_bound_of_an_objects_run_is_proved(tmp_path: Path) -> None:
 def test_an_installed_model_is_known_by_its_name_and_travels_with_its_constants(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    keys: dict[str, Any] = {"horizon": 12, "time_unit": "d", "measurement_budget": 3}
+    keys: dict[str, Any] = {"horizon": 6, "time_unit": "d", "measurement_budget": 3}
     fewer = replace(
         epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0}
     )
     for model in (epidemic.model, fewer, pfdist.load_model("epidemic")):
         assert Problem(model, **keys).job().model.name == "epidemic"
     sizes = list[int]()
-    for steps in (2, 4):
+    for steps in (1, 2):
         monkeypatch.setattr(epidemic, "SUBSTEPS", steps)
         evaluator = build(Problem(fewer, **keys).job()).evaluator
         sizes.append(len(evaluator.model.transition.traced.programs[0].operations))
@@ -305,39 +300,12 @@ def test_an_installed_model_is_known_by_its_name_and_travels_with_its_constants(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("ray_cluster")
-def test_closures_and_a_module_beside_the_script_give_the_same_bytes_on_ray(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "winds.py").write_text("import numpy as np\nWIND = np.array([0.1, 0.3])\n")
-    helper = "import winds\ndef steered(x):\n    return 0.8 * x + winds.WIND[1]\n"
-    (tmp_path / "steering.py").write_text(helper)
-    monkeypatch.syspath_prepend(tmp_path)
-    import steering  # type: ignore[import-not-found]
-
-    robot = robot_of(0.8)
-    closure = robot.transition
-    both = replace(
-        robot, transition=lambda x, t, w, p: (steering.steered(x[0]) + closure(x, t, w, p)[0],)
-    )
-    for number, model in enumerate((robot, both)):
-        problem, serial, ray = Problem(model, **IN_NUMPY), f"serial-{number}", f"ray-{number}"
-        finished(problem, tmp_path / serial)
-        pfdist.run(problem.job(**SECTIONS), tmp_path / ray, pool="ray", workers=1, figures=False)
-        assert hashes(tmp_path / serial) == hashes(tmp_path / ray)
-
-
-@pytest.mark.slow
-def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file_and_resumes_its_run(
-    tmp_path: Path,
-) -> None:
-    text = ROBOT.format(slope=0.8) + RUN
+def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> None:
     for pool in ("serial", "ray"):
-        done = script(tmp_path, text, pool, pool)
+        done = script(tmp_path, ROBOT + RUN, pool, pool)
         assert done.stdout == "finished\n", done.stderr
-    before = hashes(tmp_path / "serial")
-    assert before == hashes(tmp_path / "ray")
-    (tmp_path / "robot.py").write_text(ROBOT.format(slope=0.8))
+    assert hashes(tmp_path / "serial") == hashes(tmp_path / "ray")
+    (tmp_path / "robot.py").write_text(ROBOT)
     (tmp_path / "robot.toml").write_text(
         'seed = 4\nmodel.name = "robot.py:robot"\ncomparison.draws = 40\n'
         'filter = {particles = 30, engine = "numpy"}\n'
@@ -347,17 +315,6 @@ def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file_and_resumes_its_run(
     of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", pool="serial", figures=False)
     of_script = pfdist.open_run(tmp_path / "serial")
     pd.testing.assert_frame_equal(of_file.table("comparison"), of_script.table("comparison"))
-
-    more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
-    done = script(tmp_path, more, "serial", "serial")
-    assert done.stdout == "finished\n", done.stderr
-    assert len(pfdist.open_run(tmp_path / "serial").table("comparison")) == 60
-    after = hashes(tmp_path / "serial")  # names of files end with hashes
-    assert {Path(name).parent for name in before} == {Path(name).parent for name in after}
-    changed = ROBOT.format(slope=0.9) + RUN.replace("40", "60")
-    done = script(tmp_path, changed, "serial", "serial")
-    assert "RunMismatchError" in done.stderr
-    assert "model.transition: the constant 0.8 -> 0.9" in done.stderr
 
 
 def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:

@@ -153,7 +153,10 @@ def test_the_answer_says_how_many_sets_were_killed(small_job: Job, tmp_path: Pat
     killed = rows["copies"][np.isinf(rows["expected_mse"])].groupby(rows["phase"]).sum()
     assert 0 < killed["genetic"] < 24
     texts = [block.text for block in searches(Subject(run)).blocks if hasattr(block, "text")]
-    assert f"Degenerate draws killed {killed['genetic']} evaluated sets of genetic." in texts
+    said = (
+        f"genetic: {killed['genetic']} evaluated sets had an infinite error, by degenerate draws."
+    )
+    assert said in texts
 
 
 # --- The same, however it was computed ----------------------------------------------------------
@@ -184,9 +187,7 @@ SURVIVORS = [
 @pytest.mark.parametrize(
     ("changes", "stop_after"),
     [
-        pytest.param([], 3, marks=pytest.mark.slow),
         ([], 25),
-        pytest.param([], 40, marks=pytest.mark.slow),
         pytest.param(SURVIVORS, 250, marks=pytest.mark.crash),
         pytest.param(SURVIVORS, 330, marks=pytest.mark.crash),
     ],

@@ -14,7 +14,13 @@ from oracles.listed import rewrite
 from pfdist import Job
 from pfdist.cli.main import main
 
-QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
+QUICK = [
+    "model.name=random_walk",
+    "filter.engine=kalman",
+    "search.random.evaluations=3",
+    "search.genetic.generations=1",
+    "comparison.draws=20",
+]
 READERS = ["status", "table", "list", "report", "plot", "verify"]
 ASK: dict[str, list[str]] = {"why": [], "bound": [], "filter": ["y.csv"], "next": ["y.csv"]}
 COMPUTERS = {
@@ -92,8 +98,8 @@ def test_another_job_than_that_of_the_run_is_refused(
 ) -> None:
     words = [command, "jobs/small.toml", *ASK[command], "--set", *QUICK, "filter.particles=7"]
     line = error(*words)
-    assert "results/small holds another run (give results another folder, or name the run's" in line
-    assert line.endswith("; in the run -> now: filter.particles: 40 -> 7")
+    assert "results/small holds a different run; use another results folder, or the run's" in line
+    assert line.endswith(". In the run -> now: filter.particles: 40 -> 7")
 
 
 def test_a_question_leaves_the_draws_of_the_run_as_they_are(there: Path) -> None:
@@ -134,7 +140,7 @@ def hostile(there: Path) -> Path:
     """The folder of a run that names a model file in it, in run.json, too, and has run nothing."""
     run, flag = there / "results" / "small", there / "executed"
     (run / "mine.py").write_text(f"open({str(flag)!r}, 'w').close()\nraise SystemExit\n")
-    job = (run / "job.toml").read_text().replace('name = "ungm"', 'name = "mine.py:model"')
+    job = (run / "job.toml").read_text().replace('"random_walk"', '"mine.py:model"')
     assert "mine.py" in job
     rewrite(run / "job.toml", job)
     about = json.loads((run / "run.json").read_text())
@@ -167,7 +173,9 @@ def test_a_run_keeps_its_model_and_another_one_needs_a_job(
     there: Path, error: Callable[..., str]
 ) -> None:
     line = error("evaluate", "results/small", "--times", "0,3", "--set", "model.name=robot")
-    assert line == ("model.name must be 'ungm', the model of the run in results/small, got 'robot'")
+    assert line == (
+        "model.name must be 'random_walk', the model of the run in results/small, got 'robot'"
+    )
 
 
 @pytest.mark.parametrize("name", ["model.json", "job.toml", "files.json"])

@@ -1,24 +1,30 @@
 """Which sensor, when: against brute force, closed forms, and the same system with one sensor."""
 
+import shutil
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations, islice, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pfdist
+from oracles.bytes_of import hashes
 from oracles.results_of import results_of
 from oracles.three_sensors import HORIZON, NAMES, SYSTEMS, ThreeSensors
 from oracles.two_platforms import two_platforms
 from pfdist.common.clock import Clock
+from pfdist.common.percent import SPACED_IN_WINDOWS
 from pfdist.errors import ModelError
-from pfdist.filters import particle_filter, plain
+from pfdist.filters import kalman, particle_filter, plain
 from pfdist.filters.measurements import read_measurements
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 from pfdist.pages.terminal import lines_of
+from pfdist.pools.base import Outcome, SerialPool, Task
+from pfdist.questions.bound_page import bound_page
 from pfdist.questions.run_page import answer_in_a_line, answer_of
 from pfdist.results.stored_run import found_sets
 from pfdist.runner.online_work import seen
@@ -97,10 +103,10 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[pfdist.Problem, p
     )
 
 
-def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
+def test_limits_of_sensors_bind_the_search_and_the_bound(
     planned: tuple[pfdist.Problem, pfdist.Run],
 ) -> None:
-    """The plan is the best of all 699 sets within the limits, and the bound that of all sets."""
+    """The plan is the best of all 699 sets within the limits, and its gap is 0."""
     problem, run = planned
     mse = {times: SYSTEMS[3].expected_mse(times) for times in combinations(range(39), 2)}
     allowed = [times for times in mse if 3 * 3 + 2 not in times]
@@ -113,14 +119,17 @@ def test_limits_of_sensors_bind_the_search_and_the_bound_leaves_them_out(
     (name,) = found_sets(run)
     assert _numbers(run.sets[name]) == min(within, key=mse.__getitem__)
     bound = results_of(run)[name].bound
-    assert bound == pytest.approx(min(mse[times] for times in allowed), rel=1e-9)
-    assert pfdist.bound(problem, results=run.path, report=False).as_json()["leaves_out_limits"]
+    assert bound == pytest.approx(min(mse[times] for times in within), rel=1e-9)
+    found = pfdist.bound(problem, results=run.path, figures=False)
+    assert found.as_json()["leaves_out_spacing"]
+    page = " ".join(lines_of(bound_page(found.as_json(), found.labels)))
+    assert SPACED_IN_WINDOWS in " ".join(page.split())
 
 
 def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: Path) -> None:
     """The plan is the best of all sets of up to three, each by another sensor, and 4 apart.
 
-    A clock has a unit, and the answer names it. The bound knows the spacing, and no limit.
+    A clock has a unit, and the answer names it. The gap is 0.
     """
     system = SYSTEMS[3]
     sensors = {key: {"price": 1, "most": 1} for key in NAMES}
@@ -141,11 +150,51 @@ def test_money_is_spent_within_limits_of_sensors_and_a_spacing_of_all(tmp_path: 
     (name,) = found_sets(run)
     assert _numbers(run.sets[name]) == min(within, key=apart.__getitem__)
     bound = results_of(run)[name].bound
-    assert bound == pytest.approx(min(apart.values()), rel=1e-9)
+    assert bound == pytest.approx(min(apart[times] for times in within), rel=1e-9)
+    assert bound > min(apart.values())
+    assert not pfdist.bound(problem, results=run.path, figures=False).leaves_out_spacing
     assert f"Measure at t = {', '.join(run.sets[name])} (t in h)." in answer_in_a_line(run)
     assert all(result.price == result.measurements for result in results_of(run).values())
-    rows = [row for row in lines_of(answer_of(run)) if row.split()[1:2] == [name]]
+    rows = [row for row in lines_of(answer_of(run)) if row.split()[1:2] == ["plan"]]
     assert rows[0].split()[2:4] == ["3", "3"]  # measurements and price
+
+
+def test_a_bound_with_particles_knows_limits_and_a_stopped_proof_ends_with_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It lies below the best set within the limits, and above what any set without them has."""
+    system, (horizon, number) = SYSTEMS[2], (6, 3)
+    sensors = {"near": {}, "far": {"most": 1}, "both": {"most": 1}}
+    problem = pfdist.Problem(
+        system.as_model(), horizon=horizon, measurement_budget=number, sensors=sensors,
+        particles=200,
+    )  # fmt: skip
+    changes = "comparison.draws=1000", "seed=5"
+    quiet = {"pool": "serial", "changes": changes, "figures": False, "report": False}
+    run = pfdist.plan(problem, results=tmp_path / "run", bound_draws=0, **quiet)
+    stopped = shutil.copytree(run.path, tmp_path / "stopped")
+
+    every = list(combinations(range(3 * (horizon + 1)), number))
+    mse = kalman.expected_mse(system.as_model(), horizon, every)
+    within = [all(sum(t % 3 == s for t in times) < 2 for s in (1, 2)) for times in every]
+    (name,) = found_sets(run)
+    found = pfdist.bound(problem, 480, results=run.path, **quiet)
+    gap = next(gap for gap in found.gaps if gap.name == name)
+    assert gap.bound.value - 4 * gap.bound.standard_error < mse[within].min()
+    assert gap.bound.value > mse.min()
+
+    class Stopping(SerialPool):
+        def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+            yield from islice(super().run(tasks), 12)
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pfdist.questions.at_work.make_pool", lambda *_, **__: Stopping())
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.bound(problem, 480, results=stopped, **quiet)
+    assert hashes(stopped) != hashes(run.path)
+    pfdist.bound(problem, 480, results=stopped, **quiet)
+    assert hashes(stopped) == hashes(run.path)
 
 
 def test_the_plan_is_compared_with_each_sensor_and_with_rotation(
@@ -199,7 +248,7 @@ def test_measurements_have_a_row_for_each_sensor(
     assert following.measured == ("2 near", "4 near", "4 both")
 
 
-def test_the_last_instant_of_a_clock_is_planned(tmp_path: Path) -> None:
+def test_the_last_instant_of_a_clock_is_planned() -> None:
     """The clock of what is left has a single instant."""
     problem = _problem(SYSTEMS[3], measurement_budget=2, time_step=1, time_unit="h")
     planner = pfdist.Planner(problem, ["2 near", "9 far"])
@@ -213,8 +262,8 @@ def test_the_last_instant_of_a_clock_is_planned(tmp_path: Path) -> None:
     ("rows", "said"),
     [
         ("2,near,1.5\n\n40,near,1", r"t must lie in 0\.\.12, got 40 \(row 2\)$"),
-        ("2,Near,1.5", "got 'Near' in row 1; did you mean 'near'"),
-        ("2,near,wet", "column 'y0' must hold numbers, got 'wet' in row 1$"),
+        ("2,Near,1.5", "in row 1: got 'Near'; did you mean 'near'. Allowed: "),
+        ("2,near,wet", "column 'y0' in row 1 must be a number, got 'wet'$"),
         ("2,near,1,5", "decimals have a point; .* Expected 3 fields in line 2, saw 4$"),
     ],
 )

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pfdist import evaluate
+from pfdist import evaluate, load_model
 from pfdist.errors import ModelError
-from pfdist.questions.model_checks import check_model
+from pfdist.questions.model_checks import check_loaded
 
 MODEL = """
 import math
@@ -81,7 +81,7 @@ def written(folder: Path, body: str, likelihood: str = LIKELIHOOD, engine: str =
 
 def refused(folder: Path, job: Path) -> list[str]:
     """The mistakes that `check-model` and `evaluate` name."""
-    checks = list(check_model("mine.py:model", horizon=8, particles=5, folder=folder))
+    checks = list(check_loaded(lambda: load_model("mine.py:model", folder), 8, 5))
     with pytest.raises(ModelError) as caught:
         evaluate(job, (0, 3), draws=5)
     return [*(check.text for check in checks if check.state == "wrong"), str(caught.value)]
@@ -98,10 +98,10 @@ MISTAKES = {
     "x[2] of two": ("return (x[2] + w[0], x[1])", "x has 2"),
     "three values": ("return (MATRIX @ x)[0], x[1], w", "same|as many|tuple"),
     "a number": ("return 0.9 * x[0] + w[0]", r"even of a single component: \(a,\), got an array"),
-    "a list": ("return [x[0] + w[0], x[1]]", r"write \(a, b\) in place of"),
+    "a list": ("return [x[0] + w[0], x[1]]", r"write \(a, b\) instead of"),
     "no return": ("x[0] + w[0], x[1]", "is there no `return`"),
     "nested": ("return ((x[0] + w[0],), x[1])", "a tuple that contains a tuple"),
-    "w for w[0]": ("return (x[0] + w, x[1])", r"w in place of w\[0\]"),
+    "w for w[0]": ("return (x[0] + w, x[1])", r"w instead of w\[0\]"),
     "x for x[0]": ("return (0.9 * x + w[0], x[1])", r"first component is x\[0\]"),
     "x.a": ("return (x.a + w[0], x[1])", r"parameters are p\.name"),
     "p['a']": ("return (p['a'] * x[0] + w[0], x[1])", r"read as p\.name"),

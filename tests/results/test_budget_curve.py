@@ -136,7 +136,7 @@ def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> N
     names = ["regular_2", "relaxation_2", "exchange_2"]
     names = names if numbers == 1 else [f"relaxation_{number}" for number in range(2, 6)]
     table = _table(dict.fromkeys(names, 7.0 + NOISE))
-    groups = np.random.default_rng(1).normal(5.0, 1.0, (4000, numbers, GROUPS))
+    groups = np.random.default_rng(1).normal(5.0, 1.0, (1000, numbers, GROUPS))
     errors = groups.std(axis=2, ddof=1) / math.sqrt(GROUPS)
     covered = 0
     for bounds in np.stack([groups.mean(axis=2), errors], axis=2):
@@ -147,7 +147,7 @@ def test_limits_hold_together_as_often_as_they_say(sets: int, numbers: int) -> N
             for name in (names if numbers == 1 else names[number : number + 1])
         }
         covered += bool((with_bounds(table, proofs)["bound_low"] < 5.0).all())
-    assert abs(covered / 4000 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 4000)
+    assert abs(covered / 1000 - CONFIDENCE) < 4 * math.sqrt(0.95 * 0.05 / 1000)
 
 
 def test_an_exact_bound_is_a_limit_and_a_withdrawn_bound_is_none(table: pd.DataFrame) -> None:

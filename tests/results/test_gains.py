@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,17 +15,33 @@ from pfdist.results import (
     Gain,
     Moments,
     relative_gain,
-    summarise_gain,
 )
-from pfdist.results.gains import QUANTILES, GainSummary, gain_over_itself
+from pfdist.results.moments import QUANTILES, disagree, gain_over_itself
 
 Array = np.ndarray
 
 
+class Figures:
+    """The columns of a gain as attributes, with intervals as pairs."""
+
+    def __init__(self, gain: Gain) -> None:
+        self._columns = gain.columns()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.endswith("_interval"):
+            start = name.removesuffix("_interval")
+            return self._columns[f"{start}_low"], self._columns[f"{start}_high"]
+        return self._columns[name]
+
+
+def figures_of(mse: Array, reference: Array) -> Figures:
+    return Figures(Gain.of_draws(mse, reference))
+
+
 def test_a_draw_degenerate_with_either_set_is_left_out() -> None:
     mse, reference = np.array([1.0, np.nan, 1.0]), np.array([2.0, 2.0, np.nan])
-    summary = summarise_gain(mse, reference)
-    assert (summary.draws, summary.mean_relative_gain, summary.gain_of_means) == (1, 0.5, 0.5)
+    summary = figures_of(mse, reference)
+    assert (summary.gain_draws, summary.mean_relative_gain, summary.gain_of_means) == (1, 0.5, 0.5)
 
 
 def test_wilson_interval_by_its_closed_form() -> None:
@@ -34,7 +51,7 @@ def test_wilson_interval_by_its_closed_form() -> None:
     p = k / n
     centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    interval = summarise_gain(mse, reference).positive_fraction_interval
+    interval = figures_of(mse, reference).positive_fraction_interval
     assert interval == pytest.approx((centre - half, centre + half))
 
 
@@ -43,11 +60,11 @@ def test_intervals_cover_as_often_as_they_say() -> None:
     covariance = [[4.0, 2.0], [2.0, 9.0]]  # the mean of 30 references errs by a quarter
     covered = np.zeros(2)
     for _ in range(runs):
-        of_mean = summarise_gain(1 - rng.normal(0.25, 0.3, 50), np.ones(50))
+        of_mean = figures_of(1 - rng.normal(0.25, 0.3, 50), np.ones(50))
         low, high = of_mean.mean_relative_gain_interval
         covered[0] += low < 0.25 < high
         mse, reference = rng.multivariate_normal([1.6, 2.0], covariance, 30).T
-        low, high = summarise_gain(mse, reference).gain_of_means_interval
+        low, high = figures_of(mse, reference).gain_of_means_interval
         covered[1] += low < 0.2 < high
     # binomial around 95 %: sd 0.7 %
     assert (abs(covered / runs - 0.95) < 4 * np.sqrt(0.95 * 0.05 / runs)).all()
@@ -58,19 +75,19 @@ def test_the_gain_of_means_interval_ends_where_a_paired_test_says_so() -> None:
     rng = np.random.default_rng(1)
     reference = rng.lognormal(3, 1, 40)
     mse = reference * rng.lognormal(-0.3, 0.4, 40)
-    for gain in summarise_gain(mse, reference).gain_of_means_interval:
+    for gain in figures_of(mse, reference).gain_of_means_interval:
         assert stats.ttest_1samp(mse - (1 - gain) * reference, 0.0).pvalue == pytest.approx(0.05)
 
 
 def test_a_reference_that_may_be_0_bounds_no_gain_of_means() -> None:
     mse, reference = np.array([1.0, 2.0, 3.0]), np.array([-1.0, 0.1, 1.0])
-    assert summarise_gain(mse, reference).gain_of_means_interval == (-np.inf, np.inf)
-    assert summarise_gain(np.ones(3), np.zeros(3)).gain_of_means == -np.inf
+    assert figures_of(mse, reference).gain_of_means_interval == (-np.inf, np.inf)
+    assert figures_of(np.ones(3), np.zeros(3)).gain_of_means == -np.inf
 
 
 def test_a_set_gains_nothing_over_the_very_same() -> None:
     mse = np.random.default_rng(1).lognormal(3, 1, 100)
-    summary = summarise_gain(mse, mse)
+    summary = figures_of(mse, mse)
     assert summary.gain_of_means_interval == pytest.approx((0.0, 0.0), abs=1e-12)
     assert summary.mean_log10_ratio_interval == (0.0, 0.0)
 
@@ -79,7 +96,7 @@ def test_the_log_ratio_of_a_lognormal_is_its_mean_and_changes_sign_with_the_two(
     rng = np.random.default_rng(3)
     reference = rng.lognormal(3, 1, 5000)
     mse = reference * 10 ** rng.normal(-0.15, 0.2, 5000)
-    there, back = summarise_gain(mse, reference), summarise_gain(reference, mse)
+    there, back = figures_of(mse, reference), figures_of(reference, mse)
     assert abs(there.mean_log10_ratio + 0.15) < 4 * 0.2 / np.sqrt(5000)
     low, high = there.mean_log10_ratio_interval
     half = stats.t.ppf(0.975, 4999) * 0.2 / np.sqrt(5000)
@@ -97,19 +114,19 @@ def test_noise_gives_a_set_a_negative_gain_over_itself() -> None:
     found = gain_over_itself(mse, again)
     assert found.count == 4998
     assert abs(found.mean - (1 - np.exp(sd**2))) < 4 * found.standard_error
-    one_way = summarise_gain(mse, again).mean_relative_gain_interval
+    one_way = figures_of(mse, again).mean_relative_gain_interval
     low, high = found.estimate.interval()
     assert high - low < (one_way[1] - one_way[0]) / 10
     assert high < 0
 
 
 def test_no_draws_give_no_figures() -> None:
-    summary = summarise_gain(np.array([np.nan]), np.array([1.0]))
-    assert summary.draws == 0
+    summary = figures_of(np.array([np.nan]), np.array([1.0]))
+    assert summary.gain_draws == 0
     assert np.isnan(summary.mean_relative_gain)
     assert np.isnan(summary.gain_of_means_interval).all()
-    summary = summarise_gain(np.array([1.0]), np.array([2.0]))
-    assert (summary.draws, summary.gain_of_means, summary.mean_log10_ratio) == (
+    summary = figures_of(np.array([1.0]), np.array([2.0]))
+    assert (summary.gain_draws, summary.gain_of_means, summary.mean_log10_ratio) == (
         1,
         0.5,
         np.log10(0.5),
@@ -143,12 +160,12 @@ def test_blocks_give_what_numpy_and_scipy_give_on_the_whole(
     for a, b in zip(_blocks(mse, size), _blocks(reference, size), strict=True):
         accumulated.add(a, b)
     np.testing.assert_array_equal(relative_gain(mse, reference), gain)
-    known, close = accumulated.summary(), {"rtol": 1e-12, "atol": 1e-12}
+    known, close = Figures(accumulated), {"rtol": 1e-12, "atol": 1e-12}
     np.testing.assert_allclose(known.mean_relative_gain, gain.mean(), **close)
     np.testing.assert_allclose(accumulated.relative.standard_error, stats.sem(gain), **close)
     np.testing.assert_allclose(accumulated.errors.x.standard_error, stats.sem(mse), **close)
     np.testing.assert_allclose(known.gain_of_means, 1 - mse.mean() / reference.mean(), **close)
-    at_once = summarise_gain(mse, reference)
+    at_once = figures_of(mse, reference)
     np.testing.assert_allclose(
         known.gain_of_means_interval, at_once.gain_of_means_interval, rtol=1e-9, atol=1e-9
     )
@@ -164,9 +181,9 @@ def test_blocks_give_what_numpy_and_scipy_give_on_the_whole(
     if gain.std():
         whole = stats.ttest_1samp(gain, 0.0).confidence_interval(0.95)
         np.testing.assert_allclose(known.mean_relative_gain_interval, whole, rtol=1e-9, atol=1e-12)
-    assert known.draws == count
+    assert known.gain_draws == count
     assert known.positive_fraction == np.mean(gain > 0)
-    assert known.quantiles[0.5] == accumulated.quantile(0.5)
+    assert known.gain_quantile_50 == accumulated.quantile(0.5)
     for share in (0.001, *QUANTILES, 0.999):
         assert abs(accumulated.quantile(share) - np.quantile(gain, share)) <= BIN, share
 
@@ -179,7 +196,7 @@ def test_the_same_blocks_in_the_same_order_give_the_same_bits() -> None:
         second.add(block.copy(order="F"))
     assert first.mse == second.mse
     for name, gain in first.gains.items():
-        assert gain.summary() == second.gains[name].summary()
+        assert gain.columns() == second.gains[name].columns()
     assert first.half_width() == second.half_width()
 
 
@@ -197,11 +214,11 @@ def test_each_set_of_a_comparison_gains_over_its_own_reference() -> None:
         (chosen, {"b": "a", "d": "c"}),
     ):
         expected = {
-            name: summarise_gain(columns[name], columns[other])
+            name: Gain.of_draws(columns[name], columns[other]).columns()
             for name, other in references.items()
         }
-        assert {name: each.summary() for name, each in statistics.gains.items()} == expected
-    assert expected["b"].draws == 999
+        assert {name: each.columns() for name, each in statistics.gains.items()} == expected
+    assert expected["b"]["gain_draws"] == 999
 
 
 def test_the_histogram_is_numpys_and_what_lies_outside_is_counted_apart() -> None:
@@ -244,7 +261,7 @@ def test_an_infinite_error_in_any_block_makes_the_mean_infinite_and_the_fraction
     gain = Gain()
     for value in mse:
         gain.add(np.array([value]), np.array([2.0]))
-    summary = gain.summary()
+    summary = Figures(gain)
     assert summary.mean_relative_gain == summary.gain_of_means == -np.inf
     assert summary.mean_log10_ratio == np.inf
     assert summary.positive_fraction == 2 / 3
@@ -265,18 +282,18 @@ def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() 
     # One draw in five has a hundred times the error, and gains; the others lose.
     reference = np.where(rng.random(4000) < 0.2, 100.0, 1.0)
     mse = np.where(reference > 1, 0.7 * reference, 1.2) * rng.uniform(0.9, 1.1, 4000)
-    skewed = summarise_gain(mse, reference)
+    skewed = figures_of(mse, reference)
     assert skewed.mean_relative_gain < 0 < skewed.gain_of_means
-    assert skewed.disagree
-    alike = summarise_gain(0.8 * reference * rng.uniform(0.9, 1.1, 4000), reference)
-    assert not alike.disagree
-    few = summarise_gain(mse[:3], reference[:3])
-    assert not few.disagree
-    assert not summarise_gain(np.ones(1), np.ones(1)).disagree
+    assert skewed.gains_disagree
+    alike = figures_of(0.8 * reference * rng.uniform(0.9, 1.1, 4000), reference)
+    assert not alike.gains_disagree
+    few = figures_of(mse[:3], reference[:3])
+    assert not few.gains_disagree
+    assert not figures_of(np.ones(1), np.ones(1)).gains_disagree
 
 
 @pytest.mark.parametrize(
-    ("relative", "means", "disagree"),
+    ("relative", "means", "apart"),
     [
         ((-0.02, -0.01), (0.01, 0.02), True),  # opposite signs
         ((0.01, 0.02), (-0.02, -0.01), True),
@@ -292,14 +309,12 @@ def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() 
     ],
 )
 def test_two_gains_disagree_where_one_has_another_sign_or_only_one_has_a_sign(
-    relative: tuple[float, float], means: tuple[float, float], disagree: bool
+    relative: tuple[float, float], means: tuple[float, float], apart: bool
 ) -> None:
     def middle(interval: tuple[float, float]) -> float:
         return sum(interval) / 2
 
-    share, nothing = (0.5, (0.4, 0.6)), (0.0, (0.0, 0.0))
-    summary = GainSummary(9, middle(relative), relative, *share, middle(means), means, *nothing, {})
-    assert summary.disagree is disagree
+    assert disagree(middle(relative), relative, middle(means), means) is apart
 
 
 @pytest.mark.parametrize("alpha", [1.3, 3.0])

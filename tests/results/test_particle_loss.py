@@ -1,4 +1,4 @@
-"""The loss by a finite number of particles, against the Kalman filter and in a collapse."""
+"""The loss by a finite number of particles: when it is small, what is said, and a run's tables."""
 
 import math
 from collections.abc import Callable
@@ -10,59 +10,16 @@ import pytest
 
 import pfdist
 from oracles.results_of import results_of
-from oracles.systems import scalar
 from pfdist.common.estimate import Estimate
-from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
-from pfdist.filters.work import Estimation, Work, with_truth
-from pfdist.models import StateSpaceModel
 from pfdist.results import Moments
-from pfdist.results.particle_loss import ParticleLoss, hardly_measured, less, particle_loss
-from pfdist.results.stored_run import particle_losses_of
-
-HORIZON, TIMES = 12, (2, 5, 6, 10)
-
-
-def measured(model: StateSpaceModel, particles: int, draws: int) -> tuple[ParticleLoss, Moments]:
-    """The loss of a set, and the moments of its squared error."""
-    evaluator = Evaluator(model, HORIZON)
-    squared, distance, variance = (
-        evaluator.filtered(Work((TIMES,), (HORIZON,), (7,), 3, (0, draws), estimation)).mse[:, 0]
-        for estimation in (
-            Estimation(particles),
-            Estimation(particles, estimator="filter_noise"),
-            with_truth(particles),
-        )
-    )
-    whole = Moments()
-    whole.add(squared)
-    return particle_loss(particles, whole, squared, distance, variance), whole
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("sd", "particles"), [(1.0, 50), (1.0, 200), (0.1, 200)])
-def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles: int) -> None:
-    """Right to order 1/P: the tolerance has the square of the loss beside 4 standard errors."""
-    model = scalar("scalar", 0.95, 0.5, sd)
-    loss, whole = measured(model, particles, 20_000)
-    exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
-    error = math.hypot(loss.by_two_filters.standard_error, whole.standard_error / whole.mean)
-    assert loss.by_two_filters.value == pytest.approx(exact, abs=4 * error + exact**2)
-    assert loss.at_most.value > exact - 4 * error
-    assert loss.at_most.value < 4 * exact + 4 * error
-    assert not loss.is_large
-    assert loss.warning == ""
-
-
-@pytest.mark.slow
-def test_in_a_collapse_the_upper_figure_alone_shows_the_loss() -> None:
-    """A sensor of a ten-thousandth of the prior's deviation: 20 particles never meet it."""
-    model = scalar("scalar", 0.95, 0.5, 0.0002)
-    loss, whole = measured(model, 20, 4000)
-    exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
-    assert loss.at_most.value > exact - 4 * whole.standard_error / whole.mean
-    assert loss.is_large
-    assert "20 particles may be too few: they lose" in loss.warning
+from pfdist.results.particle_loss import (
+    ParticleLoss,
+    hardly_measured,
+    less,
+    particle_loss,
+    particle_losses_of,
+)
 
 
 def test_a_mean_less_that_of_the_first_draws_has_the_error_of_both() -> None:

@@ -109,15 +109,15 @@ def test_sums_of_errors_of_other_instants_have_another_id(tmp_path: Path) -> Non
 WRONG = "model.filter.parameters.process_sd=2"
 NO_SCALAR = "model.name=bearings_only"
 REFUSED = [  # changes of the job, and what the error says
-    (["model.name=ungn"], r"^model\.name: a model must be one of .*got 'ungn'"),
+    (["model.name=ungn"], r"^model\.name: the model: got 'ungn'; did you mean 'ungm'"),
     (["model.parameters.sd=1"], r"^model\.parameters: .*unknown parameter 'sd', allowed: "),
     (["model.parameters.process_sd=-1"], r"^model\.parameters: .* 0\.\.inf, got -1\.0$"),
-    (["model.filter.name=ungn"], r"^model\.filter\.name: a model must be one of .*got 'ungn'"),
+    (["model.filter.name=ungn"], r"^model\.filter\.name: the model: got 'ungn'; did you mean"),
     (["model.filter.parameters.sd=1"], "model.filter: .*unknown parameter 'sd'"),
     (["model.filter.name=other.py:model"], "as many components of z as .* 1, got 2"),
     (
         [WRONG, "evaluation.estimator=two_filters"],
-        "'two_filters' needs a filter that knows the tru",
+        "'two_filters' needs a filter with the true m",
     ),
     (
         [WRONG, "search.genetic.evaluation.estimator=filter_variance"],
@@ -174,14 +174,14 @@ OWN = ["[model]", 'name = "other.py:model"']
 
 
 @pytest.mark.slow
-def test_what_cannot_be_traced_is_computed_in_numpy_with_one_warning(tmp_path: Path) -> None:
+def test_what_cannot_be_traced_is_called_on_arrays_with_one_warning(tmp_path: Path) -> None:
     few = ["evaluation.draws=3", "comparison.draws=10", "search.genetic.generations=1"]
     job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(few)
-    says = r"(?s)cannot be traced at t = 0: .*erf.*other\.py:\d+.*NumPy instead, about 100 t"
+    says = r"(?s)cannot be traced at t = 0: .*erf.*other\.py:\d+.*called on arrays, about 15 t"
     with pytest.warns(EngineWarning, match=says) as caught:
         run = pfdist.run(job, tmp_path / "run", figures=False)
     assert len(caught) == 1
-    job = job.with_changes(["filter.engine=numpy"])
+    job = job.with_changes(["filter.engine=batched"])
     knowing = pfdist.run(job, tmp_path / "known", figures=False)  # a warning would be an error
     assert run.table("comparison").equals(knowing.table("comparison"))
     job = job_with(tmp_path, *OWN, formula="pfdist.densities.erf(0.5 * x[0])")
@@ -218,7 +218,7 @@ def test_the_engine_is_part_of_what_a_run_is(small_job: Job, small_run: pfdist.R
 @pytest.mark.parametrize("name", ["epidemic", "pharmacokinetics"])
 def test_a_model_that_reads_the_clock_needs_one_before_anything_is_compiled(name: str) -> None:
     problem = {"horizon": 12, "measurement_budget": 3}
-    words = r"^model: .* reads the clock: p\.time.* there is no clock: g"
+    words = r"^model: .* reads the clock: p\.time.* and there is none: g"
     with pytest.raises(ModelError, match=words):  # and a warning about Numba would be an error
         build(Job(seed=1, model={"name": name}, problem=problem))
     with pytest.raises(ModelError, match=r"^model\.filter: .* reads the clock: "):
@@ -238,7 +238,7 @@ def test_the_command_line_says_it_in_one_line(
     ("address", "environment", "threaded", "pool", "reason"),
     [
         ("", "", True, "threads", "no cluster is given"),
-        ("", "", False, "processes", "formulas in NumPy keep Python's lock"),
+        ("", "", False, "processes", "functions that are not compiled hold Python's lock"),
         ("local", "", True, "ray", "an address is given"),
         ("", "10.0.0.1:6379", True, "ray", "RAY_ADDRESS is set"),
     ],

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-import oracles.kalman
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.listed import forget
@@ -20,10 +19,8 @@ from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
 from pfdist.filters.work import Estimation, Work
-from pfdist.pages.figure import FIGURES, Tables, drawn
 from pfdist.results import Run
 from pfdist.results.online import online_draws
-from pfdist.results.stored_run import problem_of
 from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 
@@ -53,9 +50,11 @@ pool = "serial"
 """
 PRICES = f"problem={{horizon={HORIZON}, total_price=7, price={[1, 2] * 6 + [1]}}}"
 CONSTRAINTS = {
-    "spacing": ["problem.minimum_spacing=2"],
-    "forbidden": ["problem.forbidden=[3, 7]"],
-    "required": ["problem.required=[0, 12]"],
+    "times": [
+        "problem.minimum_spacing=2",
+        "problem.forbidden=[3, 7]",
+        "problem.required=[0, 12]",
+    ],
     "costs": [PRICES],
 }
 
@@ -140,35 +139,6 @@ def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "clock",
-    ["time_step = 0.5\nhorizon = 6", "times = [0, 0.5, 1, 2, 3, 5, 8, 12, 13, 14, 15, 16, 20]"],
-)
-def test_a_job_with_a_clock_has_the_figure_of_online_times(clock: str, tmp_path: Path) -> None:
-    path = tmp_path / "clock.toml"
-    path.write_text(JOB.replace(f"horizon = {HORIZON}", clock))
-    run = pfdist.run(path, tmp_path / "run", figures=False)
-    (plot,) = (plot for _, plot in FIGURES["online_times"].plots(Tables(run)))
-    shares, _ = drawn(plot).axes
-    times = problem_of(run).clock.times
-    middles = [bar.get_x() + bar.get_width() / 2 for bar in shares.patches]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(middles, times)
-    counts = [
-        sum(time in chosen for chosen in run.table("online")["measurement_times"]) for time in times
-    ]
-    heights = [bar.get_height() for bar in shares.patches]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(heights, 100 * np.array(counts) / len(run.table("online")))
-
-
-@pytest.mark.slow
-def test_two_workers_of_ray_give_the_same_bytes(
-    job: Job, run: Run, tmp_path: Path, ray_cluster: None
-) -> None:
-    other = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, figures=False)
-    assert hashes(other.path) == hashes(run.path)
-
-
-@pytest.mark.slow
 @pytest.mark.usefixtures("draw_by_draw")
 def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
     job: Job, run: Run, tmp_path: Path, stopped: Callable[..., None], handed: list[Work]
@@ -220,7 +190,7 @@ model = replace(ungm, log_likelihood=lambda y, x, t, p:
 
 
 @pytest.mark.slow
-def test_degenerate_draws_count_with_their_errors_and_are_counted(job: Job, tmp_path: Path) -> None:
+def test_degenerate_draws_count_with_their_errors_and_are_counted(tmp_path: Path) -> None:
     (tmp_path / "rare.py").write_text(RARE)
     (tmp_path / "rare.toml").write_text(JOB)
     changes = ["model.name=rare.py:model", "online.draws=30"]
@@ -273,9 +243,9 @@ def test_the_command_prints_a_block_and_takes_draws(
     assert main([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["online"] == run.as_json()["online"]
     assert hashes(tmp_path / "run") == hashes(run.path)
-    block = printed[printed.index("Expected error on 6 draws") :].splitlines()
+    block = printed[printed.index("Expected MSE on 6 draws") :].splitlines()
     rows = [line.split()[0] for line in block if re.search(r"± \d", line)]
-    assert rows == ["online", "survivors", "regular"]
+    assert rows == ["online", "plan", "evenly"]
     assert all(len(line) <= 80 for line in block if str(tmp_path) not in line)
 
 
@@ -310,46 +280,3 @@ def test_it_is_not_worse_than_the_plan_by_more_than_noise(job: Job, tmp_path: Pa
     assert draws.differ.mean() > 0.5  # it did not just keep the plan
     names = {file.stem for file in (run.path / "figures").glob("online_*.png")}
     assert names == {"online_gain", "online_draw", "online_times"}
-
-
-EXACT = """
-seed = 1
-[model]
-name = "exact.py:model"
-[problem]
-horizon = 12
-measurement_budget = 4
-[filter]
-engine = "kalman"
-[[search]]
-method = "exhaustive"
-[comparison]
-draws = 4
-[online]
-draws = 4
-search.method = "exhaustive"
-[execution]
-pool = "serial"
-"""
-
-
-@pytest.mark.parametrize("name", ["SCALAR", "TRACKING", "THREE"])
-def test_where_measurements_say_nothing_about_times_the_plan_is_kept(
-    name: str, tmp_path: Path
-) -> None:
-    """The variance of a Kalman filter does not depend on what was measured."""
-    system = vars(getattr(oracles.kalman, name))
-    matrices = {key: matrix.tolist() for key, matrix in system.items()}
-    (tmp_path / "exact.py").write_text(
-        "from pfdist import linear_gaussian\n"
-        f"m = {matrices}\n"
-        "model = linear_gaussian('exact', initial_noise=m['b0'], transition=m['a'],\n"
-        "    process_noise=m['b'], measurement=m['c'], measurement_noise=m['d'],\n"
-        "    quantity_of_interest=m['h'])\n"
-    )
-    path = tmp_path / "exact.toml"
-    path.write_text(EXACT)
-    run = pfdist.run(path, tmp_path / "run", figures=False)
-    plan = run.sets["exhaustive"]
-    assert [tuple(times) for times in run.table("online")["measurement_times"]] == [plan] * 4
-    assert run.as_json()["online"]["differs_from_plan"] == 0.0

@@ -12,22 +12,6 @@ from pfdist.runner import provenance as provenance_module
 HERE = {"compiled_for": "haswell", "model": "A processor"}
 THERE = {"compiled_for": "znver3", "model": "Another processor"}
 
-POWER = """
-from pfdist import StateSpaceModel
-
-model = StateSpaceModel(
-    name="power",
-    initial=lambda w, p: (w[0],),
-    transition=lambda x, t, w, p: (abs(x[0]) ** 0.9 + w[0],),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-)
-"""
-
 
 def lines_when_it_goes_on(
     job: Job, path: Path, monkeypatch: pytest.MonkeyPatch, *elsewhere: dict[str, str]
@@ -62,7 +46,7 @@ def test_nothing_is_said_where_nothing_may_differ(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run"
-    assert lines_when_it_goes_on(small_job, path, monkeypatch, HERE, THERE, THERE, HERE) == []
+    assert lines_when_it_goes_on(small_job, path, monkeypatch, THERE, THERE, HERE) == []
     assert provenance(path)["processor"] == HERE
     assert provenance(path)["continued_on"] == [THERE]
 
@@ -75,5 +59,5 @@ def test_an_engine_in_numpy_agrees_to_12_digits_and_says_so(
     job = small_job.with_changes(changes)
     (line,) = lines_when_it_goes_on(job, tmp_path / "run", monkeypatch, THERE)
     assert line.endswith(
-        "figures of filter.engine = 'numpy' agree to about 12 digits, not to the last"
+        "numbers of filter.engine = 'numpy' agree to about 12 digits, not to the last"
     )

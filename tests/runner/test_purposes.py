@@ -13,7 +13,7 @@ from pfdist import Job
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Work
-from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.why import why
 from pfdist.runner.build import build
 from pfdist.runner.door import Batch

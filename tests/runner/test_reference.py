@@ -1,6 +1,5 @@
 """The reference of a comparison: what it is, what it is called, and that it may be any set."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -89,16 +88,3 @@ def test_with_another_reference_it_is_another_run_of_the_same_searches(
     other = few.with_changes(["comparison.reference=[0, 3, 8]"])
     with pytest.raises(RunMismatchError, match=r"comparison.reference: \[0, 3, 9\] -> \[0, 3, 8"):
         pfdist.run(other, runs[-1].path)
-
-
-@pytest.mark.slow
-def test_with_costs_it_spends_all_and_says_so(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = small_job.path
-    cost = "price = {'0-5' = 1, '6-12' = 2}\ntotal_price = 7"
-    path.write_text(path.read_text().replace("measurement_budget = 4", cost))
-    pfdist.run(pfdist.load_job(path, SHORT), tmp_path / "run", figures=False)
-    assert main(["status", str(tmp_path / "run"), "--verbose"]) == 0
-    text = re.sub(r"\s+", " ", capsys.readouterr().out)
-    assert "of the sets with the most measurements (N = 6, spends 7 of 7)" in text

@@ -13,7 +13,7 @@ from pfdist import Job
 from pfdist.common.measurement_times import Times
 from pfdist.errors import PfdistWarning
 from pfdist.filters.estimate import Evaluation
-from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.runner.search_phase import _uncontradicted
 
 DRAWS = 400
@@ -80,7 +80,7 @@ def test_exchanges_that_take_too_long_are_left_out_and_a_line_says_so(
     said: list[str] = []
     run = pfdist.plan(small_job, tmp_path / "run", bound_draws=0, figures=False, say=said.append)
     assert f"{DEFAULT_METHOD}.polish" not in set(run.table("evaluations")["phase"])
-    line = "search relaxation: exchanges would take too long, and are left out"
+    line = "search relaxation: exchanges would take too long and are skipped"
     assert line in said
     with pytest.warns(PfdistWarning, match=f"^{line}$"):  # where nobody receives lines
         pfdist.plan(small_job, tmp_path / "again", bound_draws=0, figures=False)

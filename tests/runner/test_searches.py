@@ -7,8 +7,7 @@ import pytest
 
 from pfdist.filters.work import Estimation
 from pfdist.problem.job import Job, load_job
-from pfdist.problem.methods import DEFAULT_METHOD
-from pfdist.problem.sections import Execution
+from pfdist.problem.sections import DEFAULT_METHOD, Execution
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.door import Session, complete
 from pfdist.runner.driver import drive

@@ -5,8 +5,9 @@ import pytest
 from pfdist import Job
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import CHOOSING
-from pfdist.problem.methods import DEFAULT_METHOD
-from pfdist.runner.searches import Study
+from pfdist.problem.sections import DEFAULT_METHOD
+from pfdist.runner.budget_study import BudgetStudy
+from pfdist.runner.study import Study
 
 PLAN = {"search": [{"method": DEFAULT_METHOD, "polish": False}]}
 BUDGET = PLAN | {"budget": {"least": 2, "most": 11}}
@@ -17,7 +18,7 @@ SETS: dict[str, list[Times]] = {
 
 
 def made(job: Job) -> Study:
-    return Study(job, job.problem.feasible)
+    return (Study if job.budget is None else BudgetStudy)(job, job.problem.feasible)
 
 
 @pytest.fixture(params=["times", "budget"])

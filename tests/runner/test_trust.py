@@ -17,7 +17,7 @@ from pfdist.common.streams import stream_of
 from pfdist.filters.work import Work
 from pfdist.pages import searches as searches_page
 from pfdist.pages.figure import Tables
-from pfdist.problem.methods import DEFAULT_METHOD
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.questions.run_page import searches
 from pfdist.questions.subject import Subject
 from pfdist.results import Run
@@ -94,13 +94,11 @@ def _is_near_the_best(times: tuple[int, ...], job: Job) -> bool:
 
 
 @pytest.mark.slow
-def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
-    planned: Planned, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_distrust_is_said_in_a_line_with_its_reason_and_kept(planned: Planned) -> None:
     run, said, _ = planned
     (line,) = [line for line in said if "cannot be believed" in line]
     assert line.startswith("search survivors: filter_variance of 100 particles cannot be believed")
-    assert line.endswith("; searching again by the squared error")
+    assert line.endswith(". Searching again with the squared error...")
     result = results_of(run)["survivors"]
     assert result.search_distrust in line
     assert result.search_settings == ""  # the race chose, as the comparison estimates

@@ -15,7 +15,6 @@ from pfdist.runner.build import build
 from pfdist.search import Exhaustive, RandomTrials
 from pfdist.search.base import FINALISTS
 
-FEASIBLE = Feasible(horizon=11, measurement_budget=4)
 TRIALS = RandomTrials(Feasible(30, 3), 600)
 
 

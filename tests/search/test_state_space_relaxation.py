@@ -54,7 +54,7 @@ def _exactly(search: StateSpaceRelaxation, model: StateSpaceModel) -> Relaxation
 
 
 def _bound(state: RelaxationState, spent: int) -> float:
-    return float(state.programme(spent).mse[spent])
+    return float(state.programmes([spent])[spent].mse[spent])
 
 
 # --- the proof ---
@@ -89,7 +89,7 @@ def test_it_proves_what_brute_force_finds(model: StateSpaceModel, name: str) -> 
 
 
 @systems
-@pytest.mark.parametrize("unit", [1, 2, 4])
+@pytest.mark.parametrize("unit", [1, 4])
 def test_with_money_it_evaluates_feasible_sets_alone(model: StateSpaceModel, unit: int) -> None:
     """Though a path may leave money over, or cost too much where prices are rounded down."""
     rng = np.random.default_rng(unit)
@@ -175,7 +175,7 @@ def test_a_limit_ends_it_with_a_bound_and_the_set_that_is_best_in_the_relaxation
     (best, *_) = search.finalists(state)
     assert feasible.accepts(best.measurement_times)
     evaluated = {evaluation.measurement_times for evaluation in state.whole}
-    assert state.programme(10).path(10) in evaluated
+    assert state.programmes([10])[10].path(10) in evaluated
 
 
 def _unknown(tell: Tell, draws: int) -> Tell:

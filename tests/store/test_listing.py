@@ -231,8 +231,8 @@ def test_a_draw_of_any_number_costs_neither_time_nor_memory(store: Store) -> Non
     rows = compared_rows(0, 3).set_column(0, "draw", pa.array([0, 1, 3_000_000_000_000]))
     store.commit("comparison", "comparison", rows.cast(comparison_schema(["a"])))
     last = 3_000_000_000_000
-    assert store.numbers("comparison", "draw") == [range(2), range(last, last + 1)]
-    blocks = [block["draw"].to_pylist() for block in store.blocks("comparison", "draw", 10)]
+    assert store.draws("comparison") == [range(2), range(last, last + 1)]
+    blocks = [block["draw"].to_pylist() for block in store.blocks("comparison", 10)]
     assert blocks == [[0, 1], [3_000_000_000_000]]
 
 

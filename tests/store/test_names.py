@@ -12,7 +12,13 @@ import pytest
 from pfdist import Job
 from pfdist.cli.main import main
 
-SMALL = ["search.genetic.generations=1", "search.random.evaluations=2", "comparison.draws=20"]
+SMALL = [
+    "model.name=random_walk",
+    "filter.engine=kalman",
+    "search.genetic.generations=1",
+    "search.random.evaluations=2",
+    "comparison.draws=20",
+]
 NAMES = [
     pytest.param("exp:1", id="a colon", marks=pytest.mark.slow),
     pytest.param("s3:", id="an address", marks=pytest.mark.slow),
@@ -50,10 +56,10 @@ def say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Say:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
     job, printed = str(small_job.path), name.replace("\n", " ").replace("\x1b", "?")
-    assert say("run", job, f"--results={name}", "--set", *SMALL).startswith(f"{printed}: finished")
+    assert say("run", job, f"--results={name}", "--set", *SMALL).find(f"\n{printed}: finished") > 0
     assert Path(name, "run.json").exists()
     for command in ("status", "verify"):
-        assert say(command, "--", name).startswith(f"{printed}: ")
+        assert f"\n{printed}: " in "\n" + say(command, "--", name)
     assert json.loads(say("status", "--json", "--", name))["run"] == name
     new = f"{name}.new"
     words = ["run", job, f"--results={new}", f"--reuse={name}", "--set", *SMALL]

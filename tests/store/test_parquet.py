@@ -100,7 +100,7 @@ def test_draws_are_found_by_their_evaluation_in_parts_and_tables_in_order_and_ea
 def test_blocks_are_sorted_and_have_each_row_once(store: Store) -> None:
     for first, last in ((10, 20), (0, 10), (5, 15), (31, 40)):
         store.commit("comparison", "comparison", compared_rows(first, last))
-    blocks = [rows["draw"].to_pylist() for rows in store.blocks("comparison", "draw", 7, 36)]
+    blocks = [rows["draw"].to_pylist() for rows in store.blocks("comparison", 7, 36)]
     assert blocks == [
         list(range(7)), list(range(7, 14)), list(range(14, 20)), list(range(31, 35)), [35],
     ]  # fmt: skip
@@ -114,8 +114,8 @@ def test_parts_that_become_tables_while_they_are_read_are_read_all_the_same(
         store.commit("draws", "genetic", _draws("a", first, first + 3))
     readers = {
         "read": lambda: len(store.read("draws")),
-        "numbers": lambda: sum(map(len, store.numbers("draws", "draw"))),
-        "blocks": lambda: sum(rows.num_rows for rows in store.blocks("draws", "draw", 2, 6)),
+        "numbers": lambda: sum(map(len, store.draws("draws"))),
+        "blocks": lambda: sum(rows.num_rows for rows in store.blocks("draws", 2, 6)),
         "per_draw": lambda: store.per_draw(["a"]).num_rows,
     }
     known = Store(store.path)
@@ -196,7 +196,7 @@ def test_no_file_gets_a_second_name(store: Store, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_commit_does_as_much_however_much_was_committed_before(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done = list[str]()
     with monkeypatch.context() as patch:

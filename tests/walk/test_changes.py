@@ -17,26 +17,24 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from oracles.model_text import MEASURED
+
 ROOT = Path(__file__).parents[2]
 GREEDY = re.search(r"# greedy\.py\n(.*?)```", (ROOT / "docs/searches.md").read_text(), re.DOTALL)
 WORKING = {
     "searches": GREEDY[1] if GREEDY else "",  # the example of the manual
-    "models": """
+    "models": (
+        """
 from pfdist import StateSpaceModel
 
 model = StateSpaceModel(
     name="a walk",
     initial=lambda w, p: (w[0],),
     transition=lambda x, t, w, p: (x[0] + w[0],),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    linear_gaussian=True,
-)
-""",
+"""
+        + MEASURED
+        + "    linear_gaussian=True,\n)\n"
+    ),
 }
 # Each is appended to a file, declares an addition, and breaks the contract of additions in one way.
 BROKEN = {

@@ -20,9 +20,7 @@ JOB_KEY = re.compile(
     r"|(?<![\w-])--[a-z]"
 )
 BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! default))\s[^.]*")
-SETS_OF_TIMES = (
-    "affordable completions constraints contradictions feasible moves rest spacing written"
-)
+SETS_OF_TIMES = "affordable constraints feasible spacing written"
 LOW_ROOMS = (
     *("pfdist/common/", "pfdist/models/", "pfdist/search/"),
     *(f"pfdist/problem/{module}.py" for module in SETS_OF_TIMES.split()),

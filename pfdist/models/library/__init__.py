@@ -1,1 +1,1 @@
-"""The models that ship. A job names each by the name of its module."""
+"""The built-in models. A job names each by the name of its module."""

@@ -1,4 +1,4 @@
-"""Bearings-only tracking: the position of a ship, from angles that a turning observer measures.
+"""Bearings-only tracking of a ship, from angles that a turning observer measures.
 
 x is the target's position in km, east and north, and its velocity in km a minute. A step is a
 minute, and angles are in radians, clockwise from north. While the observer keeps its course, it

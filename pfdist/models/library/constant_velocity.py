@@ -5,8 +5,8 @@ step is a minute, and angles are clockwise from north. The acceleration is white
 time. In a step the velocity gains sqrt(q) times N(0, 1), and the position gains half of that and
 sqrt(q/12) times another N(0, 1). So their covariance is q [[1, 1/2], [1/2, 1/3]].
 
-The error across the line of sight is the range times the error of the bearing, so a measurement
-says more when the ship is near. The scenario (T = 40) was made up for pfdist.
+The error across the line of sight is the range times the error of the bearing, so a measurement is
+more informative when the ship is near. The scenario (T = 40) was made up for pfdist.
 
 References
 ----------

@@ -1,17 +1,17 @@
-"""An epidemic that is followed by tests of random samples, whose positive results are counted.
+"""An epidemic that is monitored by the number of positive tests in random samples.
 
 The susceptible and the infectious are shares of a large population (SIR model). Each day every
 infectious person infects others at a transmission rate that wanders: its logarithm returns to its
 mean in some weeks (Ornstein-Uhlenbeck process), because people and seasons change. Between two
 instants there are SUBSTEPS short times. In a short time the hazards of infection and recovery are
-constant, so both shares stay within 0 and 1, whatever the time between two instants is.
+constant, so both shares stay within 0 and 1 for any time between two instants.
 
 A measurement tests TESTS persons who are drawn at random. A test of an infectious person is
 positive with the probability `sensitivity`, that of another person with 1 - `specificity`. The
 measurement is the number of positive tests. It is simulated test for test, with a uniform variate
-for each, so it is exactly binomial, and the log-likelihood is exactly that of a binomial count. No
-normal distribution takes the place of the count. The quantity of interest is the prevalence, in per
-cent of the population.
+for each, so it is exactly binomial, and the log-likelihood is exactly that of a binomial count. The
+count is not approximated by a normal distribution. The quantity of interest is the prevalence, in
+per cent of the population.
 
 The unit of time is a day. The infectious period and the reproduction number are about those of a
 pandemic influenza or of SARS-CoV-2. The model reads ``p.dt``, so a job needs a clock.

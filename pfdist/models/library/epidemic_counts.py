@@ -1,11 +1,11 @@
-"""An epidemic that is followed by counts of patients: a Poisson likelihood.
+"""An epidemic that is monitored by counts of patients, with a Poisson likelihood.
 
 The epidemic is that of `pfdist.models.library.epidemic`: shares of the susceptible and of the
-infectious, and a transmission rate that wanders. On a day that is chosen, sentinel practices count
-the patients who come with the disease. `registered` persons belong to these practices. Each
-infectious person comes with the probability `consulting`, and some persons come with the same
-symptoms of another disease, a share `background` of all. The count is a Poisson number. It has no
-upper limit, unlike a number of positive tests, and it is drawn from one uniform variate.
+infectious, and a transmission rate that wanders. On a measured day, sentinel practices count the
+patients with the disease. `registered` persons belong to these practices. Each infectious person
+comes with the probability `consulting`, and some persons come with the same symptoms of another
+disease, a share `background` of all. The count is a Poisson number. It has no upper limit, unlike a
+number of positive tests, and it is drawn from one uniform variate.
 
 The quantity of interest is the prevalence, in per cent of the population. The unit of time is a
 day. The model reads ``p.dt``, so a job needs a clock.

@@ -1,7 +1,7 @@
 """Linear-Gaussian models of any dimension from matrices, and an oscillator with varying noise.
 
-A sensor sees the position of the oscillator, and its noise varies with time. A measurement is worth
-most when its noise is small and the position can be predicted from it for long.
+A sensor measures the position of the oscillator, with noise that varies with time. A measurement is
+most informative when its noise is small and it predicts the position for long.
 
 References
 ----------
@@ -36,7 +36,7 @@ def linear_gaussian(
     """The model x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
 
     w and v are standard normal. A matrix is a sequence of rows, or a function of t that gives a
-    tuple of tuples. Such a function may use everything that a formula may use.
+    tuple of tuples. Such a function may use whatever a formula may use.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def linear_gaussian(
     measurement : matrix, (m, n)
         C.
     measurement_noise : matrix, (m, m)
-        D. It must be diagonal, because each measurement has its own noise. A function of t is
+        D. It must be diagonal, because each measurement has independent noise. A function of t is
         checked at t = 0.
     quantity_of_interest : matrix, (q, n)
         H.
@@ -61,7 +61,7 @@ def linear_gaussian(
     Returns
     -------
     StateSpaceModel
-        With ``linear_gaussian=True``, so that the Kalman filter may compute its expected MSE.
+        With ``linear_gaussian=True``, so that the Kalman filter can compute its expected MSE.
 
     Raises
     ------

@@ -4,7 +4,7 @@ There are three kinds of events: a prey is born, at the rate birth * prey; a pre
 predator is born, at predation * prey * predator; a predator dies, at death * predator. In a short
 time the number of events of each kind is about normal, and its mean and variance are the rate times
 this time (chemical Langevin equation). Between two instants, `step` units of time apart, there are
-SUBSTEPS such short times (Euler-Maruyama). The approximation fails for small populations, so no
+ten such short times (Euler-Maruyama). The approximation fails for small populations, so no
 population falls below one.
 
 Only the prey is counted. The measurement is the logarithm of the count, with normal noise. The
@@ -23,9 +23,9 @@ stochastic biochemical network models using particle Markov chain Monte Carlo", 
 import numpy as np
 
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.continuous import sde
 from pfdist.models.parameters import NOT_NEGATIVE, POSITIVE
 
-SUBSTEPS = 10  # between two instants
 PREY, PREDATORS = 71.0, 79.0  # at first
 FEWEST = 1.0
 
@@ -37,20 +37,26 @@ def initial(w, p):
     )
 
 
-def happened(mean, w):  # how many times, the normal in place of a Poisson number
-    return mean + np.sqrt(mean) * w
-
-
-def transition(x, t, w, p):
+def rates(x, p):
     prey, predators = x
-    h = p.step / SUBSTEPS
-    for k in range(SUBSTEPS):
-        born = happened(h * p.birth * prey, w[3 * k])
-        eaten = happened(h * p.predation * prey * predators, w[3 * k + 1])
-        died = happened(h * p.death * predators, w[3 * k + 2])
-        prey = np.maximum(prey + born - eaten, FEWEST)
-        predators = np.maximum(predators + eaten - died, FEWEST)
-    return (prey, predators)
+    return (p.birth * prey, p.predation * prey * predators, p.death * predators)
+
+
+def drift(x, t, p):
+    born, eaten, died = rates(x, p)
+    return (born - eaten, eaten - died)
+
+
+def diffusion(x, t, p):  # the normal in place of a Poisson number of each kind of event
+    born, eaten, died = np.sqrt(rates(x, p))
+    return ((born, -eaten, 0.0), (0.0, eaten, -died))
+
+
+def keep(x, p):
+    return (np.maximum(x[0], FEWEST), np.maximum(x[1], FEWEST))
+
+
+transition = sde(drift, diffusion, noises=3, substeps=10, dt="step", keep=keep)
 
 
 def measurement(x, t, v, p):
@@ -73,7 +79,7 @@ model = StateSpaceModel(
     log_likelihood=log_likelihood,
     quantity_of_interest=quantity_of_interest,
     initial_noise=("normal", "normal"),
-    process_noise=("normal",) * (3 * SUBSTEPS),
+    process_noise=transition.process_noise,
     measurement_noise=("normal",),
     parameters={
         "birth": 0.5,

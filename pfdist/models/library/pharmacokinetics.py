@@ -1,12 +1,12 @@
-"""A drug in the blood after an injection: two compartments, and patients who differ.
+"""A drug in the blood after an injection: two compartments, with variation between patients.
 
 The dose enters the central compartment (the blood) at time 0. The drug is eliminated from there,
-and goes to and fro between it and the peripheral compartment (the tissue). All rates are
-proportional to amounts, so the amounts after any time follow in closed form from the exponential of
-a 2x2 matrix: first a fast fall while the drug spreads, then a slow one. Clearance and central
-volume differ between patients by log-normal factors and stay the same in a patient. A small
-log-normal noise of both amounts, which grows with the square root of time, stands for what two
-compartments leave out.
+and is exchanged between it and the peripheral compartment (the tissue). All rates are proportional
+to amounts, so the amounts after any time follow in closed form from the exponential of a 2x2
+matrix: first a fast fall while the drug spreads, then a slow one. Clearance and central volume
+differ between patients by log-normal factors and stay the same in a patient. A small log-normal
+noise of both amounts, which grows with the square root of time, models what two compartments
+neglect.
 
 The measurement is the logarithm of the concentration in the blood, with normal noise. The quantity
 of interest is the logarithm without noise, so a relative error counts the same for high and low

@@ -1,4 +1,4 @@
-"""A random walk that is measured with noise: the simplest model.
+"""A random walk, measured with noise: the simplest model.
 
 The model is linear and Gaussian, so the expected MSE is known exactly. The noise is the same at all
 times, so regular times are almost the best.

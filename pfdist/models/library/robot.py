@@ -1,15 +1,16 @@
-"""A robot that has lost its heading: it measures the angles between its nose and two beacons.
+"""A robot with unknown heading, which measures the angles between its nose and two beacons.
 
 x is the robot's position in m, east and north, and its heading in radians, counterclockwise from
-east. A step is a second. The robot drives straight ahead, but for a bend. Its wheels slip in the
-bend, so there its heading is soon uncertain, and elsewhere it drifts slowly. At first its position
-is known roughly, and its heading not at all. A measurement gives the angle of each beacon, seen
-from the robot and counted from its nose. Its error has a von Mises distribution, the counterpart of
-the normal distribution on a circle. So the likelihood needs no rule for angles near half a turn.
+east. A step is a second. The robot drives straight ahead except for one bend. Its wheels slip in
+the bend, so its heading soon becomes uncertain there; elsewhere the heading drifts slowly. At first
+its position is known roughly, and its heading is unknown. A measurement gives the angle of each
+beacon, seen from the robot and counted from its nose. Its error has a von Mises distribution, the
+counterpart of the normal distribution on a circle. So the likelihood needs no rule for angles near
+half a turn.
 
 The quantity of interest is the heading. It is circular: two headings that differ by a full turn are
 the same. So the estimate is the mean direction of the particles, and the error is 1 - cos of the
-difference. A heading that is not known at all has the error 1.
+difference. A completely unknown heading has the error 1.
 
 References
 ----------

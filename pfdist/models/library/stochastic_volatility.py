@@ -1,4 +1,4 @@
-"""Stochastic volatility of a price: x is the logarithm of the variance of a day's return.
+"""Stochastic volatility of a price: x is the log variance of the daily return.
 
 z is the volatility exp(x/2), the standard deviation of the return, in the unit of y. The parameters
 are about those of daily pound/dollar returns in per cent.

@@ -1,16 +1,16 @@
-"""A drug in the blood after an injection, of which the clearance is not known: two compartments.
+"""A drug in the blood after an injection, with unknown clearance: two compartments.
 
 The dose enters the central compartment (the blood) at time 0. The drug is eliminated from there,
-and goes to and fro between it and the peripheral compartment (the tissue). All rates are
-proportional to amounts, so the amounts after any time follow in closed form from the exponential of
-a 2x2 matrix. The share of the dose that arrives differs between patients, and white noise of both
-amounts stands for what two compartments leave out. Two assays measure the concentration in the
-blood with normal noise: an immunoassay is cheap and noisy, a chromatography is dear and exact.
+and is exchanged between it and the peripheral compartment (the tissue). All rates are proportional
+to amounts, so the amounts after any time follow in closed form from the exponential of a 2x2
+matrix. The share of the dose that arrives differs between patients, and white noise of both amounts
+models what two compartments neglect. Two assays measure the concentration in the blood with normal
+noise: an immunoassay is cheap and noisy, a chromatography is expensive and precise.
 
 The clearance is a parameter. It differs between patients by a factor of two and more, so a job
 gives it scenarios: see the page on robust plans. With a known clearance the system is linear and
-Gaussian, so the engine "kalman" knows all errors without draws. `pharmacokinetics` instead makes
-the clearance a component of x that the filter estimates.
+Gaussian, so the engine "kalman" computes all errors exactly, without draws. In `pharmacokinetics`
+the clearance is a component of x that the filter estimates.
 
 Units: mg, L, h. The parameters are about those of vancomycin in adults, as in `pharmacokinetics`.
 The model reads ``p.dt``, so a job needs a clock.

@@ -1,4 +1,4 @@
-"""The univariate nonlinear growth model with the variances of the first particle filter paper.
+"""The univariate nonlinear growth model with the variances of Gordon, Salmond and Smith.
 
 The process variance is 10, ten times that of ``ungm``. The measurement variance is 1 at all times,
 so no time is better than another. The filter starts from N(0, 2), and so does the truth; Gordon et

@@ -1,4 +1,4 @@
-"""A tumour that moves with the breath, seen in X-ray projection: the example of the paper.
+"""A tumour that moves with breathing, seen in X-ray projection: the example of the paper.
 
 x is the tumour's displacement from rest in mm, lateral, longitudinal (along the body) and vertical,
 and its velocity in mm/s. y is its position on a flat detector in mm. z is the displacement. Each
@@ -42,7 +42,7 @@ def initial(w, p):
 
 
 def moved(position, velocity, sd, w0, w1, p):
-    """Position and velocity in one direction a step later.
+    """Position and velocity in one direction after one step.
 
     The noise keeps the variances at sd^2 and (pace sd)^2.
     """

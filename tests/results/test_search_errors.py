@@ -1,11 +1,11 @@
-"""Check what a summary says about a search's belief."""
+"""Why the error that a search estimated differs from the error on fresh draws."""
 
 import math
 
 import numpy as np
 import pytest
 
-from pfdist.results.belief import cause_of_excess, largest_of
+from pfdist.results.sets import cause_of_excess, largest_of
 
 CHOSE = "its draws chose the set"
 UNDERESTIMATES = "the search's filter underestimates its error"
@@ -15,7 +15,7 @@ VARIANCE = {"particles": 100, "estimator": "filter_variance"}
 
 
 @pytest.mark.parametrize(
-    ("believed", "own", "cause"),
+    ("estimated", "own", "cause"),
     [
         (4.7, VARIANCE, CHOSE),  # three standard errors: draws may do that
         (4.5, VARIANCE, UNDERESTIMATES),
@@ -29,11 +29,11 @@ VARIANCE = {"particles": 100, "estimator": "filter_variance"}
         (5.39, {}, CHOSE),
     ],
 )
-def test_the_cause_of_a_wrong_belief_is_the_filter_where_draws_do_not_explain_it(
-    believed: float, own: dict[str, object], cause: str
+def test_the_cause_of_a_wrong_estimate_is_the_filter_where_draws_do_not_explain_it(
+    estimated: float, own: dict[str, object], cause: str
 ) -> None:
     result = {
-        "search_mse": believed,
+        "search_mse": estimated,
         "search_standard_error": 0.06,
         "expected_mse": 5.0,
         "standard_error": 0.08,  # of the difference: 0.1
@@ -44,7 +44,7 @@ def test_the_cause_of_a_wrong_belief_is_the_filter_where_draws_do_not_explain_it
 def test_the_smallest_of_many_evaluations_lies_below_the_limit_as_rarely_as_stated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("pfdist.results.belief.CLEAR_ERRORS", 2.0)  # 2.3 %: often enough to count
+    monkeypatch.setattr("pfdist.results.sets.CLEAR_ERRORS", 2.0)  # 2.3 %: often enough to count
     rare, count, trials = 0.02275, 50, 4000
     largest = np.random.default_rng(1).normal(size=(trials, count)).max(axis=1)
     share = np.mean(largest > largest_of(count))

@@ -1,0 +1,351 @@
+"""A batch of draws in a filter: its arrays, and the common parts of the filter's steps.
+
+Arrays of particles are flat. Particle i of the batch's draw d is at the position ``d * width + i``,
+where width is the number of particles, rounded up to whole vectors. An array with several rows has
+``stride`` entries a row.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.kernels.ancestors import Resampling
+from pfdist.kernels.blocks import Blocks, call_block
+from pfdist.kernels.cached import compiled
+from pfdist.kernels.estimators import ErrorWeights
+from pfdist.kernels.memory import States, ahead, call, readers
+from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.variates import Key, Row
+
+INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
+    np.arange(10)  # NumPy's: Numba compiles a function again for each integer of Python
+)
+"""Rows of `Blocks`: what each block computes. The last is the log-likelihood of the first sensor;
+those of further sensors follow.
+
+========== =================================== ====================================================
+block      from                                to
+========== =================================== ====================================================
+INITIAL    noise                               x(0)
+TRANSITION x, noise                            x(t + 1)
+GUIDED     x, noise of the proposal, y(t + 1)  x(t + 1), and log p(w) - log q(w | x, y)
+QUANTITY   x                                   z; then the sines of the components that are angles
+DEVIATIONS x, mean of z                        squared deviation of each component of z
+ESTIMATE   weighted means of QUANTITY          mean of z (of draws)
+ERROR      z, its mean                         error of the mean (of draws)
+DISTANCE   mean, variance, mean of another     squared distance of the means (of draws)
+LOGARITHM  weight                              its logarithm
+========== =================================== ====================================================
+
+After the sensors come the blocks of guided sensors, see `pfdist.kernels.guided`.
+"""
+
+
+class Request(NamedTuple):
+    """A request to filter D draws with F filters; T+1 is the number of instants.
+
+    Compiled functions get pointers to the arrays.
+    """
+
+    draws: int
+    filters: int
+    sets: int
+    instants: int
+    states: int  # n
+    measurements: int  # m
+    quantities: int  # q
+    means: int  # number of results of the block QUANTITY
+    # (means,): the components of x that are these results; if there are others, this is not used,
+    # and `is_state` is False
+    components_of_state: NDArray[np.int64]
+    is_state: bool
+    sensors: int
+    streams: NDArray[np.uint64]  # (F,): the key of each filter's noise
+    first_draw: int  # index of the first draw in its stream
+    start: int  # first instant, 0 without a prior; sets, plans and arrays count from it
+    has_prior: bool
+    has_weights: bool  # whether the prior has weights, which a filter carries
+    columns: int  # M
+    prior: NDArray[np.float64]  # (n, M): states of all particles
+    # (F, D, P): the column of the prior that each particle of each filter of each draw starts as
+    chosen: NDArray[np.int64]
+    prior_weight: NDArray[np.float64]  # (P,)
+    x: NDArray[np.float64]  # (D, T+1, n): true states; read only if the truth is a particle
+    y: NDArray[np.float64]  # (D, T+1, m): measurements
+    z: NDArray[np.float64]  # (D, T+1, q): true quantities of interest
+    first_components: NDArray[np.int64]  # (sensors,): of y, for each sensor
+    particles: int
+    holds_truth: bool  # whether particle 0 is the truth
+    guided: bool  # whether the model has a proposal of its own
+    # (sensors,): rows of the linear measurement of a guided sensor, see `pfdist.filters.guiding`; 0
+    # for a sensor that is not guided. Empty if no sensor is guided.
+    rows: NDArray[np.int64]
+    rounds: int  # of linearisations
+    record_rows: int  # of a guided filter, see `pfdist.kernels.guided`
+    # (D, T+1, components): of the step to each instant; read only by guided filters with the truth
+    truth_noise: NDArray[np.float64]
+    threshold: float  # see `pfdist.kernels.schemes.threshold_of`
+    weights: ErrorWeights  # the terms of the estimator
+    instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
+    components: int  # of the longest process
+    # (3, components): kinds of INITIAL_NOISE, PROCESS_NOISE and PROPOSAL_NOISE; -1 for none
+    kinds: NDArray[np.int64]
+
+
+INITIAL_NOISE, PROCESS_NOISE, PROPOSAL_NOISE = np.arange(3)
+
+
+class Results(NamedTuple):
+    """The arrays that the filter fills, for the U sets of the plan; unneeded ones are empty."""
+
+    mse: NDArray[np.float64]  # (D, U): errors up to the set's end, over T + 1
+    # (D, U): 1 if no particle explains a measurement, up to the set's end; the caller fills it
+    # with 0
+    degenerate: NDArray[np.uint8]
+    estimate: NDArray[np.float64]  # (D, T+1, q): of a single set
+    variance: NDArray[np.float64]  # (D, T+1, q): of a single set
+    # (D, T+1): of a single set, the effective sample size at measured instants
+    sizes: NDArray[np.float64]
+    # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
+    # those of its shared prefix. The caller fills them with 0.
+    errors: NDArray[np.float64]
+    # (2, D, T+1, q): of a single set whose particles contain the truth, at measured instants: the
+    # share of the weight of particles whose z lies below that of the truth, and of those whose z
+    # equals it
+    ranks: NDArray[np.float64]
+    cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
+    weight: NDArray[np.float64]  # (D, P): their weights
+
+
+class Wanted(NamedTuple):
+    """The optional results that are needed besides the mse, the ranks and the cloud."""
+
+    moments: bool
+    errors: bool
+
+
+class Batch(NamedTuple):
+    """The arrays of a batch of draws; a row has a number for each particle, or for each draw."""
+
+    draws: int  # the most that it holds
+    width: int
+    stride: int  # of rows of particles
+    spacious: int  # of rows of noise
+    row: int  # of rows of draws
+    half: NDArray[np.int64]  # (1,): which half of the cloud counts
+    # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
+    # step reads one half and writes the other
+    cloud: States
+    again: States  # n rows, for filters with a proposal
+    origin: NDArray[np.float64]  # n rows, for guided filters: x at the last measurement
+    records: NDArray[np.float64]  # for guided filters, see `pfdist.kernels.guided`
+    noises: NDArray[np.float32]  # for guided filters: noise of each step, as in `noise`
+    drawn: NDArray[np.float64]  # rows of the block DRAWN
+    quantity: NDArray[np.float64]  # z, with cosines and sines of angles; squared deviations
+    log_weight: States
+    log_carried: NDArray[np.float64]
+    cumulative: NDArray[np.float64]
+    noise: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    words: NDArray[np.uint32]  # see `pfdist.kernels.variates.number_of_words`
+    # of draws
+    means: NDArray[np.float64]  # weighted means of `quantity`
+    moments: NDArray[np.float64]  # (4 q rows): z, mean, variance, and the first filter's mean
+    distance: NDArray[np.float64]
+    total: NDArray[np.float64]  # sum of the weights
+    error: NDArray[np.float64]  # the sum of errors so far; infinite for a draw that has ended
+    weighted: NDArray[np.uint8]  # whether weights differ: they are `weight`, and else all 1
+    weighs: NDArray[np.uint8]  # whether the last measurement of the instant gave the weights
+    resamples: NDArray[np.uint8]
+    degenerate: NDArray[np.uint8]
+    first_means: NDArray[np.float64]  # (U, T+1, q, row) of two filters; else empty
+
+
+class Saved(NamedTuple):
+    """Batches from which later sets resume, one for each slot of the plan."""
+
+    cloud: States  # (slots, n * stride)
+    origin: NDArray[np.float64]  # the same, for guided filters
+    weight: NDArray[np.float32]  # (slots, stride)
+    numbers: NDArray[np.float64]  # (slots, 2, row): `total` and `error`
+    flags: NDArray[np.uint8]  # (slots, 2, row): `weighted` and `degenerate`
+
+
+class Steps(NamedTuple):
+    """The addresses of the steps of a filter; 0 for an unneeded step.
+
+    So a step is compiled alone, and only if a filter needs it, see `pfdist.kernels.cached.Entry`.
+    """
+
+    begin: int
+    resume: int
+    save: int
+    move: int
+    put_truth: int
+    forget: int
+    weigh: int
+    move_again: int
+    set_out: int
+    guide: int
+    sort: int
+    resample: int
+    scheme: int  # one of `pfdist.kernels.ancestors.ENTRIES`
+    estimate: int
+    estimate_variance: int
+    rank: int
+    finish: int
+    keep: int
+
+
+class Work(NamedTuple):
+    """The data that all functions of a filter share."""
+
+    blocks: Blocks
+    request: Request
+    plan: Plan
+    results: Results
+    wanted: Wanted
+    batch: Batch
+    scratch: Resampling
+    saved: Saved
+    steps: Steps
+
+
+(
+    blocks_of, request_of, plan_of, results_of, wanted_of, batch_of, scratch_of, saved_of, steps_of,
+) = readers(Work)  # fmt: skip
+
+
+class At(NamedTuple):
+    """A batch, and the filter of its draws."""
+
+    work: Annotated[int, Work]  # address
+    stream: np.uint64  # key of the filter's noise
+    number: int  # of the filter
+    first: int  # row of the batch's first draw in the arrays
+    draws: int  # number of draws
+
+
+class Instant(NamedTuple):
+    """An instant, in the form that a step of a filter receives."""
+
+    at: At
+    s: int  # the set
+    t: int
+    sensors: int  # a bit for each sensor that measures
+    sensor: int  # whose turn it is
+
+
+class Slot(NamedTuple):
+    """A batch, and the place where it is saved."""
+
+    at: At
+    slot: int
+
+
+@compiled
+def present(at):
+    """The half of the cloud with the current particles."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    return ahead(batch.cloud, batch.half[0] * (request.states + 1) * batch.stride)
+
+
+@compiled
+def other(at):
+    """The half of the cloud to which a step writes."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    return ahead(batch.cloud, (1 - batch.half[0]) * (request.states + 1) * batch.stride)
+
+
+@compiled
+def copy_numbers(source, target, count):
+    """Copy successive numbers."""
+    for i in range(count):
+        target[i] = source[i]
+
+
+@compiled
+def fill_noise(at, process, t, role):
+    """Fill a row of noise for each component of a process."""
+    fill_rows(at, process, t, role, batch_of(at.work).noise)
+
+
+@compiled
+def fill_rows(at, process, t, role, noise):
+    """Fill rows of noise from a pointer on."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    for c in range(request.components):
+        kind = request.kinds[process * request.components + c]
+        if kind >= 0:
+            row = Row(
+                batch.words, ahead(noise, c * batch.spacious), batch.width, kind,
+                Key(at.stream, t, role, c), request.first_draw + at.first, at.draws,
+            )  # fmt: skip
+            call(scratch_of(at.work).fill, row)
+
+
+@compiled
+def of_particles(at, block, t, source, target):
+    """Call a block for all particles of the batch: from states and noise to rows of particles."""
+    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    which, stride = block * request.instants + t, batch.stride
+    call_block(
+        blocks.addresses[which],
+        (target, stride),
+        (source, stride),
+        (batch.noise, batch.spacious),
+        (batch.means, 0, 0),
+        ahead(blocks.table, blocks.places[which]),
+        (1, at.draws * batch.width),
+    )
+
+
+@compiled
+def with_given(at, block, t, source, target, given, of_draw, of_component):
+    """Call a block that also receives numbers of each draw, from a pointer on with two strides."""
+    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    which, stride = block * request.instants + t, batch.stride
+    call_block(
+        blocks.addresses[which],
+        (target, stride),
+        (source, stride),
+        (batch.noise, batch.spacious),
+        (given, of_draw, of_component),
+        ahead(blocks.table, blocks.places[which]),
+        (at.draws, batch.width),
+    )
+
+
+@compiled
+def of_draws(at, block, t, source, target):
+    """Call a block for all draws of the batch: from rows of draws to other rows."""
+    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    which, row = block * request.instants + t, batch.row
+    call_block(
+        blocks.addresses[which],
+        (target, row),
+        (source, row),
+        (batch.noise, 0),
+        (batch.means, 0, 0),
+        ahead(blocks.table, blocks.places[which]),
+        (1, row),
+    )
+
+
+@compiled
+def measured_at(at, t, component):
+    """The pointer to a component of y(t) of the batch's first draw."""
+    request = request_of(at.work)
+    instant = at.first * request.instants + t
+    return ahead(request.y, instant * request.measurements + component)
+
+
+@compiled
+def is_drawn_again(instant):
+    """Whether noise is redrawn before a measurement: only for the first sensor of an instant."""
+    request = request_of(instant.at.work)
+    if steps_of(instant.at.work).guide == 0 or request.rows[instant.sensor] == 0:
+        return False
+    is_first = instant.sensors & ((1 << instant.sensor) - 1) == 0
+    return is_first and (instant.t > 0 or not request.has_prior)

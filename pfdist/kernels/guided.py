@@ -1,0 +1,327 @@
+"""Guided filters: noise since the last measurement is redrawn when the next one is known.
+
+`pfdist.filters.guiding` has the formulas. A path of g steps leads from the last measurement to the
+present one; step 0 draws x(0) if there is no measurement before. It has a record for each of its
+g + 1 states, and one more, with rows of particles:
+
+====== ============= =============================================================================
+rows   of the record
+====== ============= =============================================================================
+n      r             the state before the step r - 1
+k n    r             derivatives of the k rows of the linear measurement by the state behind it
+sums   r             sums over the steps from r on
+k m    r             derivatives by the m normal noises of the step r; rho in the last record
+====== ============= =============================================================================
+
+So a step back reads the first parts of a record, and writes the last parts of the one before it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pfdist.kernels.batch import (
+    INITIAL,
+    INITIAL_NOISE,
+    PROCESS_NOISE,
+    SENSORS,
+    TRANSITION,
+    At,
+    Instant,
+    batch_of,
+    blocks_of,
+    copy_numbers,
+    fill_rows,
+    is_drawn_again,
+    measured_at,
+    other,
+    plan_of,
+    present,
+    request_of,
+    scratch_of,
+)
+from pfdist.kernels.blocks import call_block
+from pfdist.kernels.cached import compiled, entry
+from pfdist.kernels.memory import ahead, call, read
+from pfdist.kernels.prefixes import Plan
+from pfdist.kernels.variates import (
+    FILTER_INITIAL,
+    FILTER_PROCESS,
+    FILTER_PROPOSAL,
+    NORMAL,
+    UNIFORM,
+    Key,
+    Row,
+)
+
+MEAN, MEAN_INITIAL, SWEPT, SWEPT_INITIAL, SEEN, AIMED, DRAWN = np.arange(7)
+"""Blocks of each sensor, after those of all sensors; see `pfdist.filters.guiding.Guide`."""
+
+BLOCKS = np.int64(7)
+CHUNK = np.int64(128)
+"""Number of particles that follow the path together, so that their records fit into a cache."""
+
+
+def longest_gap(plan: Plan) -> int:
+    """The largest number of steps from a measurement to the next, or from none to the first."""
+    longest = 0
+    for row in plan.measured:
+        at = np.flatnonzero(row)
+        longest = max(longest, int(np.diff(at, prepend=-1).max(initial=0)))
+    return longest
+
+
+def record_rows(states: int, components: int, rows: int) -> int:
+    """The number of rows of a record."""
+    return states * (1 + rows) + rows * (rows + 5) // 2 + rows * max(1, components)
+
+
+class _Path(NamedTuple):
+    """The way from the last measurement to the present one, for a chunk of particles."""
+
+    at: At
+    first: np.int64  # the instant of the last measurement; -1 if the path begins with x(0)
+    steps: np.int64
+    k: np.int64  # rows of the linear measurement
+    sums: np.int64
+    block: np.int64  # the number of the sensor's first block
+    draw: int | np.int64  # of the batch
+    place: np.int64  # of the first particle in rows of the batch
+    particles: int | np.int64
+
+
+@entry(Instant)
+def guide(instant):
+    """Redraw the noise since the last measurement, and move the particles accordingly."""
+    instant = read(instant)
+    at, request, batch = instant.at, request_of(instant.at.work), batch_of(instant.at.work)
+    first, k = _last_measured(instant), request.rows[instant.sensor]
+    block = SENSORS + request.sensors + BLOCKS * instant.sensor
+    steps, sums = instant.t - first, k * (k + 5) // 2
+    _fill_noises(instant, first, k)
+    for d in range(at.draws):
+        for begin in range(np.int64(0), batch.width, CHUNK):
+            left, place = batch.width - begin, d * batch.width + begin
+            particles = left if left < CHUNK else CHUNK
+            _go(instant, _Path(at, first, steps, k, sums, block, d, place, particles))
+    batch.half[0] = 1 - batch.half[0]
+
+
+@compiled
+def _last_measured(instant):
+    """The instant of the last measurement, or that of the prior; -1 if there is neither."""
+    request = request_of(instant.at.work)
+    measured = ahead(plan_of(instant.at.work).measured, instant.s * request.instants)
+    first = instant.t - 1
+    while first >= 0 and measured[first] == 0:
+        first -= 1
+    return first if first >= 0 or not request.has_prior else np.int64(0)
+
+
+@compiled
+def _go(instant, path):
+    """Take a chunk of particles along the path."""
+    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    source, target = ahead(present(path.at), path.place), ahead(other(path.at), path.place)
+    if path.first >= 0:
+        for c in range(request.states):
+            x = ahead(batch.origin, c * batch.stride + path.place)
+            copy_numbers(x, ahead(_record(path, np.int64(1)), c * CHUNK), path.particles)
+    for number in range(request.rounds):
+        is_last = number + 1 == request.rounds
+        for step in range(path.steps):
+            _step(path, MEAN, step)
+        _look(instant, path)
+        for step in range(path.steps - 1, -1, -1):
+            _step_back(path, step)
+        _draw(path, is_last)
+        for step in range(path.steps):
+            _steer(path, step, is_last)
+    for step in range(path.steps):
+        _step(path, np.int64(-1), step)
+    last = _record(path, path.steps + 1)
+    is_truth = request.holds_truth and path.place % batch.width == 0
+    for c in range(request.states):
+        row = c * batch.stride
+        copy_numbers(ahead(last, c * CHUNK), ahead(target, row), path.particles)
+        if is_truth:
+            target[row] = source[row]
+    ratio = ahead(target, request.states * batch.stride)
+    copy_numbers(ahead(batch.drawn, path.k * CHUNK), ratio, path.particles)
+
+
+@compiled
+def _record(path, number):
+    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    return ahead(batch.records, number * request.record_rows * CHUNK)
+
+
+@compiled
+def _noise(path, step):
+    """The rows of noise of a step: as it was drawn, and then the centre of its normal noise."""
+    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    return ahead(batch.noises, 2 * step * request.components * batch.spacious + path.place)
+
+
+@compiled
+def _call(path, block, t, source, target, noise):
+    """Call a block for the particles; t is that of a step, -1 for the one to x(0)."""
+    blocks, request, batch = (
+        blocks_of(path.at.work),
+        request_of(path.at.work),
+        batch_of(path.at.work),
+    )
+    which = block * request.instants + (t if t > 0 else np.int64(0))
+    call_block(
+        blocks.addresses[which],
+        (target, CHUNK),
+        (source, CHUNK),
+        (noise, batch.spacious),
+        (batch.means, 0, 0),
+        ahead(blocks.table, blocks.places[which]),
+        (1, path.particles),
+    )
+
+
+@compiled
+def _fill_noises(instant, first, k):
+    """Fill in the noise of each step, with a centre of 0, and the noise of the block DRAWN."""
+    at = instant.at
+    request, batch = request_of(at.work), batch_of(at.work)
+    for step in range(instant.t - first):
+        t = first + step
+        noise = ahead(batch.noises, 2 * step * request.components * batch.spacious)
+        if t < 0:
+            fill_rows(at, INITIAL_NOISE, np.int64(0), FILTER_INITIAL, noise)
+        else:
+            fill_rows(at, PROCESS_NOISE, request.start + t, FILTER_PROCESS, noise)
+        if request.holds_truth:
+            _put_truth(at, t + 1, noise)
+        count = _components(at, t) * batch.spacious
+        centre = ahead(noise, count)
+        for i in range(count):
+            centre[i] = np.float32(0.0)
+    for c in range(k + 1):
+        row = Row(
+            batch.words, ahead(batch.noise, c * batch.spacious), batch.width,
+            NORMAL if c < k else UNIFORM,
+            Key(at.stream, request.start + instant.t, FILTER_PROPOSAL, c),
+            request.first_draw + at.first, at.draws,
+        )  # fmt: skip
+        call(scratch_of(at.work).fill, row)
+    if request.holds_truth:  # the truth's noise is not drawn again
+        for d in range(at.draws):
+            batch.noise[k * batch.spacious + d * batch.width] = 1.0
+
+
+@compiled
+def _components(at, t):
+    """The number of components of the noise of the step from t."""
+    request, count = request_of(at.work), np.int64(0)
+    process = INITIAL_NOISE if t < 0 else PROCESS_NOISE
+    for c in range(request.components):
+        count += request.kinds[process * request.components + c] >= 0
+    return count
+
+
+@compiled
+def _put_truth(at, t, noise):
+    """Give the particle 0 of each draw the noise of the truth's step to t."""
+    request, batch = request_of(at.work), batch_of(at.work)
+    for d in range(at.draws):
+        first = ((at.first + d) * request.instants + t) * request.components
+        for c in range(request.components):
+            noise[c * batch.spacious + d * batch.width] = request.truth_noise[first + c]
+
+
+@compiled
+def _step(path, block, step):
+    """Go a step of the path: by a block of the sensor, or by the model's own."""
+    t = path.first + step
+    if block >= 0:
+        which = path.block + (MEAN_INITIAL if t < 0 else MEAN)
+    else:
+        which = INITIAL if t < 0 else TRANSITION
+    _call(path, which, t, _record(path, step + 1), _record(path, step + 2), _noise(path, step))
+
+
+@compiled
+def _look(instant, path):
+    """Fill in the linear measurement at the end of the path."""
+    at, _, t, _, sensor = instant
+    blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
+    which = (path.block + SEEN) * request.instants + t
+    component = request.first_components[sensor]
+    y = measured_at(at, path.draw * request.instants + t, component)
+    call_block(
+        blocks.addresses[which],
+        (ahead(_record(path, path.steps), request.states * CHUNK), CHUNK),
+        (_record(path, path.steps + 1), CHUNK),
+        (batch.noise, batch.spacious),
+        (y, 0, 1),
+        ahead(blocks.table, blocks.places[which]),
+        (1, path.particles),
+    )
+
+
+@compiled
+def _step_back(path, step):
+    """Go a step back with the derivatives."""
+    t, states = path.first + step, request_of(path.at.work).states
+    block = path.block + (SWEPT_INITIAL if t < 0 else SWEPT)
+    back = ahead(_record(path, step), states * CHUNK)
+    _call(path, block, t, _record(path, step + 1), back, _noise(path, step))
+
+
+@compiled
+def _draw(path, is_last):
+    """Find the coefficients of the mean; last, draw those of a change, and log p(w) / q(w)."""
+    request, batch = request_of(path.at.work), batch_of(path.at.work)
+    behind = request.states * (1 + path.k)
+    rho = ahead(_record(path, path.steps), (behind + path.sums) * CHUNK)
+    given = ahead(_record(path, np.int64(0)), (behind - path.k) * CHUNK)  # rho, and then the sums
+    copy_numbers(rho, given, path.k * CHUNK)
+    block = path.block + (DRAWN if is_last else AIMED)
+    _call(path, block, np.int64(0), given, batch.drawn, ahead(batch.noise, path.place))
+
+
+@compiled
+def _steer(path, step, is_last):
+    """Change the normal noise of a step; before the last round, fill in the centre."""
+    request, batch, t = request_of(path.at.work), batch_of(path.at.work), path.first + step
+    process = INITIAL_NOISE if t < 0 else PROCESS_NOISE
+    normals, row = np.int64(0), np.int64(0)
+    for c in range(request.components):
+        normals += request.kinds[process * request.components + c] == NORMAL
+    first = request.states * (1 + path.k) + path.sums
+    slopes, noise = ahead(_record(path, step), first * CHUNK), _noise(path, step)
+    if not is_last:
+        noise = ahead(noise, _components(path.at, t) * batch.spacious)
+    for c in range(request.components):
+        if request.kinds[process * request.components + c] == NORMAL:
+            values = ahead(noise, c * batch.spacious)
+            if not is_last:
+                for i in range(path.particles):
+                    values[i] = np.float32(0.0)
+            for j in range(path.k):
+                slope = ahead(slopes, (j * normals + row) * CHUNK)
+                coefficient = ahead(batch.drawn, j * CHUNK)
+                for i in range(path.particles):  # a slope that is not finite has the coefficient 0
+                    change = coefficient[i] * slope[i]
+                    values[i] += np.float32(change if coefficient[i] != 0.0 else 0.0)
+            row += 1
+
+
+@entry(Instant)
+def leave_out(instant):
+    """Restore the particles that were redrawn for a measurement that is then left out."""
+    instant = read(instant)
+    if not is_drawn_again(instant):
+        return
+    at = instant.at
+    request, batch, source, cloud = request_of(at.work), batch_of(at.work), other(at), present(at)
+    for d in range(at.draws):
+        if not batch.weighs[d]:
+            for c in range(request.states):
+                place = c * batch.stride + d * batch.width
+                copy_numbers(ahead(source, place), ahead(cloud, place), batch.width)

@@ -1,0 +1,295 @@
+"""Systems in continuous time: transitions that solve differential equations.
+
+Steps follow the job's clock, which may be uneven. A step is recorded once and repeated by machine
+code, so many steps compile as fast as one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from pfdist.common.section import Number, Whole, checked
+from pfdist.errors import ArgumentError, ModelError
+from pfdist.models.mistakes import place_of_function
+from pfdist.models.parameters import CLOCK
+from pfdist.models.program import MOST_STEPS
+from pfdist.models.repeating import repeated
+from pfdist.models.seeing import in_python
+from pfdist.models.tracing import Covariate
+
+Values = tuple[Any, ...]
+Rates = Callable[[Any, Any, Any], Any]
+
+SUBSTEPS = 10
+_ROUNDING = 1e-9  # of the number of steps, so that .3 / .1 makes three
+
+_Substeps = Annotated[Whole, Field(ge=1, le=MOST_STEPS)] | None
+_Step = Annotated[Number, Field(gt=0, allow_inf_nan=False)] | None
+_Interval = Annotated[Number, Field(gt=0, allow_inf_nan=False)] | str | None
+
+
+@dataclass(frozen=True)
+class Flow:
+    """A transition that solves a differential equation: a function of (x, t, w, p).
+
+    Parameters
+    ----------
+    step : callable
+        ``(x, begin, h, dw, p) -> x`` after a step of length h, with the increments dw of the
+        Brownian motions.
+    rates : callable
+        The user's formula, for error messages.
+    substeps : int, optional
+    largest_step : float, optional
+    noises : int
+        The number of Brownian motions.
+    interval : float or str, optional
+        Time between two instants, or the name of a parameter with this value; without a clock.
+    keep : callable, optional
+        ``(x, p) -> x`` after each step.
+    """
+
+    step: Callable[[Values, Any, Any, Values, Any], Values]
+    rates: Rates
+    substeps: int | None
+    largest_step: float | None
+    noises: int
+    interval: float | str | None
+    keep: Callable[[Values, Any], Any] | None
+
+    @property
+    def process_noise(self) -> tuple[str, ...]:
+        """The process noise of a model with this transition."""
+        return ("normal",) * (self.noises * (self.substeps or 0))
+
+    @property
+    def place(self) -> str:
+        """The place of the user's formula."""
+        return place_of_function(self.rates)
+
+    def __call__(self, x: Any, t: Any, w: Any, p: Any) -> Values:
+        """The state at t + 1."""
+        begin, total = self._interval(t, p)
+        count: Any = self.substeps
+        if self.largest_step is not None:
+            count = np.maximum(np.ceil(total / self.largest_step - _ROUNDING), 1.0)
+            total = np.where(count > MOST_STEPS, np.nan, total)
+        h = total / count
+        root = np.sqrt(h) if self.noises else None
+        if self.noises and len(w) != len(self.process_noise):
+            raise ValueError(
+                f"process_noise must have {len(self.process_noise)} entries, as process_noise of "
+                f"the transition has, got {len(w)}"
+            )
+
+        def step(x: Values, k: Any, noise: Values) -> Values:
+            increments = tuple(root * each for each in noise)
+            following = self.step(x, begin + k * h, h, increments, p)
+            return components(self.keep(following, p), len(x), "keep") if self.keep else following
+
+        each = [w[c :: self.noises] for c in range(self.noises)]
+        return repeated(step, x, count, each, self.substeps or MOST_STEPS)
+
+    def _interval(self, t: Any, p: Any) -> tuple[Any, Any]:
+        """The time of the instant t, and the time from there to the next."""
+        if all(_varies(getattr(p, name, None)) for name in CLOCK):
+            return p.time[t], p.dt[t]
+        if self.interval is None:
+            return t, 1.0
+        given = self.interval
+        step = getattr(p, given) if isinstance(given, str) else given
+        if _varies(step):
+            raise ModelError(
+                f"dt of an equation must be the name of a parameter that is one number, got "
+                f"{given!r}, which varies with t: uneven instants need a clock"
+            )
+        return t * step, step
+
+
+def _varies(value: Any) -> bool:
+    """Whether a parameter has a value for each instant."""
+    return isinstance(value, np.ndarray | Covariate)
+
+
+def components(value: Any, count: int, name: str) -> Values:
+    """The components that a function gives; raises `ValueError` if their number is wrong."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    values = tuple(value) if isinstance(value, tuple | list | np.ndarray) else (value,)
+    if len(values) != count:
+        raise ValueError(
+            f"{name} must give {count} components, one for each of x, got {len(values)}"
+        )
+    return values
+
+
+def _plus(x: Values, h: Any, rates: Values) -> Values:
+    return tuple(value + h * rate for value, rate in zip(x, rates, strict=True))
+
+
+# --- ordinary differential equations --------------------------------------------------------------
+
+
+@checked
+def ode(
+    rhs: Callable[..., Any],
+    *,
+    method: Annotated[Literal["rk4", "heun"], Field()] = "rk4",
+    substeps: _Substeps = None,
+    largest_step: _Step = None,
+    dt: _Interval = None,
+    keep: Callable[..., Any] | None = None,
+) -> Flow:
+    """A transition that solves an ordinary differential equation, dx/dt = rhs(x, t, p).
+
+    Parameters
+    ----------
+    rhs : callable
+        ``(x, t, p) -> dx/dt``, a tuple or an array with as many components as x. t is the time on
+        the job's clock.
+    method : {"rk4", "heun"}
+        The classical method of Runge and Kutta, of order 4, or that of Heun, of order 2.
+    substeps : int, optional
+        Number of steps between two instants; by default 10.
+    largest_step : float, optional
+        Alternatively, the largest step in the unit of time: instants that are further apart have
+        more steps, at most 10,000.
+    dt : float or str, optional
+        The time between two instants, or the name of the parameter that has it, if the job has no
+        clock; by default 1.
+    keep : callable, optional
+        ``(x, p) -> x`` after each step, for instance to keep amounts positive.
+
+    Returns
+    -------
+    callable
+        A transition ``(x, t, w, p) -> x``, which ignores w. A model may call it in its own
+        transition and add noise to the result.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is wrong.
+
+    References
+    ----------
+    Hairer, Norsett, Wanner, "Solving ordinary differential equations I", 1993, table II.1.2.
+
+    Examples
+    --------
+    >>> decay = ode(lambda x, t, p: (-x[0],))
+    >>> f"{decay((1.0,), 0, (), None)[0]:.4f}"
+    '0.3679'
+    """
+    rates = in_python(rhs)
+
+    def derivative(x: Values, t: Any, p: Any) -> Values:
+        return components(rates(x, t, p), len(x), "rhs")
+
+    def heun(x: Values, begin: Any, h: Any, _: Values, p: Any) -> Values:
+        first = derivative(x, begin, p)
+        second = derivative(_plus(x, h, first), begin + h, p)
+        return _plus(x, h / 2, _plus(first, 1.0, second))
+
+    def rk4(x: Values, begin: Any, h: Any, _: Values, p: Any) -> Values:
+        first = derivative(x, begin, p)
+        second = derivative(_plus(x, h / 2, first), begin + h / 2, p)
+        third = derivative(_plus(x, h / 2, second), begin + h / 2, p)
+        fourth = derivative(_plus(x, h, third), begin + h, p)
+        middle = _plus(second, 1.0, third)
+        return _plus(x, h / 6, _plus(_plus(first, 1.0, fourth), 2.0, middle))
+
+    if substeps is not None and largest_step is not None:
+        raise ArgumentError("ode takes substeps or largest_step, got both", argument="largest_step")
+    if largest_step is None:
+        substeps = SUBSTEPS if substeps is None else substeps
+    return Flow(rk4 if method == "rk4" else heun, rhs, substeps, largest_step, 0, dt, keep)
+
+
+# --- stochastic differential equations ------------------------------------------------------------
+
+
+@checked
+def sde(
+    drift: Callable[..., Any],
+    diffusion: Callable[..., Any],
+    *,
+    noises: Annotated[Whole, Field(ge=1)],
+    method: Annotated[Literal["euler", "heun"], Field()] = "euler",
+    substeps: Annotated[Whole, Field(ge=1, le=MOST_STEPS)] = SUBSTEPS,
+    dt: _Interval = None,
+    keep: Callable[..., Any] | None = None,
+) -> Flow:
+    """A transition that solves a stochastic differential equation, dx = drift dt + diffusion dW.
+
+    Parameters
+    ----------
+    drift : callable
+        ``(x, t, p) -> rates``, a tuple or an array with as many components as x. t is the time on
+        the job's clock.
+    diffusion : callable
+        ``(x, t, p)`` to a number for each component of x, with an independent Brownian motion for
+        each; or to a row for each component, with a number for each Brownian motion.
+    noises : int
+        The number of independent Brownian motions W.
+    method : {"euler", "heun"}
+        Euler-Maruyama solves the equation in the sense of Ito, and Heun in the sense of
+        Stratonovich. Both agree if the diffusion does not depend on x.
+    substeps : int
+        Number of steps between two instants.
+    dt : float or str, optional
+        The time between two instants, or the name of the parameter that has it, if the job has no
+        clock; by default 1.
+    keep : callable, optional
+        ``(x, p) -> x`` after each step, for instance to keep populations positive.
+
+    Returns
+    -------
+    callable
+        A transition ``(x, t, w, p) -> x``. Its attribute `process_noise` is the model's: `noises`
+        normal variates for each step.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is wrong.
+
+    References
+    ----------
+    Kloeden, Platen, "Numerical solution of stochastic differential equations", 1992, sections 10.2
+    and 11.1.
+    """
+    rates, spread = in_python(drift), in_python(diffusion)
+
+    def change(x: Values, t: Any, h: Any, dw: Values, p: Any) -> Values:
+        """The sum of drift and noise in a step, with rates at x."""
+        steady = components(rates(x, t, p), len(x), "drift")
+        return _plus(_noise_of(spread(x, t, p), len(x), dw), h, steady)
+
+    def euler(x: Values, begin: Any, h: Any, dw: Values, p: Any) -> Values:
+        return _plus(x, 1.0, change(x, begin, h, dw, p))
+
+    def heun(x: Values, begin: Any, h: Any, dw: Values, p: Any) -> Values:
+        first = change(x, begin, h, dw, p)
+        second = change(_plus(x, 1.0, first), begin + h, h, dw, p)
+        return _plus(x, 0.5, _plus(first, 1.0, second))
+
+    return Flow(euler if method == "euler" else heun, drift, substeps, None, noises, dt, keep)
+
+
+def _noise_of(diffusion: Any, count: int, dw: Values) -> Values:
+    """The noise of each component, by its row of the diffusion or by its own number."""
+    rows = components(diffusion, count, "diffusion")
+    has_rows = any(isinstance(row, tuple | list) or np.ndim(row) > np.ndim(dw[0]) for row in rows)
+    if isinstance(diffusion, np.ndarray):
+        has_rows = diffusion.ndim > 1 and diffusion.shape[1] == len(dw)
+    if not has_rows and count == len(dw):
+        return tuple(row * each for row, each in zip(rows, dw, strict=True))
+    if not has_rows or any(not hasattr(row, "__len__") or len(row) != len(dw) for row in rows):
+        raise ValueError(
+            f"diffusion must give a row of noises = {len(dw)} numbers for each component"
+        )
+    return tuple(sum(part * each for part, each in zip(row, dw, strict=True)) for row in rows)

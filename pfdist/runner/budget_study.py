@@ -1,0 +1,73 @@
+"""The sets of a run with several numbers of measurements: a job with a section [budget]."""
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import ClassVar
+
+from pfdist.common.measurement_times import Times
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.search_section import SearchSection
+from pfdist.problem.set_key import SetKey
+from pfdist.runner.study import Study
+from pfdist.search import Optimiser, StateSpaceRelaxation
+from pfdist.search.relaxation import relaxation_within
+from pfdist.search.state_space_relaxation import MOST_CELLS
+
+
+class BudgetStudy(Study):
+    """A study that has every set once for each number of measurements.
+
+    State-space relaxation finds the sets of all numbers at once.
+    """
+
+    has_details: ClassVar[bool] = False
+
+    @cached_property
+    def _each(self) -> dict[int, Feasible]:
+        """Feasible sets by number of measurements, the smallest number first."""
+        numbers = self.job.budget.each if self.job.budget else ()
+        return {number: self.job.feasible(number) for number in numbers}
+
+    @property
+    def purpose(self) -> str:
+        """A separate purpose: the draws of a later comparison of one set are independent."""
+        return "budget"
+
+    @cached_property
+    def unsearched(self) -> dict[str, Times]:
+        """Regular times for each number, by name; such a job gives no other sets."""
+        regular = (feasible.regular() for feasible in self._each.values())
+        return dict(zip(self.names(self.job.comparison.reference_name), regular, strict=True))
+
+    @property
+    def widest(self) -> Feasible:
+        """The feasible sets of the largest number of measurements."""
+        return self._each[max(self._each)]
+
+    @property
+    def usual(self) -> int:
+        """The geometric mean of the smallest and the largest number of measurements."""
+        return round(math.sqrt(min(self._each) * max(self._each)))
+
+    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
+        """The compared sets without the references."""
+        return {name: times for name, times in sets.items() if name not in self.references}
+
+    def names(self, origin: str) -> list[str]:
+        """The origin with each number, padded to the same number of digits."""
+        digits = len(str(self.feasible.horizon + 1))
+        return [SetKey(origin, f"{number:0{digits}}").column for number in self._each]
+
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
+        """State-space relaxation, which finds a set for each number."""
+        start, sought = relaxation_within(self.widest, self.usual, MOST_CELLS), (*self._each,)
+        return StateSpaceRelaxation(
+            self.widest, draws, sought=sought, start=start, **section.settings
+        )
+
+    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
+        """The first of the ranked sets that has each number, by name."""
+        best = {len(times): times for times in reversed(ranked)}
+        names = zip(self.names(search), self._each, strict=True)
+        return {name: best[number] for name, number in names if number in best}

@@ -1,0 +1,89 @@
+"""The sets that a run finds and compares, and the optimiser that finds them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+from pfdist.common.measurement_times import Times
+from pfdist.errors import JobError
+from pfdist.problem.feasible import Feasible
+from pfdist.problem.job import Job
+from pfdist.problem.methods import METHODS
+from pfdist.problem.search_section import SearchSection
+from pfdist.search import Optimiser
+
+
+@dataclass(frozen=True)
+class Study:
+    """The sets that a run with one number of measurements finds and compares.
+
+    See `pfdist.runner.budget_study` for several numbers.
+    """
+
+    job: Job
+    feasible: Feasible
+
+    has_details: ClassVar[bool] = True
+    """Whether the comparison also keeps trajectories and the parts of errors."""
+
+    @property
+    def purpose(self) -> str:
+        """The purpose of the comparison's draws."""
+        return "comparison"
+
+    @cached_property
+    def unsearched(self) -> dict[str, Times]:
+        """The references, then the sets that comparison.sets names, by name."""
+        return {
+            name: self.feasible.regular() if times is None else times
+            for name, times in self.job.given_sets.items()
+        }
+
+    @property
+    def references(self) -> dict[str, Times]:
+        """Times with which the sets of each number of measurements are compared, by name."""
+        return {
+            name: self.unsearched[name] for name in self.names(self.job.comparison.reference_name)
+        }
+
+    @property
+    def widest(self) -> Feasible:
+        """The feasible sets of the largest number of measurements."""
+        return self.feasible
+
+    @property
+    def usual(self) -> int:
+        """The number of measurements for which a relaxation is chosen.
+
+        With prices, it is that of regular times.
+        """
+        return self.feasible.measurements
+
+    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
+        """The compared sets whose gaps are proved."""
+        return sets
+
+    def names(self, origin: str) -> list[str]:
+        """Names of the sets of a search or a reference, one for each number."""
+        return [origin]
+
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
+        """The optimiser of a section [[search]], whose evaluations have so many draws.
+
+        Raises `JobError` if the optimiser cannot search this problem.
+        """
+        try:
+            made: Optimiser = METHODS[section.method].make(self.feasible, draws, section.settings)
+        except JobError as error:
+            raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
+        return made
+
+    def racing(self, finalists: Iterable[Times]) -> tuple[Times, ...]:
+        """The sets that race on fresh draws: all, if there are more than needed; else none."""
+        sets = tuple(finalists)
+        return sets if len(sets) > len(self.names("")) else ()
+
+    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
+        """The best set of each number of measurements, by name, from sets ranked best first."""
+        return dict(zip(self.names(search), ranked, strict=False))

@@ -1,0 +1,386 @@
+"""Batched models: the compiled filter calls their functions, and has the errors of formulas."""
+
+import dataclasses
+import gc
+import json
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oracles.batched import batched
+from oracles.clocked import times_of
+from oracles.guided import growth, sharp_walk
+from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, load_model
+from pfdist.errors import ModelError, TraceError
+from pfdist.filters.cloud import Cloud
+from pfdist.filters.evaluator import Evaluator, recorded_evaluator
+from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets, sum_errors
+from pfdist.filters.simulation import simulate
+from pfdist.filters.work import FLOAT32, Estimation, with_truth
+from pfdist.kernels.estimators import TWO_FILTERS
+from pfdist.models.by_value import by_value, made
+from pfdist.models.recorded import differences, recorded, untraced, with_functions
+from pfdist.models.written import models_of, text_of
+
+HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
+UNGM = load_model("ungm")
+KINDS = [
+    pytest.param(UNGM, Estimation(100), id="ungm"),
+    pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted"),
+    pytest.param(UNGM, Estimation(100, "residual", threshold=0.5), id="carried"),
+    pytest.param(UNGM, Estimation(100, estimator=TWO_FILTERS.name), id="two filters"),
+    pytest.param(UNGM, with_truth(100), id="truth inside"),
+    pytest.param(load_model("bearings_only"), Estimation(100), id="bearings"),
+    pytest.param(load_model("robot"), Estimation(100), id="angles"),
+    pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
+    pytest.param(load_model("pharmacokinetics"), Estimation(100), id="clock"),
+    pytest.param(load_model("lotka_volterra"), Estimation(100), id="loops"),
+    pytest.param(growth, Estimation(100, "systematic"), id="guided"),
+    pytest.param(sharp_walk(3), Estimation(100, "stratified"), id="guided, 3 components"),
+]
+
+
+def pair(model: StateSpaceModel) -> list[StateSpaceModel]:
+    """The model with traced formulas, and as a batched model; both on a clock if they read it."""
+    models = [model, batched(model)]
+    return [each.on_clock(times_of(HORIZON)) if each.reads_clock else each for each in models]
+
+
+def sets_of(model: StateSpaceModel) -> tuple[tuple[int, ...], ...]:
+    """Sets that share prefixes, whose measurements the sensors make in turn."""
+    sensors = len(model.parts)
+    return tuple(
+        tuple(t * sensors + t % sensors for t in times) for times in (TIMES, TIMES[:3], (), (1, 8))
+    )
+
+
+@pytest.mark.parametrize(("model", "settings"), KINDS)
+def test_a_batched_model_has_the_errors_of_its_formulas(model, settings):
+    """The same noise, weights and resampling: NumPy's functions may differ in the last bits."""
+    formulas, arrays = pair(model)
+    draws = simulate(formulas, HORIZON, range(70), 3)
+    again = simulate(arrays, HORIZON, range(70), 3)
+    for name in "xyz":
+        np.testing.assert_allclose(getattr(again, name), getattr(draws, name), rtol=1e-9, atol=1e-9)
+    sets = sets_of(model)
+    given = draws, sets, (HORIZON, HORIZON, 6, HORIZON), STREAM, settings
+    for function in (filter_checked_sets, sum_errors):
+        expected, found = function(formulas, *given), function(arrays, *given)
+        np.testing.assert_allclose(found[0], expected[0], rtol=1e-7)
+
+
+@pytest.mark.parametrize(("model", "settings"), KINDS[:7])
+def test_trajectories_are_those_of_the_formulas(model, settings):
+    formulas, arrays = pair(model)
+    draws, times = simulate(formulas, HORIZON, range(10), 3), sets_of(model)[0]
+    expected, found = (
+        filter_checked_draws(each, draws, times, STREAM, settings, trajectories=True)
+        for each in (formulas, arrays)
+    )
+    for name in ("mse", "estimate", "variance", "ranks", "sizes"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), rtol=1e-7, atol=1e-9
+        )
+
+
+def test_results_do_not_depend_on_how_draws_are_cut():
+    arrays = batched(UNGM)
+    draws, sets, settings = simulate(arrays, HORIZON, range(100), 3), sets_of(UNGM), Estimation(64)
+    ends = (HORIZON,) * len(sets)
+    whole, _ = filter_checked_sets(arrays, draws, sets, ends, STREAM, settings)
+    for cut in (1, 37, 99):
+        parts = [
+            filter_checked_sets(arrays, some, sets, ends, STREAM, settings)[0]
+            for some in (draws[:cut], draws[cut:])
+        ]
+        np.testing.assert_array_equal(np.concatenate(parts), whole)
+    prior = Cloud(0, np.linspace(-5.0, 5.0, 64)[None])
+    cut = [simulate(arrays, HORIZON, index, 3, prior) for index in (range(9), range(9, 300))]
+    both = simulate(arrays, HORIZON, range(300), 3, prior)
+    np.testing.assert_array_equal(np.concatenate([each.z for each in cut]), both.z)
+
+
+def test_a_function_always_gets_as_many_particles():
+    """Libraries may round by the shapes of arrays."""
+    sizes = set[int]()
+
+    def transition(x, t, w, p):
+        sizes.add(x.shape[1])
+        return 0.5 * x + w
+
+    arrays = dataclasses.replace(batched(UNGM), transition=transition)
+    draws = simulate(arrays, HORIZON, range(50), 3)
+    sizes.clear()
+    for some in (draws, draws[:1], draws[7:20]):
+        filter_checked_sets(arrays, some, (TIMES,), (HORIZON,), STREAM, Estimation(100))
+    assert len(sizes) == 1
+
+
+def test_threads_filter_together():
+    arrays, found = batched(UNGM), dict[int, object]()
+    draws = simulate(arrays, HORIZON, range(200), 3)
+
+    def filtered(number: int) -> None:
+        given = draws, (TIMES,), (HORIZON,), STREAM, Estimation(100)
+        found[number] = filter_checked_sets(arrays, *given)[0]
+
+    threads = [threading.Thread(target=filtered, args=[number]) for number in range(4)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    for number in range(4):
+        np.testing.assert_array_equal(found[number], found[0])
+
+
+def test_a_coupled_model_has_the_particles_of_one_draw_in_an_array():
+    """The values of a particle depend on the others, and no result on how draws are cut."""
+    widths = set[int]()
+
+    def transition(x, t, w, p):
+        widths.add(x.shape[1])
+        return 0.9 * x + w - 0.1 * x.mean()
+
+    arrays = batched(UNGM, coupled=True, transition=transition)
+    draws = simulate(arrays, HORIZON, range(20), 3)
+    assert widths == {1, 2}  # one draw, and two particles when the model was made
+    widths.clear()
+    given = (TIMES,), (HORIZON,), STREAM, Estimation(100)
+    whole, _ = filter_checked_sets(arrays, draws, *given)
+    assert widths == {112}  # rounded up to whole vectors
+    alone = [filter_checked_sets(arrays, draws[k : k + 1], *given)[0] for k in range(20)]
+    np.testing.assert_array_equal(np.concatenate(alone), whole)
+
+
+def test_functions_of_arrays_that_can_be_traced_become_formulas():
+    """A walk in two dimensions, with two sensors."""
+    matrix = np.array([[0.9, 0.2], [-0.1, 0.8]])
+
+    def sensor(component, sd):
+        return Sensor(
+            lambda x, t, v, p: x[component : component + 1] + sd * v,
+            lambda y, x, t, p: -0.5 * ((y[0] - x[component]) / sd) ** 2,
+            ("normal",),
+        )
+
+    arrays = BatchedModel(
+        "walk",
+        lambda w, p: p.spread * w,
+        lambda x, t, w, p: matrix @ x + 0.3 * np.sin(x + t) + w,
+        quantity_of_interest=lambda x, t, p: (x[0], x[0] * x[1]),
+        initial_noise=("normal", "normal"),
+        process_noise=("normal", "normal"),
+        sensors={"near": sensor(0, 0.2), "far": sensor(1, 1.0)},
+        parameters={"spread": 2.0},
+        version="1",
+    )
+    formulas = recorded(arrays.as_formulas(), range(HORIZON + 1))
+    assert not untraced(formulas)
+    draws = simulate(arrays, HORIZON, range(30), 3)
+    given = draws, sets_of(arrays), (HORIZON,) * 4, STREAM, Estimation(64)
+    expected, found = (filter_checked_sets(each, *given)[0] for each in (arrays, formulas))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+# --- formulas that cannot be traced ---------------------------------------------------------------
+
+
+def test_formulas_that_cannot_be_traced_are_called_and_the_others_compiled():
+    def transition(x, t, w, p):
+        return UNGM.transition((np.asarray(x[0], float),), t, w, p)
+
+    model = recorded(dataclasses.replace(UNGM, transition=transition), range(HORIZON + 1))
+    draws = simulate(UNGM, HORIZON, range(50), 3)
+    given = draws, (TIMES,), (HORIZON,), STREAM, Estimation(100)
+    expected, found = (filter_checked_sets(each, *given)[0] for each in (UNGM, model))
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+# --- mistakes -------------------------------------------------------------------------------------
+
+
+def changing(x, t, w, p):
+    x *= 0.5
+    return x
+
+
+@pytest.mark.parametrize(
+    ("transition", "message"),
+    [
+        (lambda x, t, w, p: 1 / 0 if t == 3 else x + w, r"transition failed: ZeroDivisionError"),
+        (lambda x, t, w, p: x[:, :-1], r"transition must give an array \(components, particles\)"),
+        (lambda x, t, w, p: x.T, r"got float64 of shape"),
+        (lambda x, t, w, p: x.astype(np.float32), r"got float32 of shape \(1, 2\): JAX computes"),
+        (lambda x, t, w, p: x.astype(int), r"got int64 of shape"),
+        (lambda x, t, w, p: None, r"got object of shape"),
+        (changing, r"transition failed: ValueError: output array is read-only"),
+        (lambda x, t, w, p: x + np.nan, r"must stay finite, got x\[0\] = nan at t = 1"),
+        (lambda x, t, w, p: (np.zeros(3),), r"failed: ValueError: .*\(3,\).*shape \(2,\)"),
+        (lambda x, t, w, p: (), r"transition failed: ValueError: need at least one array"),
+        (lambda x, t, w, p: (x[0], x[0]), r"as many components as initial, 1, got 2"),
+    ],
+)
+def test_a_function_that_is_wrong_gets_one_line(transition, message):
+    with pytest.raises(ModelError, match=message) as refused:
+        simulate(batched(UNGM, transition=transition), HORIZON, range(5), 3)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_log_likelihood_is_one_number_a_particle():
+    """A row for each component of y, of which somebody forgot the sum."""
+    with pytest.raises(ModelError, match=r"must give an array \(particles,\).*shape \(2, 2\)"):
+        BatchedModel(
+            "plane",
+            lambda w, p: w,
+            lambda x, t, w, p: x + w,
+            measurement=lambda x, t, v, p: x + v,
+            log_likelihood=lambda y, x, t, p: -0.5 * (y - x) ** 2,
+            quantity_of_interest=lambda x, t, p: x,
+            initial_noise=("normal", "normal"),
+            process_noise=("normal", "normal"),
+            measurement_noise=("normal", "normal"),
+            version="1",
+        )
+
+
+def test_a_function_may_give_a_view_of_its_argument():
+    """The filter copies what it gets."""
+    view, copy = (batched(UNGM, transition=each) for each in (
+        lambda x, t, w, p: x, lambda x, t, w, p: x.copy(),
+    ))  # fmt: skip
+    draws = simulate(copy, HORIZON, range(20), 3)
+    given = draws, (TIMES,), (HORIZON,), STREAM, Estimation(100)
+    np.testing.assert_array_equal(
+        filter_checked_sets(view, *given)[0], filter_checked_sets(copy, *given)[0]
+    )
+
+
+def test_an_error_of_one_call_does_not_reach_the_next():
+    fails = batched(UNGM, transition=lambda x, t, w, p: x if t < 3 else x[:, 1:])
+    with pytest.raises(ModelError):
+        simulate(fails, HORIZON, range(5), 3)
+    simulate(batched(UNGM), HORIZON, range(5), 3)
+
+
+# --- identity -------------------------------------------------------------------------------------
+
+
+def test_a_model_is_what_it_declares(tmp_path: Path):
+    table = tmp_path / "table.csv"
+    table.write_text("1", encoding="utf-8")
+
+    def made_now(version: str = "1") -> BatchedModel:
+        return batched(UNGM, version=version, files=(str(table),), libraries=("numpy",))
+
+    first = made_now()
+    identity = json.loads(text_of(first, first))["truth"]["formulas"]["transition"]["declared"]
+    assert identity["libraries"] == {"numpy": np.__version__}
+    assert not [*differences(first, made_now())]
+    text = dict(differences(first, made_now("2")))["transition"]
+    assert text.startswith("declared as version 1, ")
+    table.write_text("2", encoding="utf-8")
+    assert [*differences(first, made_now())]
+
+
+def test_a_run_needs_the_code_of_a_batched_model():
+    model = batched(UNGM)
+    kept, _ = models_of(text_of(model, model).encode())
+    assert kept.components == model.components
+    with pytest.raises(ModelError, match="a run does not contain the functions of a batched model"):
+        simulate(kept, HORIZON, range(5), 3)
+    again = with_functions(kept, model)
+    np.testing.assert_array_equal(*(simulate(e, HORIZON, range(5), 3).z for e in (again, model)))
+
+
+def test_a_batched_model_travels_with_its_functions():
+    model = batched(UNGM)
+    (arrived,) = made(by_value([model]))
+    np.testing.assert_array_equal(*(simulate(e, HORIZON, range(5), 3).z for e in (arrived, model)))
+
+
+def test_a_model_is_sent_while_modules_are_imported(monkeypatch):
+    """Another thread imports, which the collector of garbage does here whenever it runs."""
+    many = {f"module{k}": sys for k in range(5000)}  # more than CPython keeps free tuples
+    monkeypatch.setattr(sys, "modules", {**sys.modules, **many})
+    model, threshold = batched(UNGM), gc.get_threshold()
+
+    def importing(*_: object) -> None:
+        sys.modules[f"imported{len(sys.modules)}"] = sys
+
+    gc.callbacks.append(importing)
+    gc.set_threshold(10)
+    try:
+        by_value([model])
+    finally:
+        gc.set_threshold(*threshold)
+        gc.callbacks.remove(importing)
+    assert any(name.startswith("imported") for name in sys.modules)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"version": ""}, "version must be at least 1 characters long, got ''"),
+        ({"together": 0}, "together must be at least 1, got 0"),
+        ({"together": 10**9}, "together must be at most 10,000,000, got 1000000000"),
+        ({"files": ("missing.csv",)}, r"files must be readable, got .*missing.csv"),
+        ({"libraries": ("no-such-thing",)}, "libraries must be installed, got 'no-such-thing'"),
+        ({"libraries": ("",)}, "libraries must be installed, got ''"),
+        (
+            {"files": "a.csv"},
+            r"files must be a list, got 'a.csv'",
+        ),
+        ({"libraries": "jax"}, r"libraries must be a list, got 'jax'"),
+        ({"coupled": "yes"}, "coupled must be true or false, got 'yes'"),
+    ],
+)
+def test_a_wrong_declaration_is_one_line(fields, message):
+    with pytest.raises(ModelError, match=message):
+        batched(UNGM, **fields)
+
+
+def test_a_copy_declares_all_its_functions_alike():
+    model = batched(UNGM)
+    copy = dataclasses.replace(model, version="2", coupled=True)
+    for name in ("initial", "transition", "log_likelihood"):
+        assert getattr(copy, name).declaration == "version 2, coupled"
+        assert getattr(copy, name).function is getattr(model, name).function
+    assert model.transition.declaration == "version 1"
+
+
+def test_the_filters_model_must_declare_other_functions_as_another_version():
+    """Otherwise it would be taken for the truth."""
+
+    def model_with(factor, version="1"):
+        return batched(UNGM, transition=lambda x, t, w, p: factor * x + w, version=version)
+
+    recorded_evaluator(model_with(0.5), model_with(0.5), horizon=HORIZON)
+    with pytest.raises(ModelError, match="must have another version, because its transition gives"):
+        recorded_evaluator(model_with(0.5), model_with(-0.5), horizon=HORIZON)
+    other = recorded_evaluator(model_with(0.5), model_with(-0.5, "2"), horizon=HORIZON)
+    assert other.believed != other.model
+
+
+def test_states_of_float32_need_traced_formulas():
+    model = batched(UNGM)
+    given = simulate(model, HORIZON, range(5), 3), (TIMES,), (HORIZON,), STREAM
+    with pytest.raises(ModelError, match="'float32' needs traced formulas"):
+        filter_checked_sets(model, *given, Estimation(10, dtype=FLOAT32))
+
+
+def test_a_filter_of_one_system_calls_a_batched_model():
+    found = Filter(batched(UNGM), 50).update(2, 1.0).mean
+    np.testing.assert_allclose(found, Filter(UNGM, 50).update(2, 1.0).mean, rtol=1e-9)
+    with pytest.raises(TraceError, match="the engine 'batched' calls its functions"):
+        Filter(batched(UNGM), 50, engine="compiled")
+
+
+def test_the_engine_compiled_refuses_a_batched_model():
+    model, estimation = batched(UNGM), Estimation(10)
+    evaluator = recorded_evaluator(model, model, horizon=HORIZON, engine="compiled")
+    with pytest.raises(TraceError, match="is a batched model, which is not traced"):
+        evaluator.compile(estimation)
+    Evaluator(model, HORIZON, engine="batched").compile(estimation)

@@ -1,0 +1,312 @@
+"""Transitions in continuous time: exact solutions, orders of convergence, uneven clocks, loops."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import quad_vec
+from scipy.linalg import expm
+
+from oracles.moments import assert_covariance
+from pfdist import StateSpaceModel, ode, sde
+from pfdist.errors import ArgumentError, ModelError
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.simulation import simulate
+from pfdist.models.recorded import recorded
+from pfdist.models.written import models_of, text_of
+
+A = np.array([[-0.3, 0.5], [-0.4, -0.1]])
+B = np.array([[0.3, 0.1], [0.0, 0.2]])
+START = (1.0, 2.0)
+CLOCK = (0.0, 1.0, 1.5, 3.0, 3.25, 5.0)
+
+
+def linear(x, t, p):
+    return A @ x
+
+
+def made(transition, **fields):
+    """A model that is measured by its first component, with a known start."""
+    given = {
+        "initial": lambda w, p: START,
+        "measurement": lambda x, t, v, p: (x[0] + v[0],),
+        "log_likelihood": lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+        "quantity_of_interest": lambda x, t, p: x,
+        "initial_noise": (),
+        "process_noise": getattr(transition, "process_noise", ()),
+        "measurement_noise": ("normal",),
+    }
+    return StateSpaceModel("continuous", transition=transition, **(given | fields))
+
+
+def solved(transition, clock=CLOCK):
+    """The states at all instants of the clock, (T+1, n), by compiled code."""
+    model = made(transition).on_clock(clock)
+    return simulate(model, len(clock) - 1, range(1), 0).x[0]
+
+
+# --- ordinary differential equations --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("method", "order"), [("heun", 2), ("rk4", 4)])
+def test_the_error_falls_with_the_order_of_the_method(method, order):
+    """Against the exponential of the matrix, on an uneven clock; the ratio has an error O(h)."""
+    exact = np.array([expm(A * t) @ START for t in CLOCK])
+    errors = [
+        np.abs(solved(ode(linear, method=method, substeps=n)) - exact).max() for n in (4, 8, 16)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(orders, order, atol=0.25)
+
+
+def test_a_largest_step_cuts_each_interval_into_as_few_steps_as_it_can():
+    """Intervals of 1, 1/2, 3/2, 1/4 and 7/4 have 4, 2, 6, 1 and 7 steps of 1/4."""
+    expected = [START]
+    for dt, count in zip(np.diff(CLOCK), (4, 2, 6, 1, 7), strict=True):
+        expected.append(ode(linear, substeps=count, dt=dt)(expected[-1], 0, (), None))
+    np.testing.assert_allclose(solved(ode(linear, largest_step=0.25)), expected, rtol=1e-14)
+
+
+def test_the_right_hand_side_reads_the_time_on_the_clock():
+    """dx/dt = t^3 is a cubic, which Runge and Kutta's method integrates exactly."""
+    transition = ode(lambda x, t, p: (t**3 + 0 * x[0], 0 * x[1]), substeps=1)
+    expected = START[0] + np.array(CLOCK) ** 4 / 4
+    np.testing.assert_allclose(solved(transition)[:, 0], expected, rtol=1e-14)
+
+
+def test_without_a_clock_instants_are_dt_apart():
+    expected = np.array([expm(A * 0.5 * t) @ START for t in range(3)])
+    for transition, parameters in (
+        (ode(linear, dt=0.5), {}),
+        (ode(linear, dt="interval"), {"interval": 0.5}),
+    ):
+        model = made(transition, parameters=parameters)
+        states = simulate(model, 2, range(1), 0).x[0]
+        np.testing.assert_allclose(states, expected, rtol=1e-7)
+
+
+def test_an_equation_that_the_transition_makes_reads_a_covariate():
+    def transition(x, t, w, p):
+        return ode(lambda x, s, p: (p.rain[t], s))(x, t, (), p)
+
+    rain = (1.0, 2.0, 4.0, 8.0, 16.0, 0.0)
+    model = made(transition, parameters={"rain": rain}).on_clock(CLOCK)
+    states = simulate(model, len(CLOCK) - 1, range(1), 0).x[0]
+    total = np.concatenate([[0.0], np.cumsum(np.diff(CLOCK) * rain[:-1])])
+    np.testing.assert_allclose(states[:, 0], START[0] + total, rtol=1e-14)
+    np.testing.assert_allclose(states[:, 1], START[1] + np.array(CLOCK) ** 2 / 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("dt", [0.5, "interval"])
+def test_a_clock_goes_before_dt(dt):
+    model = made(ode(linear, dt=dt), parameters={"interval": 0.5}).on_clock(CLOCK)
+    states = simulate(model, len(CLOCK) - 1, range(1), 0).x[0]
+    np.testing.assert_array_equal(states, solved(ode(linear)))
+
+
+def test_the_kalman_filter_takes_a_linear_equation():
+    """The exact error of a linear system is that with the matrix exponential in its place."""
+
+    def exact(x, t, w, p):
+        return tuple(after @ x)
+
+    def model_with(transition):
+        return made(
+            transition,
+            initial=lambda w, p: (w[0], 2.0 * w[1]),
+            initial_noise=("normal", "normal"),
+            linear_gaussian=True,
+        )
+
+    after, sets = expm(A), [(), (0, 3), (1, 2, 4)]
+    errors = [
+        Evaluator(model_with(transition), 5, engine="kalman").expected_mse(sets)
+        for transition in (ode(linear), exact)
+    ]
+    np.testing.assert_allclose(*errors, rtol=1e-6)
+
+
+# --- stochastic differential equations ------------------------------------------------------------
+
+
+def test_a_linear_equation_with_noise_has_the_exact_covariance_over_an_uneven_clock():
+    """Heun's method has an error of the covariance of order h^2, below a standard error here."""
+    transition = sde(linear, lambda x, t, p: B, noises=2, method="heun", substeps=40)
+    model = made(transition).on_clock(CLOCK)
+    x = simulate(model, 5, range(40_000), 3).x
+    for k, t in enumerate(CLOCK[1:], 1):
+        covariance = quad_vec(lambda s: expm(A * s) @ B @ B.T @ expm(A * s).T, 0, t)[0]
+        factor = np.linalg.cholesky(covariance)
+        scaled = np.linalg.solve(factor, (x[:, k] - expm(A * t) @ START).T).T
+        assert_covariance(scaled, np.eye(2))
+
+
+@pytest.mark.parametrize(("method", "drift"), [("euler", 0.2), ("heun", 0.2 + 0.3**2 / 2)])
+def test_euler_reads_an_equation_as_ito_and_heun_as_stratonovich(method, drift):
+    """dx = .2 x dt + .3 x dW: E[log x(t)] = (drift - .3^2 / 2) t, by either calculus."""
+    transition = sde(
+        lambda x, t, p: (0.2 * x[0], 0.0),
+        lambda x, t, p: ((0.3 * x[0],), (0.0,)),
+        noises=1, method=method, substeps=200,
+    )  # fmt: skip
+    x = simulate(made(transition), 1, range(40_000), 3).x[:, 1, 0]
+    mean, error = np.log(x).mean(), np.log(x).std() / np.sqrt(x.size)
+    assert abs(mean - (drift - 0.3**2 / 2)) < 4 * error + 1e-3  # and the bias of a step of 1/200
+
+
+def test_paths_converge_strongly_with_the_order_one_half():
+    """Euler and Maruyama on the same Brownian path, against the solution of dx = x dW (Ito)."""
+    rng, errors = np.random.default_rng(4), list[float]()
+    finest = rng.normal(size=(256, 2000))
+    exact = np.exp(finest.sum(axis=0) / 16 - 0.5)
+    for count in (4, 16, 64):
+        w = finest.reshape(count, 256 // count, -1).sum(axis=1) / np.sqrt(256 // count)
+        transition = sde(
+            lambda x, t, p: (0.0 * x[0],), lambda x, t, p: (x[0],), noises=1, substeps=count
+        )
+        (x,) = transition((np.ones(2000),), 0, tuple(w), None)
+        errors.append(float(np.abs(x - exact).mean()))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:]) / 2  # each has four times as many steps
+    np.testing.assert_allclose(orders, 0.5, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    "diffusion",
+    [
+        lambda x, t, p: ((0.3, 0.1 * x[0]), (0.0, 0.2)),
+        lambda x, t, p: [[0.3, 0.1 * x[0]], [0.0, 0.2]],
+        lambda x, t, p: (np.array([0.3, 0.1 * x[0]]), np.array([0.0, 0.2])),
+        lambda x, t, p: np.array([[0.3, 0.1 * x[0]], [0.0, 0.2]]),
+    ],
+)
+def test_rows_of_the_diffusion_may_be_tuples_lists_or_arrays(diffusion):
+    model = made(sde(linear, diffusion, noises=2, substeps=1))
+    x = simulate(model, 1, range(2), 3).x[:, 1]
+    expected = made(
+        lambda x, t, w, p: (
+            x[0] - 0.3 * x[0] + 0.5 * x[1] + 0.3 * w[0] + 0.1 * x[0] * w[1],
+            x[1] - 0.4 * x[0] - 0.1 * x[1] + 0.2 * w[1],
+        ),
+        process_noise=("normal", "normal"),
+    )
+    np.testing.assert_allclose(x, simulate(expected, 1, range(2), 3).x[:, 1], rtol=1e-12)
+
+
+def test_each_step_has_its_own_noise_and_is_kept_within_limits():
+    def keep(x, p):
+        return (np.maximum(x[0], p.least), x[1])
+
+    transition = sde(
+        lambda x, t, p: (0.0, 1.0), lambda x, t, p: (1.0, 2.0), noises=2, substeps=3, dt=3.0,
+        keep=keep,
+    )  # fmt: skip
+    model = made(transition, parameters={"least": 0.5})
+    w = (-0.4, 1.0, -0.3, 2.0, 0.7, 3.0)
+    # 1 - .4 = .6; .6 - .3 = .3, kept at .5; .5 + .7. And 2 + 3 of drift + 2 (1 + 2 + 3).
+    expected = (1.2, 17.0)
+    assert transition(START, 0, w, model.p) == pytest.approx(expected)
+    twin = recorded(model, range(2)).transition(START, 0, w, model.p)
+    assert twin == pytest.approx(expected)
+
+
+# --- loops in programs ----------------------------------------------------------------------------
+
+
+def tank(substeps):
+    """A tank with an unknown inflow: a model with many short steps."""
+    return sde(
+        lambda x, t, p: (x[1] - p.outflow * np.sqrt(np.maximum(x[0], 0.0)), -0.1 * x[1]),
+        lambda x, t, p: (0.0, p.spread),
+        noises=2,
+        substeps=substeps,
+    )
+
+
+def test_a_program_does_not_grow_with_the_number_of_steps():
+    sizes = []
+    for substeps in (2, 100):
+        model = made(tank(substeps), parameters={"outflow": 0.3, "spread": 0.2})
+        (program,) = recorded(model, range(4)).transition.traced.programs
+        sizes.append(sum(bool(arguments) for _, arguments, _ in program.operations))
+    assert sizes[0] == sizes[1]
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 7])
+def test_a_loop_has_the_bits_of_steps_that_are_written_out(substeps):
+    flow = tank(substeps)
+
+    def written_out(x, t, w, p):
+        h, root = 1.0 / substeps, np.sqrt(1.0 / substeps)
+        for k in range(substeps):
+            dw = tuple(root * each for each in w[2 * k : 2 * k + 2])
+            x = flow.step(x, t + k * h, h, dw, p)
+        return x
+
+    states = []
+    for transition in (flow, written_out):
+        model = made(
+            flow, parameters={"outflow": 0.3, "spread": 0.2}, process_noise=flow.process_noise
+        )
+        model = dataclasses.replace(model, transition=transition)
+        states.append(simulate(model, 6, range(100), 1).x)
+    np.testing.assert_array_equal(*states)
+
+
+def test_a_model_with_loops_travels_as_text_with_all_bits():
+    model = recorded(made(tank(5), parameters={"outflow": 0.3, "spread": 0.2}), range(7))
+    read, _ = models_of(text_of(model, model).encode())
+    assert read.transition == model.transition
+    states = [simulate(each, 6, range(100), 1).x for each in (model, read)]
+    np.testing.assert_array_equal(*states)
+
+
+# --- mistakes -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"substeps": 0}, "substeps must be at least 1, got 0"),
+        ({"largest_step": 0.0}, "largest_step must be greater than 0, got 0.0"),
+        ({"method": "rk5"}, "method: got 'rk5'; did you mean 'rk4'? Allowed: 'rk4' or 'heun'"),
+        ({"substeps": 3, "largest_step": 0.1}, "ode takes substeps or largest_step, got both"),
+    ],
+)
+def test_a_wrong_argument_is_one_line(arguments, message):
+    with pytest.raises(ArgumentError) as refused:
+        ode(linear, **arguments)
+    assert str(refused.value).startswith(message)
+
+
+def test_a_wrong_equation_is_one_line_that_names_it():
+    with pytest.raises(ModelError, match=r"rhs must give 2 components, one for each of x, got 1"):
+        made(ode(lambda x, t, p: (x[0],)))
+    with pytest.raises(ModelError, match=r"diffusion must give a row of noises = 1 numbers"):
+        made(sde(linear, lambda x, t, p: (1.0, 1.0), noises=1))
+    flow = sde(linear, lambda x, t, p: (1.0, 1.0), noises=2)
+    with pytest.raises(ModelError, match=r"process_noise must have 20 entries.*got 3"):
+        made(flow, process_noise=("normal",) * 3)
+
+
+def test_instants_of_uneven_distances_need_a_clock():
+    """The time of an instant would be unknown."""
+    model = made(ode(linear, dt="interval"), parameters={"interval": (0.5, 0.5, 9.0)})
+    with pytest.raises(ModelError, match="'interval', which varies with t: uneven instants need a"):
+        simulate(model, 2, range(1), 0)
+
+
+def test_too_many_steps_are_not_fewer_steps():
+    """A step that is too small for the largest number of steps gives no number."""
+    with pytest.raises(ModelError, match=r"must stay finite, got x\[0\] = nan at t = 1"):
+        solved(ode(linear, largest_step=1e-5))
+
+
+def test_a_value_of_a_step_is_not_kept():
+    kept = []
+
+    def leaking(x, t, p):
+        kept.append(x[0])
+        return (-x[0], kept[0])
+
+    with pytest.raises(ModelError):
+        recorded(made(ode(leaking)), range(3))

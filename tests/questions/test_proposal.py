@@ -1,0 +1,103 @@
+"""Which proposal the filter of a job has: "auto" decides on draws of its own."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from oracles.guided import bootstrap, sharp_walk
+from pfdist.errors import ModelError
+from pfdist.filters.work import GUIDED, PLAIN
+from pfdist.problem.job import Job
+from pfdist.runner import particles
+from pfdist.runner.build import _with_long_gap, build
+
+SHARP = bootstrap(sharp_walk(3))
+
+
+def problem(model: object, **others: object) -> pfdist.Problem:
+    given = {"horizon": 8, "measurement_budget": 2, "particles": 60}
+    return pfdist.Problem(model, **(given | others))
+
+
+def proposal_of(job: Job) -> str:
+    return build(job).job.filter.proposal
+
+
+def test_sharp_sensors_are_guided_and_the_growth_model_is_not() -> None:
+    """REFERENCE: with the growth model, a block proposal loses more than the plain filter."""
+    assert proposal_of(problem(SHARP).job()) == GUIDED
+    assert proposal_of(problem("ungm").job()) == PLAIN
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"engine": "numpy"},
+        {"dtype": "float32"},
+        {"model": sharp_walk(3)},  # which has a proposal of its own
+        {"engine": "kalman"},
+    ],
+    ids=["numpy", "float32", "own proposal", "kalman"],
+)
+def test_where_it_is_not_possible_auto_is_plain(change: dict[str, object]) -> None:
+    given = problem(change.pop("model", SHARP), **change)
+    assert proposal_of(given.job()) == PLAIN
+
+
+def test_guided_with_another_engine_is_one_line() -> None:
+    with pytest.raises(ModelError, match=r"needs filter\.engine = 'compiled', got 'numpy'"):
+        build(problem(SHARP, engine="numpy", proposal="guided").job())
+
+
+def test_a_truth_that_cannot_be_guided_makes_it_plain() -> None:
+    """The proof guides the filter that knows the truth; asked for, it is one line at once."""
+    uniform = replace(
+        SHARP, name="uniform", initial_noise=("uniform",) * 3, process_noise=("centred",) * 3
+    )
+    mistaken = problem(uniform, filter_model=SHARP)
+    assert proposal_of(mistaken.job()) == PLAIN
+    with pytest.raises(ModelError, match="no normal noise"):
+        build(mistaken.with_changes(proposal="guided").job())
+
+
+def test_only_the_run_of_the_job_decides(tmp_path: Path) -> None:
+    """Runs whose tables are reused may be plain."""
+    other = pfdist.run(
+        problem(SHARP, proposal="plain").job(search=[{"method": "random", "evaluations": 2}]),
+        tmp_path / "other", changes=["comparison.draws=4"], pool="serial", figures=False,
+    )  # fmt: skip
+    job = problem(SHARP).job()
+    assert build(job, tmp_path / "own", other.path).job.filter.proposal == GUIDED
+
+
+def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same call goes on with the proposal of the run, and measures nothing again."""
+    said = list[str]()
+    job = problem(SHARP)
+    run = pfdist.plan(job, tmp_path / "run", pool="serial", figures=False, say=said.append)
+    assert any(line.startswith("filter.proposal: guided") for line in said)
+    assert 'proposal = "guided"\n' in (run.path / "job.toml").read_text()
+    monkeypatch.setattr(particles, "guides_better", lambda *_: 1 / 0)
+    again = pfdist.plan(job, run.path, pool="serial", figures=False)
+    assert again.job["filter"]["proposal"] == GUIDED
+
+
+def test_the_bound_of_a_guided_run_is_tight(tmp_path: Path) -> None:
+    """Beside the truth, guided particles leave more variance than plain ones."""
+    gaps = []
+    for proposal in (GUIDED, PLAIN):
+        job = problem(bootstrap(sharp_walk(2, sensor=0.05)), proposal=proposal, particles=30)
+        run = pfdist.plan(job, tmp_path / proposal, pool="serial", figures=False)
+        gaps.append(run.table("bound")["gap"].iloc[0])
+    assert gaps[0] < gaps[1]
+
+
+def test_a_long_gap_is_at_most_twice_that_of_regular_times() -> None:
+    job = problem("ungm", horizon=60, measurement_budget=21).job()
+    times = _with_long_gap(job)
+    assert job.problem.feasible.accepts(times)
+    gaps = [after - before for before, after in pairwise(times)]
+    assert 3 < max(gaps) <= 6
