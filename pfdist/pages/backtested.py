@@ -53,7 +53,8 @@ def _errors(table: pd.DataFrame, sets: Mapping[str, str], ax: Axes) -> None:
         if table[column].max() > _WIDE * table[column].min() > 0:
             set_scale("log")
     ends = ax.get_xlim()
-    ax.plot(ends, ends, color="black", lw=thin(), label="as foreseen")
+    line = np.linspace(*ends, 200)  # curved, if only one axis is logarithmic
+    ax.plot(line, line, color="black", lw=thin(), label="as foreseen")
     ax.set_xlim(*ends)
     ax.set_xlabel("foreseen error / variance of judged values (large: means)")
     ax.set_ylabel("real error / variance")

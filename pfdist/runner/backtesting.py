@@ -225,7 +225,8 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         problem = {"times": [*clock.times], "measurement_budget": 1}
         problem |= {"time_unit": clock.unit or None, "sensors": [*clock.sensors] or None}
         given = {name: value for name, value in problem.items() if value is not None}
-        others: dict[str, Any] = {"search": [], "budget": None, "online": None, "comparison": {}}
+        others: dict[str, Any] = {"budget": None, "online": None, "comparison": {}}
+        others["search"] = [{"method": "random"}]  # which is not used, as all settings of searches
         job = job.with_changes(sections={"problem": given, **others})
     truth, believed = models_of(job)
     models = [

@@ -103,6 +103,7 @@ def _play(page: str, capsys: pytest.CaptureFixture[str], **names: Any) -> dict[s
             Path(file[1]).write_text(rest, encoding="utf-8")
         elif language == "python":
             exec(compile(text, f"{page}.md", "exec"), names)
+            capsys.readouterr()
         elif language == "console":
             for console in re.split(r"^\$ pfdist ", text, flags=re.MULTILINE)[1:]:
                 command, _, shown = console.partition("\n")
@@ -214,6 +215,23 @@ def test_a_model_of_a_page_is_a_model(page: str, file: str, tmp_path: Path) -> N
     (tmp_path / file).write_text(code, encoding="utf-8")
     model = load_model(f"{tmp_path / file}:model")
     assert np.isfinite(simulate(model, 20, range(10), 0).z).all()
+
+
+REAL_DATA = {
+    "electricity": {"start of temperature": 4.39, "start of demand": 0.332,
+                    "correlation of temperature": 0.18, "correlation of demand": 0.71},
+}
+
+
+@pytest.mark.recipes
+@pytest.mark.parametrize("page", REAL_DATA)
+def test_a_page_of_real_data_prints_what_it_shows(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each command prints its verdicts; the numbers that the text names are those of the code."""
+    monkeypatch.chdir(tmp_path)
+    names = _play(page, capsys)
+    assert names["in_words"] == pytest.approx(REAL_DATA[page], abs=0.005)
 
 
 def test_the_readme_is_short() -> None:
