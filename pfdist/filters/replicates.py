@@ -135,10 +135,7 @@ def _table(
 ) -> tuple[pd.DataFrame, str]:
     """The checked table, and the name of the column of replicates."""
     sensors = ["sensor"] if model.sensors else []
-    most = max(part.model.components[1] for part in model.parts)
-    y = [f"y{k}" for k in range(most)]
-    named = [*chain.from_iterable(user_columns("y", model))] if not sensors else y
-    own = ["t", *sensors, *named, *chain.from_iterable(user_columns("z", model)), TRAIN]
+    own = [*_measured_columns(model), *chain.from_iterable(user_columns("z", model)), TRAIN]
     own += [name for name in parameters if name not in CLOCK]
 
     def check(header: list[str]) -> list[str]:
@@ -164,6 +161,14 @@ def _table(
     return pd.DataFrame(columns), column or next(iter(columns))
 
 
+def _measured_columns(model: StateSpaceModel) -> list[str]:
+    """The names of the columns that `read_measurements` may get."""
+    if not model.sensors:
+        return ["t", *chain.from_iterable(user_columns("y", model))]
+    most = max(part.model.components[1] for part in model.parts)
+    return ["t", "sensor", *(f"y{k}" for k in range(most))]
+
+
 def _replicate(
     name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
 ) -> Replicate:
@@ -176,7 +181,7 @@ def _replicate(
 def _checked_replicate(
     name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
 ) -> Replicate:
-    given = [each for each in rows.columns if each in ("t", "sensor") or each[:1] == "y"]
+    given = [each for each in rows.columns if each in _measured_columns(model)]
     own = _own_clock(rows["t"].tolist(), clock)
     on = own or clock
     table = rows[given].reset_index(drop=True)
