@@ -69,6 +69,13 @@ def refused(call: Callable[..., Any]) -> Refused:
         ("evaluate {job} --times 1 --draws 1_0", 2, "digits 0-9"),
         (f"evaluate {{job}} --times 1 --draws {HUGE}", 1, "must be .* 10,000,000, got 10{30} "),
         (f"evaluate {{job}} --times 1 --{LONG}", 2, "unknown option --xxx"),
+        (
+            "evaluate {job} --times 1 --set comparison.control=false "
+            "--set scenarios.parameters=[{a=1.0},{a=2.0}]",
+            1,
+            r"^pfdist: scenarios\.parameters: model .*unknown parameter 'a'",
+        ),
+        ("sweep {job} --over seed=1,2 --set seed=3", 1, "^pfdist: --set: a key of the sweep must"),
         ("plan {job} --draws 9", 2, r"option --draws \(--set KEY=VALUE changes a key of the job"),
         (f"evaluate {{job}} --times 1 --set seed={NINES}", 1, "19 digits"),
         (f"evaluate {{job}} --times 1 --set {'a.' * 99_999}a=1", 1, "16 parts"),
