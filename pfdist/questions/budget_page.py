@@ -20,9 +20,9 @@ _ERROR = COLUMNS["expected_mse"]
 _HEAD = ("N", *_KINDS.values(), "as good, evenly spaced", "lower bound (95 % limit)")
 _BOUND = (
     "No times of the same number have a lower expected MSE than the lower bound, with any filter "
-    "of the same model. A number is undecided if its plan does not reach the error, but other times "
-    "might. A plan is as good as the numbers of evenly spaced measurements whose error on the same "
-    "draws does not differ clearly (95 %)."
+    "of the same model. A number is undecided if its plan does not reach the error, but other "
+    "times might. A plan is as good as the numbers of evenly spaced measurements whose error on "
+    "the same draws does not differ clearly (95 %)."
 )
 
 
