@@ -72,7 +72,7 @@ def question(subject: Subject) -> str:
 
 
 def made(subject: Subject) -> str:
-    """Name the run, the day on which it was started, and the version of pfdist."""
+    """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
     return f"Run {run.path.name}, {run_day(run)}, pfdist {version_of(run)}."
 
@@ -150,7 +150,7 @@ def _instants(subject: Subject) -> str:
 
 
 def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
-    """Say how the errors of instants are weighted in the MSE, if they are."""
+    """How the errors of instants are weighted in the MSE, if they are."""
     weights = section.weights
     if weights is None:
         return
@@ -187,14 +187,14 @@ def computed(subject: Subject) -> Section:
 
 
 def tables(subject: Subject) -> Section:
-    """Say how to load the tables."""
+    """Code that loads the tables."""
     name = subject.run.path.name
     quoted = {"name": _quoted(name), "table": _quoted(f"{name}/tables/comparison")}
     return Section("How to load the tables", [Code(_LOAD.format(**quoted))])
 
 
 def citation(subject: Subject) -> Section:
-    """Say how to cite the method and the program."""
+    """References for the method and the program."""
     version = version_of(subject.run)
     text = "Please cite the paper whose method pfdist implements, and the program."
     return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])

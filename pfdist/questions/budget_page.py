@@ -121,7 +121,7 @@ def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
 
 
 def _untried(subject: Subject, number: int) -> str:
-    """Say which numbers below this one were left out, down to the next that was tried."""
+    """The numbers that were left out between this one and the next smaller one, in a sentence."""
     tried = {row.measurements for row in subject.rows.values()}
     below = max((each for each in tried if each < number), default=number - 1)
     if below == number - 1:
@@ -179,9 +179,9 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
 
 
 def _estimated(rows: Sequence[Row]) -> Iterator[Text]:
-    """The mean distance of the search's estimates from the fresh errors (winner's curse)."""
+    """The mean distance of the search's estimates from the errors on fresh draws."""
     excesses = [row.search_excess for row in rows if row.search_excess is not None]
-    if not excesses or rows[0].search_standard_error == 0.0:  # the search knew exact errors
+    if not excesses or rows[0].search_standard_error == 0.0:  # errors are exact
         return
     mean, causes = sum(excesses) / len(excesses), [row.search_cause for row in rows]
     reasons = "; ".join(filter(None, [max(causes, key=causes.count), rows[0].search_settings]))

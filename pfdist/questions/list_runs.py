@@ -30,13 +30,13 @@ _COLUMNS = {
 def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     """List the runs in a folder: how far each is, and what it has found.
 
-    Folders are looked into three levels deep. Links are not followed, and hidden folders are
-    skipped. A run that cannot be read has a row that says why.
+    Links are not followed, and hidden folders are skipped. A run that cannot be read has a row with
+    the reason.
 
     Parameters
     ----------
     folder : str or Path
-        Folder in which runs are listed, three levels deep; the folder of a run is listed alone.
+        Folder in which runs are listed, up to three levels deep; or the folder of a run.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def listed_run(path: Path, name: str) -> Row:
     Parameters
     ----------
     path : Path
-        The folder. Whatever it holds, there is no error.
+        The folder. Nothing in it raises an error.
     name : str
         The path as the list shows it.
     """

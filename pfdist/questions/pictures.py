@@ -1,4 +1,4 @@
-"""Figures as pictures of a page: SVG elements with the colours of the page and ids of their own."""
+"""Figures as pictures of a page: SVG elements with the colours of the page and unique ids."""
 
 import io
 import re
@@ -55,7 +55,7 @@ def picture(plot: Plot, name: str, description: str) -> Picture:
 
 
 def as_svg(plot: Plot, name: str, description: str) -> str:
-    """Draw a plot as an SVG element.
+    """A plot as an SVG element.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
 
 
 def _adapt(element: ElementTree.Element, prefix: str) -> None:
-    """Have an element name its own page's ids and colours."""
+    """Give an element the colours of the page, and ids that begin with a prefix."""
     link = element.attrib.pop(f"{{{_LINK}}}href", None)
     if link is not None:
         element.set("href", f"#{prefix}{link[1:]}" if link.startswith("#") else link)

@@ -91,7 +91,7 @@ class Subject:
 
     @cached_property
     def online(self) -> dict[str, Any] | None:
-        """Results of times that were chosen one after another; None if there are none."""
+        """Results of online times; None if there are none."""
         return online_draws(self.run).summary() if is_online(self.run) else None
 
     @property
@@ -101,7 +101,7 @@ class Subject:
 
     @property
     def about_others(self) -> list[Text]:
-        """Say where the figures of the other sets are."""
+        """A sentence about the figures of the other sets, if there are others."""
         others = len(self.others) - len(self.shown)
         shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
         text = (
@@ -220,12 +220,12 @@ def is_clear(interval: Sequence[float | None]) -> bool:
 def effect(
     gain: float, interval: Sequence[float | None], other: str, what: str = "the expected MSE"
 ) -> str:
-    """Say how far an error lies below that of other times, or that there is no clear difference.
+    """How far an error lies below that of other times, or that there is no clear difference.
 
     Parameters
     ----------
     gain, interval
-        As of `change_of`.
+        As for `change_of`.
     other : str
         The other times.
     what : str
@@ -245,7 +245,7 @@ def effect(
 
 
 def as_good_text(row: Row) -> str:
-    """Say how many evenly spaced measurements do as well as a set, or between which two it lies."""
+    """How many evenly spaced measurements do as well as a set, or between which two it lies."""
     numbers = row.evenly_spaced
     if row.evenly_spaced_between:
         worse, better = numbers

@@ -95,7 +95,7 @@ class SweepSubject:
     runs : list of Run
         Those that can be read.
     frame, judged : DataFrame
-        As `pfdist.table` gives it of these runs, and as `Sweep.judged` of the finished comparisons.
+        The table of these runs, and that of the finished comparisons, as `Sweep.judged`.
     judged_fault : str
         Why the comparisons cannot be read; empty if they can.
     """
@@ -121,7 +121,7 @@ class SweepSubject:
 
     @cached_property
     def columns(self) -> list[str]:
-        """The set and the keys other than the seed, as far as they tell rows apart."""
+        """The set and the keys other than the seed, if they distinguish rows."""
         return still_varying(self.frame, [])
 
     @cached_property
@@ -261,7 +261,7 @@ def _link(point: Path) -> str:
 
 
 def computed(subject: SweepSubject) -> Section:
-    """Say how many points are finished, how long all took, and with which versions."""
+    """The number of finished points, the time of all workers, and the versions."""
     seconds = float(subject.frame.drop_duplicates("path")["worker_seconds"].sum())
     facts = [
         ("points", f"{len(subject.points):,}"),
@@ -276,7 +276,7 @@ def computed(subject: SweepSubject) -> Section:
 def sweep_page(path: Path) -> Page:
     """The report of a sweep, in a folder that is no run but has runs in it, finished or not.
 
-    A run that cannot be read has a warning that says why.
+    A run that cannot be read has a warning with the reason.
 
     Raises
     ------

@@ -89,9 +89,8 @@ def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **othe
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
     """Yield each measurement with each change of it, and the changed set.
 
-    A measurement that moves is made by the same sensor.
-
-    Every measurement may be removed, but it moves only to instants that the job allows.
+    Every measurement may be removed. It moves only to instants that the job allows, and keeps its
+    sensor.
     """
     for t in times:
         yield t, "removed", tuple(other for other in times if other != t)
@@ -130,7 +129,7 @@ def _means(
 def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
     """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
-    The MSE is less its control, because everything that is computed from it is a mean.
+    The control is subtracted from the MSE, because only means are computed from it.
     """
     (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:

@@ -57,7 +57,7 @@ def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printe
     assert with_error(summary.expected_mse, summary.standard_error) in row
     assert row.split()[:3] == ["b", "2", "5"]
     assert " ".join(lines[-2:]) == (
-        "The gain says how far the expected MSE lies below that of evenly spaced times (95 % CI)."
+        "The gain is how far the expected MSE lies below that of evenly spaced times (95 % CI)."
     )
 
 
