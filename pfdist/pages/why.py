@@ -108,9 +108,7 @@ def filters_figure(tables: Tables) -> Plot:
     return Plot(2.0, draw, title=f"{title} No draw is degenerate.")
 
 
-def error_profile(
-    profile: object, names: Sequence[str] = (), *, draws: int | None = None, ax: Axes | None = None
-) -> Axes:
+def error_profile(profile: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
     """Draw the expected error over time with its 95 % band, and the measurement times.
 
     Parameters
@@ -118,12 +116,9 @@ def error_profile(
     profile : DataFrame or object
         A table with the columns name, t, measured, error and standard_error; or an object whose
         ``profile`` it is, such as the result of `pfdist.why`. The column weight, if there is one,
-        weighs the mean in the legend.
+        weighs the mean in the legend, which also shows the column draws.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
-    draws : int, optional
-        Number of draws behind the estimates, for the legend; 0 if they are exact. By default
-        that of the table's column of this name, if there is one.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -153,8 +148,7 @@ def error_profile(
     cut_outliers(ax, curves, zero=True)
     label_error(ax, table, "expected error $e(t)$")
     label_times(ax, table)
-    if draws is None:
-        draws = int(table["draws"].max()) if "draws" in table else 0
+    draws = int(table["draws"].max()) if "draws" in table else 0
     drawn = f"{draws:,} draws; " if draws else ""
     legend_above(ax, title=f"{drawn}band: 95 % confidence\nmarkers: measured there")
     return ax

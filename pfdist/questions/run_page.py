@@ -203,7 +203,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
 
 def _gain(subject: Subject, row: Row) -> str:
     reference = subject.reference_row
-    if row.measurement_times == subject.reference_times:
+    if row.measurement_times == reference.measurement_times:
         return f"The search found no better times than {subject.reference}."
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
         return "The gain is not known, because errors are 0, infinite or unknown."

@@ -115,26 +115,19 @@ class Subject:
         return reaching(self.sets, target)
 
     @property
-    def reference_times(self) -> Sequence[float | str]:
-        """Measurement times of the reference."""
-        times: Sequence[float | str] = self.reference_row.measurement_times
-        return times
-
-    @property
     def reference(self) -> str:
         """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
-        phrase, every = phrase_of(self.reference_row.label), self._step_of_reference
-        problem = problem_of(self.run)
-        is_even = problem.feasible.is_regular(problem.clock.measurements(self.reference_times))
-        is_moved = self.reference_row.label == EVENLY_SPACED and not is_even
+        row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
+        phrase, times = phrase_of(row.label), problem.clock.measurements(row.measurement_times)
+        is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
         how = "moved to allowed instants" if is_moved else every
         return f"{phrase} ({how})" if how else phrase
 
     @property
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
-        sensors = {time_and_sensor(time)[1] for time in self.reference_times}
-        instants = (time_and_sensor(time)[0] for time in self.reference_times)
+        measurements = [*map(time_and_sensor, self.reference_row.measurement_times)]
+        instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
             return ""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfdist.common.clock import Time
-from pfdist.common.estimate import CLEAR_ERRORS, Estimate
+from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.common.measurement_times import REGULAR
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.problem_section import ProblemSection
@@ -154,7 +154,9 @@ def _add_results(
         row["degenerate_draws"] = statistics.degenerate_draws[name]
         if "expected_mse" not in row:
             mse = statistics.mse[name].estimate
-            row.update(_estimated(mse))
+            low, high = mse.interval()
+            row |= {"expected_mse": mse.value, "standard_error": mse.standard_error}
+            row |= {"expected_mse_low": low, "expected_mse_high": high}
             row["top_percent_share"] = statistics.top_percent_share(name)
             if statistics.has_control and not mse.value > 0.0:
                 row["warnings"].append(_TOO_FEW)
@@ -177,16 +179,6 @@ def _add_results(
         if not proof["reason"]:
             rows[name]["bound_gap"] = proof["gap"]
             rows[name]["bound_gap_at_most"] = proof["gap_at_most"]
-
-
-def _estimated(mse: Estimate) -> Results:
-    low, high = mse.interval()
-    return {
-        "expected_mse": mse.value,
-        "standard_error": mse.standard_error,
-        "expected_mse_low": low,
-        "expected_mse_high": high,
-    }
 
 
 def _add_typical_errors(run: StoredRun, rows: dict[str, Results]) -> None:
