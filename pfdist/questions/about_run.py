@@ -1,16 +1,14 @@
 """The question of a run, how it was computed, how to load its tables, and how to cite."""
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
-import tomli_w
-
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Code, Facts, Section, Text
 from pfdist.filters.engines import is_exact
+from pfdist.problem.job import job_toml
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
 from pfdist.results import Run, read_recorded
@@ -181,7 +179,7 @@ def computed(subject: Subject) -> Section:
         "How it was computed",
         [
             Facts([*_versions(about), *_work(subject), *identity]),
-            Code(tomli_w.dumps(_sendable(_without_none(job))), "The job, with all its defaults"),
+            Code(job_toml(_sendable(job)), "The job, with all its defaults"),
         ],
     )
 
@@ -250,11 +248,3 @@ def _quoted(text: str) -> str:
 def _seconds(seconds: float) -> str:
     minutes, rest = divmod(seconds, 60)
     return f"{minutes:.0f} min {rest:.0f} s" if minutes else f"{rest:.1f} s"
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
-    if isinstance(value, list | tuple):
-        return [_without_none(entry) for entry in value]
-    return value if not (isinstance(value, float) and math.isnan(value)) else "nan"

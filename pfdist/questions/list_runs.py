@@ -10,7 +10,7 @@ import pandas as pd
 from pfdist.common.arguments import path_argument
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
-from pfdist.errors import StoreError, one_line, relative, shown_text
+from pfdist.errors import StoreError, reason_of, relative
 from pfdist.results import Run, open_run
 from pfdist.results.columns import Row, rows_of
 from pfdist.results.pairs import formatted_ranks
@@ -140,8 +140,6 @@ def _best(run: Run) -> Row | None:
 
 def _in_few_words(error: Exception, path: Path) -> str:
     """The error without its remedy, and with names of files relative to the run's folder."""
-    if not isinstance(error, StoreError):
-        return one_line(shown_text(f"{type(error).__name__}: {error}"))
-    shown_path = relative(str(path))
-    text = str(error).replace(f"{shown_path}/", "").replace(f"{shown_path} ", "")
-    return one_line(shown_text(text.partition("; ")[0]))
+    shown_path, text = relative(str(path)), reason_of(error)
+    text = text.replace(f"{shown_path}/", "").replace(f"{shown_path} ", "")
+    return text.partition("; ")[0] if isinstance(error, StoreError) else text

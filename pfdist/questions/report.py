@@ -6,7 +6,7 @@ from pathlib import Path
 from pfdist.common import stopping
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page
-from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
+from pfdist.errors import ArgumentError, PfdistError, reason_of
 from pfdist.questions.run_page import page_of
 from pfdist.results import Run, open_run
 from pfdist.runner.progress import Say, heard, silent
@@ -138,11 +138,10 @@ def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
             write_report(run, target=target)
         else:
             write_sweep_report(path)
-    except PfdistError as error:
-        heard(say, f"there is no report: {error}")
     except Exception as error:
-        text = one_line(shown_text(f"{type(error).__name__}: {error}"))
-        heard(say, f"there is no report: {text} (`pfdist report {path} --debug` shows where)")
+        is_expected = isinstance(error, PfdistError)
+        hint = "" if is_expected else f" (`pfdist report {path} --debug` shows where)"
+        heard(say, f"there is no report: {reason_of(error)}{hint}")
 
 
 def renew_report(path: Path, say: Say) -> None:

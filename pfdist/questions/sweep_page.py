@@ -23,7 +23,7 @@ from pfdist.common.parts import (
     Text,
     without_empty_columns,
 )
-from pfdist.errors import PfdistError, one_line, relative, shown_text
+from pfdist.errors import one_line, reason_of, relative
 from pfdist.pages.figure import Plot
 from pfdist.pages.panel import verbatim
 from pfdist.pages.plots import against
@@ -112,7 +112,7 @@ class SweepSubject:
         try:
             self.judged = self._read_judged()
         except Exception as error:  # nor because of a comparison
-            self.judged, self.judged_fault = NOTHING_JUDGED, _reason(error)
+            self.judged, self.judged_fault = NOTHING_JUDGED, reason_of(error)
 
     @cached_property
     def keys(self) -> list[str]:
@@ -157,15 +157,9 @@ def _tried(path: Path, listed: ListedRow) -> ListedRow:
         if listed.fault is None:
             runs_table([open_run(path)])
     except Exception as error:
-        fault = _reason(error).replace(relative(f"{path}/"), "")
+        fault = reason_of(error).replace(relative(f"{path}/"), "")
         return ListedRow(**vars(listed) | {"state": DAMAGED, "fault": fault})
     return listed
-
-
-def _reason(error: Exception) -> str:
-    """An error on one line; an error that pfdist does not expect has the name of its type."""
-    text = str(error) if isinstance(error, PfdistError) else f"{type(error).__name__}: {error}"
-    return one_line(shown_text(text))
 
 
 def answer(subject: SweepSubject) -> Section | None:

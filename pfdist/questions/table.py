@@ -15,11 +15,10 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.dotted_keys import short_names
 from pfdist.errors import (
     ArgumentError,
-    PfdistError,
     PfdistWarning,
+    reason_of,
     relative,
     shown,
-    shown_text,
 )
 from pfdist.results import Run, open_run
 from pfdist.results.runs_table import (
@@ -149,8 +148,7 @@ def _can_be_read(path: Path) -> bool:
     try:
         runs_table([open_run(path)])
     except Exception as error:
-        why = str(error) if isinstance(error, PfdistError) else repr(error)
-        warnings.warn(f"{path} is left out: {shown_text(why)}", PfdistWarning, stacklevel=2)
+        warnings.warn(f"{path} is left out: {reason_of(error)}", PfdistWarning, stacklevel=2)
         return False
     return True
 

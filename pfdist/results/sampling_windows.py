@@ -199,15 +199,16 @@ class RelativeLoss:
         """One-sided 95 % lower limit and one-sided 95 % upper limit, Fieller's."""
         return self.pairs.ratio_interval(_TWO_SIDED) if self._is_known else UNKNOWN
 
-    def state(self, level: float) -> str:
-        """Whether the loss is at most a level, by its one-sided limits."""
-        low, high = self.limits
-        if high <= level:
-            return INSIDE
-        return OUTSIDE if low > level else OPEN
-
     @property
     def _is_known(self) -> bool:
         rise, kept_mse = self.pairs.x, self.pairs.y
         moments = (rise.mean, rise.squares, kept_mse.mean, kept_mse.squares)
         return all(map(math.isfinite, moments)) and kept_mse.mean > 0.0
+
+
+def state_of(limits: Interval, level: float) -> str:
+    """Whether a loss is at most a level, by its one-sided limits; an unknown loss is open."""
+    low, high = limits
+    if high <= level:
+        return INSIDE
+    return OUTSIDE if low > level else OPEN
