@@ -92,7 +92,7 @@ def _run(line: "Line", *, ends: bool) -> int:
                 stopping.check()
                 raise
             flush_output()
-        stopping.check()  # the exit code says that a signal was received, even at the very end
+        stopping.check()  # the exit code shows a signal that was received, even at the very end
     except KeyboardInterrupt:
         resumes = COMMANDS[line.name].resumes and not line.options.get("dry_run")
         print(f"pfdist: Stopped.{_SAVED if resumes else ''}", file=sys.stderr)
@@ -134,7 +134,7 @@ def _answer(line: "Line") -> Any:
 
 
 def _unread() -> int:
-    """The exit code after the reader of the output has ended, as ``head`` does; no line says so."""
+    """The exit code after the reader of the output has ended, as ``head`` does; without a line."""
     _output_error()
     sys.stderr.close()
     return stopping.exit_code() or _ERROR

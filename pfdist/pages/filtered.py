@@ -88,7 +88,7 @@ def check_figure_replaceable(path: Path) -> None:
     Raises
     ------
     StoreError
-        The file exists, and is no earlier figure of filtered measurements.
+        The file exists, and is not an earlier figure of filtered measurements.
     """
     check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))
 

@@ -9,7 +9,7 @@ from itertools import zip_longest
 from pfdist.common.parts import Block, Code, Facts, Page, Table, Text, without_empty_columns
 from pfdist.errors import one_line
 
-_NARROWEST, _USUAL, _WIDEST = 40, 80, 120  # columns of lines; the usual where there is no terminal
+_NARROWEST, _USUAL, _WIDEST = 40, 80, 120  # columns of lines; the usual without a terminal
 _NAME = 21  # characters of a fact's name
 _LEAST = 24  # characters of a column of text that is cut into lines
 _GAP = "  "
@@ -18,7 +18,7 @@ _WORD, _PIECE = re.compile(r"[^ ]+ ?| "), re.compile(r"[^_./ ]+[_./ ]?|[_./ ]")
 
 
 def line_width() -> int:
-    """Columns of the terminal, or of the variable COLUMNS; 80 if the output is no terminal."""
+    """Columns of the terminal, or of the variable COLUMNS; 80 if the output is not a terminal."""
     return min(max(_NARROWEST, shutil.get_terminal_size((_USUAL, 1)).columns), _WIDEST)
 
 

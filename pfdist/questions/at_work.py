@@ -25,7 +25,7 @@ _CRASHED = (
 
 @contextlib.contextmanager
 def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[Pool]:
-    """The pool of a run, as a context; a message tells when it is ready and why it was chosen.
+    """The pool of a run, as a context; a message reports when it is ready, and why it was chosen.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     Raises
     ------
     ArgumentError
-        The folder is no path.
+        The folder is not a path.
     StoreError
         The folder cannot be listed.
     """

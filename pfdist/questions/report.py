@@ -111,7 +111,7 @@ def _watch(path: Path, say: Say) -> None:
 
 
 def is_sweep(path: Path) -> bool:
-    """Whether a folder is no run but has runs in it."""
+    """Whether a folder is not a run but has runs in it."""
     if holds_run(path) or not path.is_dir():
         return False
     return next(runs_below(path, 1), path) != path

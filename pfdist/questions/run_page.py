@@ -69,8 +69,8 @@ _GAINS_SHOWN = (
     "label", "expected_mse", "gain_of_means", "positive_fraction", "mean_relative_gain",
 )  # fmt: skip
 _GAINS = (
-    "The expected MSE is the mean over all draws, with its standard error. The next column says "
-    "how much lower it is than that of the first row. The mean gain is the mean of the relative "
+    "The expected MSE is the mean over all draws, with its standard error. The next column is how "
+    "much lower it is than that of the first row. The mean gain is the mean of the relative "
     "gains of single draws, 1 - MSE / MSE of the first row, as in the paper. Intervals in brackets "
     "are 95 % CIs."
 )

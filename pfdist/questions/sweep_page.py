@@ -268,7 +268,7 @@ def computed(subject: SweepSubject) -> Section:
 
 
 def sweep_page(path: Path) -> Page:
-    """The report of a sweep, in a folder that is no run but has runs in it, finished or not.
+    """The report of a sweep: of the runs in a folder, finished or not.
 
     A run that cannot be read has a warning with the reason.
 

@@ -251,7 +251,7 @@ def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
 def errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.Table]]:
     """Per-draw MSE of each set, (D, S), and then its control, (D, 2 S), if there is one.
 
-    The second array says which draws are degenerate, (D, S); then follow the rows of the block.
+    The second array marks degenerate draws, (D, S). The third item has the rows of the block.
     """
     starts = ("mse", "control") if run.job["comparison"].get("control") else ("mse",)
     columns = [f"{start}_{name}" for start in starts for name in run.sets]
