@@ -17,6 +17,7 @@ from .pages import plots as plots
 from .problem.job import Job as Job
 from .problem.job import load_job as load_job
 from .problem.problem import Problem as Problem
+from .questions.backtest import backtest as backtest
 from .questions.bound import bound as bound
 from .questions.budget import budget as budget
 from .questions.check_model import check_model as check_model
