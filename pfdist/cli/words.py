@@ -170,6 +170,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "planned": _text("NAME"),
     "pool": Word(str | None, Parameter(metavar="POOL", choices=(AUTO, *POOLS))),
     "prior": _folder("FILE"),
+    "profile": _SWITCH,
     "report": Word(bool | None, Parameter(negative="--no-report")),
     "results": _folder("DIR"),
     "reuse": Word(list[Path], Parameter(metavar="RUN", converter=_all(_paths))),

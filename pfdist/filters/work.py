@@ -250,8 +250,10 @@ def joined(results: Sequence[Result]) -> Result:
         return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
 
     sums = np.sum([result.sums for result in results], axis=0)
-    same = {name: all_of(name) for name in ("mse", "z", "y", "degenerate", "control", "errors")}
-    return Result(estimates=all_of("estimates", 1), sizes=all_of("sizes", 1), sums=sums, **same)
+    mse, z, y, degenerate = map(all_of, ("mse", "z", "y", "degenerate"))
+    estimates, sizes = all_of("estimates", 1), all_of("sizes", 1)
+    result = Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate)
+    return replace(result, control=all_of("control"), errors=all_of("errors"))
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

@@ -8,8 +8,8 @@ also give standard errors, and those of differences of two sets.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +50,10 @@ def read_ranges(rows: pd.DataFrame) -> list[Range]:
     """The ranges in rows of the table, in order; a range that is part of another is left out."""
     found = list[Range]()
     rows = rows.sort_values(["draw", "draws", "position"], ascending=[True, False, True])
-    for (first, draws), sums in rows.groupby(["draw", "draws"], sort=False)["sums"]:
+    for _, same in rows.groupby(["draw", "draws"], sort=False):
+        first, draws = int(same["draw"].iloc[0]), int(same["draws"].iloc[0])
         if not found or first >= found[-1].end:
-            found.append(Range(int(first), int(draws), np.stack([*sums])))
+            found.append(Range(first, draws, np.stack([*same["sums"]])))
     return found
 
 
@@ -61,24 +62,33 @@ def joined_ranges(ranges: Iterable[Range], most: int) -> list[Range]:
     whole = list[Range]()
     for each in ranges:
         whole.append(each)
-        while len(whole) > 1 and _are_halves(*whole[-2:], most):
+        while len(whole) > 1:
             first, second = whole[-2:]
-            whole[-2:] = [Range(first.first, 2 * first.draws, first.sums + second.sums)]
+            draws = 2 * first.draws
+            if first.draws != second.draws or draws > most or first.first % draws:
+                break
+            whole[-2:] = [Range(first.first, draws, first.sums + second.sums)]
     return whole
 
 
-def _are_halves(first: Range, second: Range, most: int) -> bool:
-    draws = 2 * first.draws
-    return first.draws == second.draws and draws <= most and not first.first % draws
-
-
 def error_over_time(run: StoredRun) -> pd.DataFrame:
-    """A row for each compared set and instant: the columns of `profile`, for all compared draws."""
+    """A row for each compared set and instant: the expected error then.
+
+    The columns are name (of the set); t; measured (whether the set measures then); draws (all of
+    the comparison; 0: exact); error and standard_error. Errors are weighted and scaled as in the
+    MSE, and less their controls if there are any: their mean over time is the expected MSE.
+    """
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
     ranges, clock = read_ranges(run.table(RANGE_SUMS)), problem_of(run).clock
-    sets = {name: clock.measurements(times) for name, times in run.sets.items()}
-    draws = sum(each.draws for each in ranges)
-    estimates = [_estimates(ranges, place) for place in range(len(sets))]
-    return profile(clock, sets, estimates, draws)
+    draws, tables = sum(each.draws for each in ranges), list[pd.DataFrame]()
+    for place, (name, times) in enumerate(run.sets.items()):
+        estimates = _estimates(ranges, place)
+        tables.append(profile_of(clock, clock.measurements(times), *estimates, draws))
+        tables[-1].insert(0, "name", name)
+    table = pd.concat(tables, ignore_index=True)
+    table.attrs.update(tables[0].attrs)
+    return table
 
 
 def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
@@ -88,40 +98,26 @@ def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Arr
     return _estimates(ranges, *places)
 
 
-def profile(
-    clock: Clock, sets: Mapping[str, Times], estimates: Iterable[tuple[Array, Array]], draws: int
+def profile_of(
+    clock: Clock, times: Times, error: Array, standard_error: Array, draws: int
 ) -> pd.DataFrame:
-    """A row for each set and instant, from the estimate of each set's error over time.
+    """A row for each instant, from the expected error of a set then and its standard error, (T+1,).
 
-    The columns are name (of the set), t, measured (whether the set measures at t), draws (0: the
-    error is exact), error (the expected error at t) and standard_error. Errors are weighted and
-    scaled as in the MSE, and less their controls if there are any: their mean over time is the
-    expected MSE.
-
-    Parameters
-    ----------
-    clock : Clock
-    sets : mapping of str to tuple of int
-        Possible measurements of the clock, by the name of the set.
-    estimates : iterable of pair of array, (T+1,)
-        The error of each set at each instant, and its standard error.
-    draws : int
+    The columns are those of `error_over_time` but the name. The times are possible measurements of
+    the clock.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    tables = list[Any]()
-    for (name, times), (error, standard_error) in zip(sets.items(), estimates, strict=True):
-        at = {time // max(1, len(clock.sensors)) for time in times}
-        columns = {
-            "name": name,
+    at = {time // max(1, len(clock.sensors)) for time in times}
+    table = pd.DataFrame(
+        {
             "t": clock.times,
             "measured": [t in at for t in range(len(clock.times))],
             "draws": draws,
             "error": error,
             "standard_error": standard_error,
         }
-        tables.append(pd.DataFrame(columns))
-    table = pd.concat(tables, ignore_index=True)
+    )
     if not clock.counts:
         table.attrs["time_unit"] = clock.unit
     return table

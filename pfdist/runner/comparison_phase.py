@@ -178,10 +178,10 @@ def _publish(store: Store, draws: int, most: int) -> None:
     rows = ROWS_IN_A_FILE["comparison"]
     pieces: dict[str, Iterable[pa.Table]] = {"comparison": store.blocks("comparison", rows, draws)}
     if store.has(RANGE_SUMS):
-        table = store.read(RANGE_SUMS)
-        names = table.drop_duplicates("position").sort_values("position")["name"]
-        ranges = [each for each in read_ranges(table) if each.end <= draws]
-        pieces[RANGE_SUMS] = [_range_rows([*names], joined_ranges(ranges, most))]
+        committed_sums = store.read(RANGE_SUMS)
+        ranges = [each for each in read_ranges(committed_sums) if each.end <= draws]
+        names = list(dict.fromkeys(committed_sums["name"]))  # rows are in order of the sets
+        pieces[RANGE_SUMS] = [_range_rows(names, joined_ranges(ranges, most))]
     store.publish_together(COMPARISON, pieces)
 
 

@@ -275,7 +275,7 @@ class Store:
         """
 
         def look() -> list[range]:
-            columns = [name for name in ("draw", "draws") if name in KEYS[table]]
+            columns = [name for name in KEYS[table] if name in ("draw", "draws")]
             pieces = (
                 [piece[name].to_numpy() for name in columns]
                 for piece in self.pieces(table, columns)
