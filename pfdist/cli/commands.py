@@ -172,6 +172,18 @@ COMMANDS = {
             ),
         },
     ),
+    "backtest": Command(
+        "pfdist.questions.backtest:backtest",
+        "Judge by real measurements whether a plan keeps its promise.",
+        {
+            "pfdist backtest jobs/plan.toml patients.csv": (
+                "Compare the plan with two grids of evenly spaced times on real patients"
+            ),
+            "pfdist backtest jobs/plan.toml patients.csv --replicate patient --plan-each": (
+                "Plan for each patient among the measurements that there are"
+            ),
+        },
+    ),
     "next": Command(
         "pfdist.questions.next_time:next_time",
         "Choose when to measure a system next, from the measurements so far.",

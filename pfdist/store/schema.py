@@ -396,6 +396,19 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
     return _schema("filtered", columns)
 
 
+def backtest_schema() -> pa.Schema:
+    """Schema of a backtest: a row for each judged replicate and set of times."""
+    columns = [
+        _column("replicate", pa.string(), "", "name of the replicate"),
+        _column("set", pa.string(), "", "name of the set of times"),
+        _column("judged", pa.int32(), "", "number of judged values"),
+        _column("real", pa.float64(), "", "error, relative to the variance of what is judged"),
+        _column("foreseen", pa.float64(), "", "the same of simulated systems, on average"),
+        _column("covered", pa.float64(), "", "share of judged values in the 90 % interval"),
+    ]
+    return _schema("backtest", columns)
+
+
 @dataclass(frozen=True)
 class ClockColumns:
     """A converter of columns of instants to columns of times, in the clock's unit.
