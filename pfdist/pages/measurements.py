@@ -105,7 +105,7 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
     table = tables.run.table("sampling_windows")
     rows, which = table[table["name"] == name], phrase_of(tables.run.labels[name])
-    said = sentences(rows.to_dict("records"))
+    said = sentences(rows.to_dict("records"), table.attrs.get("time_unit", ""))
     return Plot(
         _height(len(windows_of(rows.to_dict("records"), WIDE))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
