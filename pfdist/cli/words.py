@@ -159,6 +159,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
     "draws": _number("K"),
     "dry_run": _SWITCH,
+    "export": _folder("FILE"),
     "folder": _file("DIR"),
     "horizon": _number("T"),
     "job": _file("JOB"),

@@ -8,7 +8,7 @@ whatever knows the unit of a time can show the date of the time. Without a time 
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta, tzinfo
 from functools import lru_cache
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -126,11 +126,8 @@ class Calendar:
 
     def _side(self, text: str, ends: tuple[datetime, datetime]) -> Callable[[datetime], int]:
         """Whether a date lies before, on or after a written day or moment: -1, 0 or 1."""
-
         is_day = bool(_DATE.fullmatch(text))
-        wanted: Any = (
-            _read(date.fromisoformat, text) if is_day else self._elapsed(self.read(text))
-        )
+        wanted: Any = _read(date.fromisoformat, text) if is_day else self._elapsed(self.read(text))
 
         def compared(moment: datetime) -> int:
             own: Any = moment.date() if is_day else self._elapsed(moment)
@@ -145,7 +142,9 @@ class Calendar:
 
     def _elapsed(self, moment: datetime) -> timedelta:
         # Python subtracts moments of one zone as if it had no daylight saving.
-        own, start = (each.astimezone(UTC) if each.tzinfo else each for each in (moment, self.start))
+        own, start = (
+            each.astimezone(UTC) if each.tzinfo else each for each in (moment, self.start)
+        )
         return own - start
 
 
@@ -193,10 +192,10 @@ def names_dates(text: str) -> bool:
     return bool(_DATED.search(text))
 
 
-def _moment(text: str, zone: Any) -> datetime:
+def _moment(text: str, zone: tzinfo | None) -> datetime:
     if not (_DATE.fullmatch(text) or _MOMENT.fullmatch(text)):
         raise ValueError(f"must be a date, as 2026-04-01 or 2026-04-01T08:00, got {shown(text)}")
-    moment = _read(datetime.fromisoformat, text)
+    moment: datetime = _read(datetime.fromisoformat, text)
     if moment.tzinfo is not None:
         if zone is None:
             raise ValueError(
@@ -210,8 +209,7 @@ def _moment(text: str, zone: Any) -> datetime:
     if both[0].replace(tzinfo=None) != moment.replace(tzinfo=None):
         hours = " and ".join(f"{each:%Y-%m-%dT%H:%M}" for each in sorted(both, key=_in_utc))
         raise ValueError(
-            f"must exist in {zone}, whose clocks are put forward, got {text}; "
-            f"{hours} exist"
+            f"must exist in {zone}, whose clocks are put forward, got {text}; {hours} exist"
         )
     hours = " or ".join(each.isoformat(timespec="minutes") for each in both)
     raise ValueError(f"must be one moment in {zone}, got {text}: write {hours}")

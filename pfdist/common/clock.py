@@ -179,8 +179,8 @@ class Clock:
             return nearest
         self.check_is_within(time, name)
         raise MeasurementTimesError(
-            f"{name} must be times of the clock, got {formatted_time(time, self.unit)}; the nearest "
-            f"are {formatted_times(map(self.times.__getitem__, near), self.unit, ' and ')}"
+            f"{name} must be times of the clock, got {formatted_time(time, self.unit)}; the "
+            f"nearest are {formatted_times((self.times[t] for t in near), self.unit, ' and ')}"
         )
 
     def check_is_within(self, time: Time, name: str) -> None:

@@ -97,9 +97,7 @@ def _components_of_sensors(model: StateSpaceModel) -> list[str]:
     ]
 
 
-def _side_by_side(
-    columns: dict[str, Array], model: StateSpaceModel, unit: str
-) -> dict[str, Array]:
+def _side_by_side(columns: dict[str, Array], model: StateSpaceModel, unit: str) -> dict[str, Array]:
     """Columns with a row for each time, and all components of y, from a row for each sensor."""
     times = np.unique(columns["t"])
     y = np.full((times.size, model.components[1]), np.nan)

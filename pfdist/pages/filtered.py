@@ -144,7 +144,8 @@ def belief(
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),
     ):
-        at, sensors_of = zip(*(time_and_sensor(t, unit) for t in each)) if each else ((), ())
+        pairs = [time_and_sensor(t, unit) for t in each]
+        at, sensors_of = zip(*pairs, strict=True) if pairs else ((), ())
         if at:
             ax.plot(
                 at, [levels[sensor] for sensor in sensors_of], shape, ms=marker(1.2),

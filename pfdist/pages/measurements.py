@@ -152,7 +152,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     rows = every.sort_values(["t", "moved_to"])
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
-    columns = ["t", "sensor"] if "sensor" in rows else ["t"]
+    columns = [column for column in ("t", "date", "sensor") if column in rows]
     moved = rows.groupby(columns)["moved_to"].agg(["min", "max"]).reset_index()
     times, places = moved["t"].tolist(), range(len(moved))
     names = [formatted_time(measurement_of(row)) for row in moved.to_dict("records")]

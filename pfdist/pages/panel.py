@@ -12,9 +12,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
-from matplotlib import rcParams
+from matplotlib import dates, rcParams
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num, num2date
 from matplotlib.ticker import Formatter, Locator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
@@ -29,6 +28,7 @@ from pfdist.results.run import TABLES
 from pfdist.results.stored_run import angles_of
 
 T = TypeVar("T")
+_dates: Any = dates  # has no types
 Array = NDArray[np.float64]
 BAND = 1.96  # standard errors in half of a 95 % interval
 MOST_COMPONENTS = 6  # components of z that a figure shows, each in a panel
@@ -211,14 +211,15 @@ class _DateTicks(Locator):
 
     def __init__(self, calendar: Calendar) -> None:
         self.calendar = calendar
-        self.dates = AutoDateLocator(calendar.start.tzinfo, minticks=3, maxticks=_MOST_DATES)
+        self.dates = _dates.AutoDateLocator(calendar.start.tzinfo, minticks=3, maxticks=_MOST_DATES)
 
     def __call__(self) -> Sequence[float]:
-        return self.tick_values(*self.axis.get_view_interval())
+        axis: Any = self.axis
+        return self.tick_values(*axis.get_view_interval())
 
     def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         found = self.dates.tick_values(*map(self.calendar.date, sorted((vmin, vmax))))
-        return [self.calendar.time(self._local(each)) for each in num2date(found)]
+        return [self.calendar.time(self._local(each)) for each in _dates.num2date(found)]
 
     def _local(self, moment: datetime) -> datetime:
         zone = self.calendar.start.tzinfo
@@ -230,16 +231,17 @@ class _DateLabels(Formatter):
 
     def __init__(self, ticks: _DateTicks) -> None:
         zone = ticks.calendar.start.tzinfo
-        self.ticks, self.labels = ticks, ConciseDateFormatter(ticks.dates, zone)
+        self.ticks, self.labels = ticks, _dates.ConciseDateFormatter(ticks.dates, zone)
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         return self.ticks.calendar.written(x)
 
     def format_ticks(self, values: Sequence[float]) -> list[str]:
-        return self.labels.format_ticks([date2num(self.ticks.calendar.date(x)) for x in values])
+        at = [_dates.date2num(self.ticks.calendar.date(x)) for x in values]
+        return list(self.labels.format_ticks(at))
 
     def get_offset(self) -> str:
-        return self.labels.get_offset()
+        return str(self.labels.get_offset())
 
 
 def label_times(ax: Axes, table: pd.DataFrame) -> None:

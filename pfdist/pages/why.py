@@ -98,8 +98,9 @@ def filters_figure(tables: Tables) -> Plot:
             stack(panels)
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
+    at = formatted_time(time_of(least.to_dict()))
     title = (
-        f"The effective sample size is least at t = {formatted_time(time_of(least))} with "
+        f"The effective sample size is least at t = {at} with "
         f"{phrase_of(run.labels[least['name']])}: on average "
         f"{least['effective_sample_size']:.0f} of {particles} particles."
     )

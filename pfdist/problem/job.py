@@ -393,9 +393,7 @@ class Job(Section):
 
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""
-        return self.model_dump(
-            mode="json", exclude={"execution"}, exclude_none=True, by_alias=True
-        )
+        return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True, by_alias=True)
 
 
 def load_job(

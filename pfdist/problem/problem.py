@@ -252,9 +252,7 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             raise JobError(f"unknown argument {shown(key)} of Problem{allowed_here}")
     sections = {}
     for name, section in _SECTIONS.items():
-        sections[name] = {
-            key: keys[key] for key in keys_of(section) if keys.get(key) is not None
-        }
+        sections[name] = {key: keys[key] for key in keys_of(section) if keys.get(key) is not None}
         try:
             section(**sections[name])
         except ValidationError as error:

@@ -85,8 +85,8 @@ class ClockSection(Section):
         found = _STEP.fullmatch(self.step)
         if not found or not float(found[1]):
             raise ValueError(
-                f"step must be a number above 0 and a unit ({', '.join(SECONDS)}), as '30 min', got "
-                f"{shown(self.step)}"
+                f"step must be a number above 0 and a unit ({', '.join(SECONDS)}), as '30 min', "
+                f"got {shown(self.step)}"
             )
         return float(found[1]), found[2]
 
@@ -148,7 +148,8 @@ class ProblemSection(Section):
     clock : section
         Start, step and time zone, if times are dates; see ``[problem.clock]``.
     horizon : number, clock
-        T, the last instant or its time or date: 1 to 32,000 steps. Required unless ``times`` is given.
+        T, the last instant, or its time or date: 1 to 32,000 steps. Required unless ``times`` is
+        given.
     time_step : float, time_unit
         Time from an instant to the next. Without a clock, instants are counted.
     time_unit : str

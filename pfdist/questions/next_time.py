@@ -169,8 +169,8 @@ def next_time(
         DataFrame. It may have no rows. An empty cell is a missing component, a row without any
         value a missed time. If the model has sensors, the column sensor names that of a row.
     now : int, float, str or datetime, optional
-        The last time that has passed, or its date, if nothing was measured at the end. Times planned up to it
-        are planned again for later.
+        The last time that has passed, or its date, if nothing was measured at the end. Times
+        planned up to it are planned again for later.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
@@ -272,12 +272,13 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
 
 def _instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
     """The instant of the last time that has passed, after checking it."""
+    number: Any = now
     is_number = isinstance(now, Real) and not isinstance(now, bool)
-    if clock.counts and not (is_number and float(now).is_integer()):
+    if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
     first = clock.times[last] if last >= 0 else -1
     try:
-        number = now if is_number else clock.times[clock.instant(now, "now")]
+        number = number if is_number else clock.times[clock.instant(number, "now")]
         if not first <= number <= clock.times[-1]:
             ends = formatted_time(clock.time(last) if last >= 0 else -1), clock.time(clock.horizon)
             raise MeasurementsError(

@@ -8,8 +8,8 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
-from pfdist.common.component_names import Component, named_components
 from pfdist.common.calendar import calendar_of, unit_of_spans
+from pfdist.common.component_names import Component, named_components
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.parts import Cell, Table, Text
 from pfdist.common.rounding import rounded, with_error, with_interval

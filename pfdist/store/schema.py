@@ -259,7 +259,11 @@ _OPTIONAL = {
 
 
 _BY_DRAW = [_column("draw", pa.int64(), "", ""), _column("t", pa.int32(), "", "")]
-_KINDS = {"degenerate": pa.bool_(), "sensor": pa.string(), "date": pa.string()}  # of columns that sets or sensors name
+_KINDS = {
+    "degenerate": pa.bool_(),
+    "sensor": pa.string(),
+    "date": pa.string(),
+}  # of columns that sets or sensors name
 _CLOCK_TYPES = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
 
 
