@@ -228,7 +228,7 @@ class ProblemSection(Section):
         try:
             self.feasible, self.weights  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
-            raise ValueError(f"problem.{error}") from error
+            raise ValueError(self._said(str(error))) from error
         return self
 
     @property
@@ -265,7 +265,11 @@ class ProblemSection(Section):
                     f"{shown(getattr(self, name))}"
                 )
         step = self.dates.steps[0] if self.times is None else None
-        return self.dates.on(self._clock_without_dates(step))
+        try:
+            times = self._clock_without_dates(step)
+        except MeasurementTimesError as error:
+            raise MeasurementTimesError(str(error).replace("time_step", "clock.step")) from error
+        return self.dates.on(times)
 
     def _clock_without_dates(self, time_step: float | None) -> Clock:
         if self.times is not None:
@@ -383,7 +387,12 @@ class ProblemSection(Section):
         instance ``problem.forbidden: 4 is measured``.
         """
         measured = self.clock.measurements(times)
-        return [f"problem.{sentence}" for sentence in self.feasible.broken(measured)]
+        return [self._said(sentence) for sentence in self.feasible.broken(measured)]
+
+    def _said(self, sentence: str) -> str:
+        """A sentence that begins with a key, with its section and, for times, both keys."""
+        keys = "forbidden" if self.allowed is None else "allowed or problem.forbidden"
+        return f"problem.{re.sub('^forbidden', keys, sentence)}"
 
     @property
     def _prices_of_instants(self) -> tuple[Money, ...] | None:
