@@ -28,7 +28,7 @@ _WITH_SPACE = re.compile(r"(?<=\d{4}-\d\d-\d\d) (?=\d\d:\d\d)")
 _AROUND_DOTS = re.compile(r"\s*\.\.\s*")
 _SPELLED = (
     "must name dates, as {0}, ranges of dates, as {0}..{1}, hours of the day, as 08:00..18:00, or "
-    "weekdays, as mon..fri, because problem.clock has a start; got {2}"
+    "weekdays, as mon..fri, because the clock has a start; got {2}"
 )
 
 
@@ -199,7 +199,7 @@ def _moment(text: str, zone: tzinfo | None) -> datetime:
     if moment.tzinfo is not None:
         if zone is None:
             raise ValueError(
-                f"must be a local time, because problem.clock has no timezone, got {text}"
+                f"must be a local time, because the clock has no timezone, got {text}"
             )
         return moment.astimezone(zone)
     moment = moment.replace(tzinfo=zone)

@@ -198,7 +198,7 @@ class Clock:
         return range(start, bisect_right(self.times, last + self.slack))
 
     def readers(self) -> dict[str, Callable[[str], float]]:
-        """What reads dates in a column t of a user's table; empty if the clock has no start."""
+        """A reader of dates for the column t of a user's table; none if the clock has no start."""
         return {"t": lambda text: self.times[self.instant(text, "t")]} if self.calendar else {}
 
     def instants(self, times: Iterable[Time | str]) -> Times:
