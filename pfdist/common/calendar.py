@@ -198,9 +198,7 @@ def _moment(text: str, zone: tzinfo | None) -> datetime:
     moment: datetime = _read(datetime.fromisoformat, text)
     if moment.tzinfo is not None:
         if zone is None:
-            raise ValueError(
-                f"must be a local time, because the clock has no timezone, got {text}"
-            )
+            raise ValueError(f"must be a local time, because the clock has no timezone, got {text}")
         return moment.astimezone(zone)
     moment = moment.replace(tzinfo=zone)
     if not _is_ambiguous(moment):

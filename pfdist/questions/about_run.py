@@ -147,6 +147,8 @@ def _instants(subject: Subject) -> str:
     clock = problem_of(subject.run).clock
     last = formatted_times(clock.times[-1:], clock.unit)
     ends = f"t = {formatted_time(clock.time(0))} to {last}"
+    if clock.calendar and clock.calendar.start.tzinfo:
+        ends += f" ({clock.calendar.start.tzinfo})"
     if clock.counts:
         return ends
     if clock.is_even:
