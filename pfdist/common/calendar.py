@@ -68,9 +68,8 @@ class Calendar:
     def date(self, time: float) -> datetime:
         """The local date and hour of a time; raises OverflowError beyond the year 9999."""
         elapsed = timedelta(microseconds=round(time * SECONDS[self.unit] * 1_000_000))
-        if self.start.tzinfo is None:
-            return self.start + elapsed
-        return (self.start.astimezone(UTC) + elapsed).astimezone(self.start.tzinfo)
+        moment, zone = _in_utc(self.start) + elapsed, self.start.tzinfo
+        return moment.astimezone(zone) if zone else moment.replace(tzinfo=None)
 
     def time(self, moment: datetime) -> float:
         """The time of a date and hour, in the unit."""
@@ -142,10 +141,7 @@ class Calendar:
 
     def _elapsed(self, moment: datetime) -> timedelta:
         # Python subtracts moments of one zone as if it had no daylight saving.
-        own, start = (
-            each.astimezone(UTC) if each.tzinfo else each for each in (moment, self.start)
-        )
-        return own - start
+        return _in_utc(moment) - _in_utc(self.start)
 
 
 @lru_cache(maxsize=64)
@@ -221,7 +217,8 @@ def _read(read: Callable[[str], Any], text: str) -> Any:
 
 
 def _in_utc(moment: datetime) -> datetime:
-    return moment.astimezone(UTC)
+    """A moment in UTC, where a local time without a time zone is put, too."""
+    return moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
 def _is_ambiguous(moment: datetime) -> bool:

@@ -5,7 +5,6 @@ Sizes are those of the style in use.
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from datetime import datetime
 from itertools import compress
 from textwrap import wrap
 from typing import Any, NamedTuple, TypeVar
@@ -219,11 +218,7 @@ class _DateTicks(Locator):
 
     def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         found = self.dates.tick_values(*map(self.calendar.date, sorted((vmin, vmax))))
-        return [self.calendar.time(self._local(each)) for each in _dates.num2date(found)]
-
-    def _local(self, moment: datetime) -> datetime:
-        zone = self.calendar.start.tzinfo
-        return moment.astimezone(zone) if zone else moment.replace(tzinfo=None)
+        return [self.calendar.time(each) for each in _dates.num2date(found)]
 
 
 class _DateLabels(Formatter):

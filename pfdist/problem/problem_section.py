@@ -37,6 +37,7 @@ _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
 _STEP = re.compile(rf"(\d{{1,9}}(?:\.\d{{1,9}})?) ?({'|'.join(SECONDS)})")
+_YEARS = (1000, 9000)  # of a clock with dates
 _Numbers = Listed[Moment]
 _Times = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
 _Finite = int | Annotated[float, Field(allow_inf_nan=False)]
@@ -103,9 +104,13 @@ class ClockSection(Section):
         by_days = is_midnight and are_whole and start.unit in ("d", "w")
         clock = replace(times, unit=str(replace(start, by_days=by_days)))
         try:
-            clock.dates  # noqa: B018  made here, to check them
-        except OverflowError as error:
-            raise MeasurementTimesError("horizon must end before the year 10000") from error
+            years = [clock.dates[t].year for t in (0, -1)]
+        except OverflowError:
+            years = [10_000]
+        if min(years) < _YEARS[0] or max(years) > _YEARS[1]:
+            raise MeasurementTimesError(
+                f"clock must lie in the years {_YEARS[0]} to {_YEARS[1]}, got one from {self.start}"
+            )
         return clock
 
 

@@ -1,7 +1,5 @@
 """The plan of a run as a CSV table or an iCalendar file (RFC 5545)."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
@@ -20,7 +18,7 @@ from pfdist.store.files import begins_with, check_replaceable, write_file
 if TYPE_CHECKING:
     from pfdist.results.run import Run
 
-_KINDS = {".csv": b"measurement,t,", ".ics": b"PRODID:-//pfdist//"}  # and the beginnings of files
+_KINDS = {".csv": b"measurement,t", ".ics": b"PRODID:-//pfdist//"}  # and the beginnings of files
 _START = 100  # bytes that hold these
 _LINE = 75  # octets of a line of iCalendar
 Rows = list[dict[str, Any]]
@@ -50,6 +48,8 @@ def checked_export(path: str | Path, clock: Clock) -> Path:
 
 def export_plan(run: "Run", path: str | Path) -> Path:
     """Write the plan of a run, with its sampling windows where `pfdist.why` was asked."""
+    import pandas as pd  # noqa: PLC0415  a run is opened without it
+
     clock = problem_of(run).clock
     file = checked_export(path, clock)
     rows = _rows(run, clock)
@@ -57,7 +57,8 @@ def export_plan(run: "Run", path: str | Path) -> Path:
         dates = [clock.dates[clock.instant(row["date"])] for row in rows]
         text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
     else:
-        text = _in_csv(rows)
+        columns = None if rows else ["measurement", "t"]
+        text = pd.DataFrame(rows, columns=columns).to_csv(index=False, lineterminator="\n")
     write_file(file, lambda temporary: temporary.write_bytes(text.encode()))
     return file
 
@@ -86,14 +87,6 @@ def _rows(run: "Run", clock: Clock) -> Rows:
     return rows
 
 
-def _in_csv(rows: Rows) -> str:
-    text, columns = io.StringIO(), dict.fromkeys(key for row in rows for key in row)
-    table = csv.DictWriter(text, [*columns] or ["measurement", "t", "date"], lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
-
-
 # --- iCalendar ------------------------------------------------------------------------------------
 
 
@@ -101,32 +94,24 @@ def _in_icalendar(run: "Run", rows: Rows, dates: Sequence[datetime], by_days: bo
     started = datetime.fromisoformat(read_recorded(run.path)[0]["provenance"]["started"])
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//pfdist//plan//EN"]
     for row, moment in zip(rows, dates, strict=True):
-        key = [str(run_key(run.path)), row["t"], row.get("sensor", "")]
+        key, sensor = f"{run_key(run.path)}-{row['t']}", row.get("sensor", "")
+        summary = f"Measurement {row['measurement']} of {len(rows)}"
+        start = f":{moment:%Y%m%dT%H%M%S}"  # local, if the clock has no time zone
+        if by_days:
+            start = f";VALUE=DATE:{moment:%Y%m%d}"
+        elif moment.tzinfo:
+            start = f":{moment.astimezone(UTC):%Y%m%dT%H%M%SZ}"
         lines += [
             "BEGIN:VEVENT",
-            f"UID:{'-'.join(filter(None, key))}@pfdist",
+            f"UID:{key}{f'-{sensor}' * bool(sensor)}@pfdist",
             f"DTSTAMP:{started.astimezone(UTC):%Y%m%dT%H%M%SZ}",
-            f"DTSTART{_start(moment, by_days)}",
-            f"SUMMARY:{_escaped(_summary(row, len(rows)))}",
+            f"DTSTART{start}",
+            f"SUMMARY:{_escaped(summary + f': {sensor}' * bool(sensor))}",
             f"DESCRIPTION:{_escaped(_description(run, row))}",
             "END:VEVENT",
         ]
     lines.append("END:VCALENDAR")
     return "".join(f"{_folded(line)}\r\n" for line in lines)
-
-
-def _start(moment: datetime, by_days: bool) -> str:
-    """A value of DTSTART: a day, UTC, or local time without a time zone."""
-    if by_days:
-        return f";VALUE=DATE:{moment:%Y%m%d}"
-    if moment.tzinfo is None:
-        return f":{moment:%Y%m%dT%H%M%S}"
-    return f":{moment.astimezone(UTC):%Y%m%dT%H%M%SZ}"
-
-
-def _summary(row: Mapping[str, Any], number: int) -> str:
-    sensor = f": {row['sensor']}" if "sensor" in row else ""
-    return f"Measurement {row['measurement']} of {number}{sensor}"
 
 
 def _description(run: "Run", row: Mapping[str, Any]) -> str:
