@@ -157,6 +157,9 @@ COMMANDS = {
             "pfdist evaluate jobs/plan.toml --times few=0:60:6 --times many=0:60:3": (
                 "Evaluate two sets on the same draws"
             ),
+            "pfdist evaluate jobs/plan.toml --times 0:60:3 --profile": (
+                "Also estimate the expected error at each instant"
+            ),
         },
     ),
     "filter": Command(
@@ -166,6 +169,18 @@ COMMANDS = {
             "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
             "pfdist filter jobs/plan.toml patient.csv --planned regular --out filtered": (
                 "Compare them with the regular times, and write to another folder"
+            ),
+        },
+    ),
+    "backtest": Command(
+        "pfdist.questions.backtest:backtest",
+        "Judge by real measurements whether a plan keeps its promise.",
+        {
+            "pfdist backtest jobs/plan.toml patients.csv": (
+                "Compare the plan with two grids of evenly spaced times on real patients"
+            ),
+            "pfdist backtest jobs/plan.toml patients.csv --replicate patient --plan-each": (
+                "Plan for each patient among the measurements that there are"
             ),
         },
     ),

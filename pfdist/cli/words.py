@@ -155,8 +155,10 @@ def _search() -> Word:
 _SWITCH = Word(bool, Parameter())
 WORDS: dict[str, Word | Callable[[], Word]] = {
     "address": _text("HOST:PORT"),
+    "block": _number("K"),
     "bound_draws": _number("K"),
     "changes": _texts("KEY=VALUE", name="--set", consume_multiple=1),
+    "data": _file("DATA"),
     "draws": _number("K"),
     "dry_run": _SWITCH,
     "export": _folder("FILE"),
@@ -172,10 +174,13 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "over": _texts("KEY=VALUES", values_by_key),
     "part": Word(Any, Parameter(metavar="K/N", converter=_each(_part))),
     "particles": _number("P"),
+    "plan_each": _SWITCH,
     "planned": _text("NAME"),
     "pool": Word(str | None, Parameter(metavar="POOL", choices=(AUTO, *POOLS))),
     "prior": _folder("FILE"),
+    "profile": _SWITCH,
     "report": Word(bool | None, Parameter(negative="--no-report")),
+    "replicate": _text("COLUMN"),
     "results": _folder("DIR"),
     "reuse": Word(list[Path], Parameter(metavar="RUN", converter=_all(_paths))),
     "run": _file("RUN"),
@@ -193,6 +198,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "within": _number("GAP", finite_number),
     "work": _number("STEPS", finite_number),
     "workers": _number("N"),
+    "backtest.within": _number("TIME", finite_number),
     "budget.measurements": Word(
         Any, Parameter(metavar="NUMBERS", converter=_each(lambda text: set(whole_numbers(text))))
     ),

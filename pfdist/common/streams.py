@@ -9,7 +9,9 @@ CHOOSING = ("search", "probe", "shortlist", "online", "particles", "proposal")
 
 Errors on such draws are never reported as proof.
 """
-PROVING = ("comparison", "budget", "bound", "why", "evaluate", "filter", "simulate")
+PROVING = (
+    "comparison", "budget", "bound", "why", "evaluate", "filter", "simulate", "backtest", "fit"
+)  # fmt: skip
 """Purposes of draws that choose no set.
 
 A comparison of several numbers of measurements has the purpose "budget". So a later comparison does

@@ -26,7 +26,7 @@ from pfdist.problem.written import validated_instants
 from pfdist.questions.options import ComparedDraws
 from pfdist.questions.planned_run import filter_of
 from pfdist.runner.build import Built, build
-from pfdist.runner.planning import Now, Replanner
+from pfdist.runner.planning import Now, Planning, Replanner
 from pfdist.runner.searches import planning_of
 
 EXPECTED_DRAWS = 2000
@@ -95,8 +95,8 @@ class Planner:
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(start), ()
         if planned is None:
-            first = replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
-            planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
+            first = replace(self._replanner, planning=first_planning(planning))
+            planned = first.plan(self._now, (), (), self._draw)
         first_left = self._now.first * feasible.sensors
         self._plan = tuple(time for time in planned if time >= first_left)
         self._before = tuple(time for time in planned if time < first_left)
@@ -256,6 +256,11 @@ class Planner:
         left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
         taken = (*self._before, *self._taken)
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+
+
+def first_planning(planning: Planning) -> Planning:
+    """The settings for a plan before anything is measured, given those for later plans."""
+    return replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
 
 
 def _feasible(built: Built, planned: Times | None) -> Feasible:

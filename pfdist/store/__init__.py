@@ -37,6 +37,7 @@ from pfdist.store.schema import (
     WHY_PHASE,
     WINDOW_PERCENTS,
     ClockColumns,
+    backtest_schema,
     comparison_schema,
     distance_schema,
     filtered_schema,

@@ -47,6 +47,7 @@ KEYS: dict[str, list[str]] = {
     "draws": ["evaluation", "draw"],
     "compared": ["position"],
     "comparison": ["draw"],
+    "range_sums": ["position", "draw", "draws"],
     "repeated": ["draw"],
     "filter_distance": ["draw"],
     "filter_variance": ["draw"],
@@ -106,6 +107,7 @@ _OF_A_SET = (
 )
 _LEFT_OUT = "whether no particle explains a measurement, which is left out"
 _CONTROL = "of expectation 0, if the job asks for it; the printed mean is that of mse - control"
+_SUMS = "errors at t = 0, 1, ..., less the control of each, weighted as in mse, over the draws"
 _DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
@@ -139,6 +141,12 @@ _SCHEMAS = {
         _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),
         _column("distrust", pa.string(), "", "why the search was done again by the squared error"),
+    ],
+    "range_sums": [
+        *_OF_A_SET,
+        _column("draw", pa.int64(), "", "the first draw of the range, as in comparison"),
+        _column("draws", pa.int64(), "", "number of draws, a power of 2; 0: exact errors"),
+        _column("sums", pa.list_(pa.float64()), _MSE, _SUMS),
     ],
     "repeated": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
@@ -397,6 +405,19 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
         _column("surprise", pa.float64(), "", "p-value of the measurement; null: not measured"),
     ]
     return _schema("filtered", columns)
+
+
+def backtest_schema() -> pa.Schema:
+    """Schema of a backtest: a row for each judged replicate and set of times."""
+    columns = [
+        _column("replicate", pa.string(), "", "name of the replicate"),
+        _column("set", pa.string(), "", "name of the set of times"),
+        _column("judged", pa.int32(), "", "number of judged values"),
+        _column("real", pa.float64(), "", "error, relative to the variance of what is judged"),
+        _column("foreseen", pa.float64(), "", "the same of simulated systems, on average"),
+        _column("covered", pa.float64(), "", "share of judged values in the 90 % interval"),
+    ]
+    return _schema("backtest", columns)
 
 
 @dataclass(frozen=True)

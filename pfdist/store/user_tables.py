@@ -32,11 +32,11 @@ SEPARATORS = "columns must be separated by commas; decimals have a point"
 
 def read_user_table(
     source: Path | pd.DataFrame,
-    check_header: Callable[[list[str]], None],
+    check_header: Callable[[list[str]], Collection[str] | None],
     only: Collection[str] = (),
     names: Mapping[str, Sequence[str]] = _NONE,
     readers: Mapping[str, Callable[[str], float]] = _NO_READERS,
-) -> dict[str, Array]:
+) -> dict[str, Any]:
     """The columns of a table of numbers by name; a missing number is NaN.
 
     `names` has the texts that some columns may hold; such a column becomes indices of its texts.
@@ -44,8 +44,9 @@ def read_user_table(
 
     A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
-    raises an error if the names of the columns are wrong. With `only`, other columns are left out,
-    and may hold anything. Errors count rows from 1, without the line of names and blank lines.
+    raises an error if the names of the columns are wrong, and may return those that hold texts.
+    With `only`, other columns are left out, and may hold anything. Errors count rows from 1,
+    without the line of names and blank lines.
 
     Raises `ValueError` if the file is too large, is not such a table, or holds anything but
     numbers. Raises `OSError` if it cannot be read.
@@ -56,11 +57,13 @@ def read_user_table(
         _check_size(header, len(table))
     else:
         header, table = _read(source)
-    check_header(header)
+    any_text = check_header(header) or ()
     return {
-        name: _numbers(name, table.iloc[:, place], names.get(name, ()))
-        if name not in readers or table.iloc[:, place].dtype.kind in "iuf"
+        name: _texts(name, table.iloc[:, place])
+        if name in any_text
         else _as_read(readers[name], table.iloc[:, place])
+        if name in readers and table.iloc[:, place].dtype.kind not in "iuf"
+        else _numbers(name, table.iloc[:, place], names.get(name, ()))
         for place, name in enumerate(header)
         if not only or name in only
     }
@@ -128,6 +131,14 @@ def _check_size(header: list[str], rows: int) -> None:
     for name, count in Counter(header).items():
         if count > 1:
             raise ValueError(f"the columns must have different names, got {shown(name)} twice")
+
+
+def _texts(name: str, column: "pd.Series[Any]") -> NDArray[Any]:
+    """The texts of a column, none of which may be empty."""
+    texts = column.astype(str).str.strip()
+    for row in np.flatnonzero(column.isna() | texts.str.lower().isin(_MISSING))[:1]:
+        raise ValueError(f"column {shown(name)} must not be empty, got nothing in row {row + 1}")
+    return texts.to_numpy()
 
 
 def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array:

@@ -1,0 +1,230 @@
+"""Measurements of many systems, the replicates, read from one long table."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pfdist.common.clock import Clock
+from pfdist.common.measurement_times import Times
+from pfdist.common.nearest import did_you_mean
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
+from pfdist.filters.measurements import instant_on, read_measurements, user_columns
+from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import CLOCK, Parameter
+from pfdist.store.user_tables import read_user_table
+
+Array = NDArray[np.float64]
+TRAIN = "train"
+"""Column that marks replicates to which the model was fitted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replicate:
+    """One system: a patient, a day, a year.
+
+    Parameters
+    ----------
+    name : str
+    clock : Clock
+        That of the job, or of the replicate's own times.
+    y : array of float64, (T+1, m)
+        Measurements; NaN marks a component that was not measured.
+    z : array of float64, (T+1, q), optional
+        Known values of the quantity of interest, NaN elsewhere.
+    parameters : mapping of str to float or tuple of float
+        Values of the model's parameters for this system, or covariates at each instant.
+    is_training : bool
+        Whether the model was fitted to it.
+    has_own_clock : bool
+    """
+
+    name: str
+    clock: Clock
+    y: Array
+    z: Array | None = None
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    is_training: bool = False
+    has_own_clock: bool = False
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Replicates of the same key have the same parameters, and the same clock."""
+        return tuple(self.parameters.items()), self.clock.times
+
+    def measured(self, model: StateSpaceModel) -> Times:
+        """The possible measurements that were made, as numbers ``t * S + sensor``."""
+        parts = [~np.isnan(self.y[:, part.y]).all(axis=1) for part in model.parts]
+        return tuple(np.flatnonzero(np.stack(parts, axis=1).ravel()).tolist())
+
+    def nearest(self, wanted: Iterable[tuple[float, int]], measured: Times, within: float) -> Times:
+        """The measurements that are nearest to wanted times, by the same sensors; sorted.
+
+        Each is used once, by the earlier wanted time.
+
+        Parameters
+        ----------
+        wanted : iterable of (float, int)
+            Times with the number of a sensor.
+        measured : tuple of int
+            Those of `measured`.
+        within : float
+            The largest distance in time.
+
+        Raises
+        ------
+        MeasurementsError
+            There is no measurement within this distance.
+        """
+        sensors, chosen = max(1, len(self.clock.sensors)), list[int]()
+        for time, sensor in wanted:
+            free = [each for each in measured if each % sensors == sensor and each not in chosen]
+            away = [abs(self.clock.times[each // sensors] - time) for each in free]
+            if not away or min(away) > within + self.clock.slack:
+                name = f" by {self.clock.sensors[sensor]}" if self.clock.sensors else ""
+                raise MeasurementsError(
+                    f"no measurement{name} within {within:.4g} of t = {time:.4g}"
+                )
+            chosen.append(free[int(np.argmin(away))])
+        return tuple(sorted(chosen))
+
+
+def read_replicates(
+    source: Path | pd.DataFrame, column: str, model: StateSpaceModel, clock: Clock,
+    parameters: Sequence[str],
+) -> list[Replicate]:  # fmt: skip
+    """The replicates of a long table in the order of their first rows.
+
+    Parameters
+    ----------
+    source : Path or DataFrame
+        A table with a row for each time, and for each sensor if there are any. Its columns are that
+        of the replicate, those of `read_measurements`, and if wanted ``z0, z1, ...`` (or
+        ``z_NAME``) with known quantities of interest, ``train`` (0 or 1), and parameters.
+    column : str
+        Column with the name of the replicate; if it is empty, the first column.
+    model : StateSpaceModel
+    clock : Clock
+        That of the job. A replicate with other times has a clock of its own.
+    parameters : sequence of str
+        Names of parameters that a column may hold.
+
+    Raises
+    ------
+    MeasurementsError
+        The table cannot be read, a column is unknown, or a value is wrong.
+    """
+    where = "data" if isinstance(source, pd.DataFrame) else source
+    try:
+        table, column = _table(source, column, model, [*parameters])
+        groups = table.groupby(column, sort=False)
+        return [_replicate(str(name), rows, model, clock, column) for name, rows in groups]
+    except OSError as error:
+        raise MeasurementsError(f"cannot read {source}: {error.strerror or error}") from error
+    except (MeasurementsError, ValueError) as error:
+        raise MeasurementsError(f"{where}: {error}") from error
+
+
+def _table(
+    source: Path | pd.DataFrame, column: str, model: StateSpaceModel, parameters: list[str]
+) -> tuple[pd.DataFrame, str]:
+    """The checked table, and the name of the column of replicates."""
+    sensors = ["sensor"] if model.sensors else []
+    most = max(part.model.components[1] for part in model.parts)
+    y = [f"y{k}" for k in range(most)]
+    named = [*chain.from_iterable(user_columns("y", model))] if not sensors else y
+    own = ["t", *sensors, *named, *chain.from_iterable(user_columns("z", model)), TRAIN]
+    own += [name for name in parameters if name not in CLOCK]
+
+    def check(header: list[str]) -> list[str]:
+        name = column or "".join(header[:1])
+        if name not in header or name in own:
+            rule = f"a column of the table, {', '.join(header)}, and none of {', '.join(own)}"
+            raise MeasurementsError(f"replicate must be {rule}, got {shown(name)}")
+        for each in header:
+            if each not in own and each != name:
+                meant = did_you_mean(each, own) or "."
+                raise MeasurementsError(
+                    f"unknown column {shown(each)}{meant} Columns: {name}, {', '.join(own)}"
+                )
+        for each in ("t", *sensors):
+            if each not in header:
+                raise MeasurementsError(f"the column {each} is missing, got {', '.join(header)}")
+        return [name]
+
+    names = {"sensor": [*model.sensors]} if sensors else {}
+    columns = read_user_table(source, check, names=names)
+    if not columns["t"].size:
+        raise MeasurementsError("the table must have rows, got none")
+    return pd.DataFrame(columns), column or next(iter(columns))
+
+
+def _replicate(
+    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
+) -> Replicate:
+    try:
+        return _checked_replicate(name, rows, model, clock, column)
+    except (MeasurementsError, MeasurementTimesError, ValueError) as error:
+        raise MeasurementsError(f"replicate {shown(name)}: {error}") from error
+
+
+def _checked_replicate(
+    name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
+) -> Replicate:
+    given = [each for each in rows.columns if each in ("t", "sensor") or each[:1] == "y"]
+    own = _own_clock(rows["t"].tolist(), clock)
+    on = own or clock
+    table = rows[given].reset_index(drop=True)
+    if model.sensors:
+        table["sensor"] = [[*model.sensors][int(number)] for number in table["sensor"]]
+    measurements = read_measurements(table, model, on)
+    y = np.full((len(on.times), model.components[1]), np.nan)
+    y[[*measurements.t]] = measurements.y
+    at = [instant_on(on, t) for t in rows["t"].tolist()]
+    known = next((names for names in user_columns("z", model) if names[0] in rows), [])
+    z = None
+    if known:
+        z = np.full((len(on.times), model.components[2]), np.nan)
+        z[at] = rows[known].to_numpy(np.float64)
+    others = [each for each in rows.columns if each not in (*given, *known, column, TRAIN)]
+    parameters = {each: _parameter(each, rows[each].to_numpy(), at, on) for each in others}
+    train = rows[TRAIN].to_numpy(np.float64) if TRAIN in rows else np.zeros(1)
+    if len({*train}) > 1 or train[0] not in (0.0, 1.0):
+        raise MeasurementsError(f"{TRAIN} must be 0 or 1 in all rows, got {shown(train.tolist())}")
+    return Replicate(name, on, y, z, parameters, bool(train[0]), own is not None)
+
+
+def _own_clock(times: list[float], clock: Clock) -> Clock | None:
+    """The clock of a replicate's own times; None if they are all on the job's clock."""
+    if clock.counts:
+        return None
+    try:
+        clock.instants(times)
+    except MeasurementTimesError:
+        for time in times:
+            clock.check_is_within(time, "t")
+        return replace(clock, times=tuple(sorted({clock.times[0], *times})))
+    return None
+
+
+def _parameter(name: str, values: Array, at: list[int], clock: Clock) -> Parameter:
+    """The value of a parameter, or its value at each instant if it varies."""
+    if not np.isfinite(values).all():
+        raise MeasurementsError(f"{name} must be a finite number in all rows")
+    if (values == values[0]).all():
+        return float(values[0])
+    series = np.full(len(clock.times), np.nan)
+    series[at] = values
+    series[: min(at)] = series[min(at)]  # the first instant may have no row
+    lacking = np.flatnonzero(np.isnan(series))
+    if lacking.size:
+        raise MeasurementsError(
+            f"{name} varies, so it must have a value at each instant, got none at t = "
+            f"{clock.formatted(int(lacking[0]))}"
+        )
+    return tuple(series.tolist())

@@ -1,0 +1,272 @@
+"""A task of a backtest: one replicate, filtered with each set of times, and simulated as often.
+
+Real and simulated measurements pass the same filters, and are judged at the same instants.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.measurement_times import Times
+from pfdist.errors import MeasurementsError, TaskError
+from pfdist.filters.draws import Draws
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.filter import Filter
+from pfdist.filters.predicted import predicted
+from pfdist.filters.replicates import Replicate
+from pfdist.filters.scenarios import stretches
+from pfdist.filters.work import Estimation
+from pfdist.models.base import within_half_turn
+from pfdist.pools.base import Pool, Task
+from pfdist.problem.feasible import Feasible
+from pfdist.runner.build import Built, evaluator_of, models_of
+from pfdist.runner.online_work import seen
+from pfdist.runner.planning import Now, Planning, Replanner
+
+W = TypeVar("W")
+V = TypeVar("V")
+Array = NDArray[np.float64]
+INTERVAL = (0.05, 0.95)
+"""Quantiles between which a right model has 90 % of all values."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReplicateWork:
+    """One replicate, and how it is judged.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+        Its quantity of interest is what is judged: see `pfdist.filters.predicted`.
+    y : array of float64, (T+1, m)
+        Real measurements.
+    judged : array of float64, (T+1, q)
+        Real values that are judged; NaN elsewhere.
+    variances : array of float64, (q,)
+        The errors of a component are divided by its variance.
+    sets : tuple of tuple of int
+        The measurement times of S sets; the first is the plan.
+    draws : int
+        Number of simulated systems.
+    streams : tuple of two int
+        Keys of the noise of the simulated systems, and of the filters.
+    estimation : Estimation
+    is_measured : bool
+        Whether measurements are judged, rather than known quantities of interest.
+    """
+
+    evaluator: Evaluator
+    y: Array
+    judged: Array
+    variances: Array
+    sets: tuple[Times, ...]
+    draws: int
+    streams: tuple[int, int]
+    estimation: Estimation
+    is_measured: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ReplicateErrors:
+    """Errors of a replicate with each set, relative to the variance of what is judged.
+
+    Parameters
+    ----------
+    real : array of float64, (S,)
+    foreseen : array of float64, (S, D)
+        Error of each simulated system.
+    noise : float
+        The part of a foreseen error that is due to the noise of the judged measurements.
+    covered : array of float64, (S,)
+        Share of the judged values in the model's 90 % interval.
+    surprises : array of float64, (N,)
+        P-value of each measurement of the plan.
+    estimates, low, high : array of float64, (S, T+1, q)
+        The filter's mean of what is judged, and its 90 % interval.
+    impossible : int
+        Number of sets with a measurement that no particle explains.
+    """
+
+    real: Array
+    foreseen: Array
+    noise: float
+    covered: Array
+    surprises: Array
+    estimates: Array
+    low: Array
+    high: Array
+    impossible: int
+
+    @property
+    def intervals(self) -> tuple[Array, Array, Array]:
+        """Lower ends, means and upper ends of the predictions."""
+        return self.low, self.estimates, self.high
+
+
+def errors_of(work: ReplicateWork) -> ReplicateErrors:
+    """Filter one replicate and its simulated systems with each set.
+
+    Raises `MeasurementsError` if an estimate is not finite, and `ModelError` if a formula failed.
+    """
+    evaluator, is_angle = work.evaluator, work.evaluator.model.is_angle
+    is_judged = ~np.isnan(work.judged)
+    simulated, y, z = _simulated(work)
+    real, degenerate = _real(work)
+    if not np.isfinite(real[:, is_judged]).all():
+        raise MeasurementsError("the filter's estimates must be finite")
+    residuals = _difference(z, simulated, is_angle)
+    low, high = (real + each for each in np.nanquantile(residuals, INTERVAL, axis=1))
+    noise = _difference(y, z, is_angle) if work.is_measured else np.zeros(1)
+    of_real, of_simulated, of_noise = (
+        (np.broadcast_to(each**2, (*each.shape[:-2], *work.judged.shape)) / work.variances)[
+            ..., is_judged
+        ].mean(axis=-1)
+        for each in (_difference(work.judged, real, is_angle), residuals, noise)
+    )
+    values = real + _difference(work.judged, real, is_angle)
+    inside = ((low <= values) & (values <= high))[:, is_judged]
+    return ReplicateErrors(
+        of_real,
+        of_simulated,
+        float(of_noise.mean()) / 2,
+        inside.mean(axis=-1),
+        _surprises(evaluator, work),
+        real,
+        low,
+        high,
+        int(degenerate.sum()),
+    )
+
+
+def _simulated(work: ReplicateWork) -> tuple[Array, Array, Array]:
+    """The estimates of simulated systems, (S, D, T+1, q), their y, and their z."""
+    evaluator, (stream, _) = work.evaluator, work.streams
+    numbers = evaluator.scenarios_of(stream, range(work.draws))
+    parts = [(evaluator, (0, work.draws))]
+    if numbers is not None:
+        parts = [(evaluator.of_scenarios[n], draws) for n, draws in stretches(numbers, 0)]
+    estimates, y, z = [], [], []
+    for each, (first, last) in parts:
+        draws = each.draws(range(first, last), stream)
+        lacking = np.isnan(work.y) & ~np.isnan(work.y).all(axis=1, keepdims=True)
+        observed = replace(draws, y=np.where(lacking, np.nan, draws.y))
+        estimates.append(_estimates(each, observed, work)[0])
+        y.append(draws.y)
+        z.append(draws.z)
+    return np.concatenate(estimates, axis=1), np.concatenate(y), np.concatenate(z)
+
+
+def _real(work: ReplicateWork) -> tuple[Array, NDArray[np.bool_]]:
+    """The estimates of the real system, (S, T+1, q), and which sets are degenerate, (S,)."""
+    model = work.evaluator.model
+    shape = 1, len(work.y), model.components[2]
+    draws = Draws(model, range(1), np.empty((1, 0, 0)), work.y[None], np.zeros(shape))
+    estimates, degenerate = _estimates(work.evaluator, draws, work)
+    return estimates[:, 0], degenerate[:, 0]
+
+
+def _estimates(
+    evaluator: Evaluator, draws: Draws, work: ReplicateWork
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The filter's mean of z with each set, (S, D, T+1, q), and which draws are degenerate."""
+    engine, settings = evaluator.computed_by, evaluator.settings(work.estimation)
+    filtered = [
+        engine.filters.filter_checked_draws(
+            evaluator.believed, draws, times, work.streams[1], settings, trajectories=True
+        )
+        for times in work.sets
+    ]
+    estimates = np.stack([each.estimate for each in filtered])
+    return estimates, np.stack([each.degenerate for each in filtered])
+
+
+def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
+    """The p-value of each measurement of the plan, in the order of time."""
+    model, sensors, plan = evaluator.believed, evaluator.sensors, work.sets[0]
+    following = Filter(
+        model, work.estimation.particles, engine=evaluator.engine, horizon=evaluator.horizon
+    )
+    surprises = list[float]()
+    for t in sorted({number // sensors for number in plan}):
+        here = tuple(number for number in plan if number // sensors == t)
+        try:
+            estimate = following.update(t, seen(model, work.y[t], here))
+        except MeasurementsError:  # no particle explains it
+            surprises.append(0.0)
+            break
+        surprises.append(1.0 if estimate.surprise is None else estimate.surprise)
+    return np.array(surprises)
+
+
+def _difference(values: Array, estimates: Array, is_angle: tuple[bool, ...]) -> Array:
+    """Values less estimates, (..., q); those of angles are at most half a turn."""
+    return np.asarray(within_half_turn(values, estimates, is_angle)) - estimates
+
+
+# --- evaluators and plans of replicates -----------------------------------------------------------
+
+
+def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> Evaluator:
+    """The evaluator of a job with the clock and the parameters of a replicate.
+
+    Parameters
+    ----------
+    built : Built
+    replicate : Replicate
+    is_predicted : bool
+        Whether its quantity of interest is a measurement; see `pfdist.filters.predicted`.
+    """
+    job = built.job
+    if replicate.has_own_clock:
+        clock = replicate.clock
+        problem = {"times": [*clock.times], "measurement_budget": 1}
+        problem |= {"time_unit": clock.unit or None, "sensors": [*clock.sensors] or None}
+        given = {name: value for name, value in problem.items() if value is not None}
+        others: dict[str, Any] = {"search": [], "budget": None, "online": None, "comparison": {}}
+        job = job.with_changes(sections={"problem": given, **others})
+    truth, believed = models_of(job)
+    models = [
+        each.with_parameters({
+            name: value for name, value in replicate.parameters.items() if name in each.parameters
+        })
+        for each in ([truth] if believed == truth else [truth, believed])
+    ]  # fmt: skip
+    if is_predicted:
+        models = [*map(predicted, models)]
+    evaluator = evaluator_of(job, models[0], models[-1])
+    estimations = () if built.evaluator.exact else (built.comparing,)
+    return replace(evaluator, engine=built.evaluator.engine, weights=None, estimations=estimations)
+
+
+@dataclass(frozen=True)
+class PlanWork:
+    """A replicate for which a plan is made, among the measurements that it has."""
+
+    evaluator: Evaluator
+    feasible: Feasible
+    planning: Planning
+    stream: int
+
+
+def plan_of(work: PlanWork) -> Times:
+    """The plan for one replicate, as `pfdist.Planner` makes it before anything is measured."""
+    replanner = Replanner(work.evaluator, work.feasible, work.planning, work.stream)
+    return replanner.plan(Now(), (), ())
+
+
+def outcomes(
+    pool: Pool, function: Callable[[W], V], works: Sequence[W], purpose: str
+) -> Iterator[tuple[int, V]]:
+    """Yield the result of each work with its place, in any order.
+
+    Raises `TaskError` if one fails.
+    """
+    tasks = [Task(str(place), function, work) for place, work in enumerate(works)]
+    for outcome in pool.run(iter(tasks)):
+        if outcome.error is not None:
+            reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
+            raise TaskError(f"a task of {purpose} failed: {reason}", outcome.error)
+        yield int(outcome.task.key), outcome.value
