@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from pfdist.errors import shown
+from pfdist.errors import MeasurementTimesError, shown
 
 SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86_400, "w": 604_800}
 """The length of each unit of a clock with dates."""
@@ -93,6 +93,14 @@ class Calendar:
         Raises ValueError for any other text, and for an hour that the time zone skips or repeats.
         """
         return _moment(text, self.start.tzinfo)
+
+    def elapsed(self, text: str) -> float:
+        """The time of a written date or number; raises `MeasurementTimesError`."""
+        word = _WITH_SPACE.sub("T", text)
+        try:
+            return float(word) if _NUMBER.fullmatch(word) else self.time(self.read(word))
+        except ValueError as error:
+            raise MeasurementTimesError(f"t {error}") from error
 
     def single(self, word: str) -> float | None:
         """The time that a word names: a date with its hour, or a number; None for other words."""

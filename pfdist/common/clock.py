@@ -197,9 +197,20 @@ class Clock:
         start = bisect_left(self.times, first - self.slack)
         return range(start, bisect_right(self.times, last + self.slack))
 
-    def readers(self) -> dict[str, Callable[[str], float]]:
-        """A reader of dates for the column t of a user's table; none if the clock has no start."""
-        return {"t": lambda text: self.times[self.instant(text, "t")]} if self.calendar else {}
+    def readers(self, *, between: bool = False) -> dict[str, Callable[[str], float]]:
+        """A reader of dates for the column t of a user's table; none if the clock has no start.
+
+        With `between`, dates may also lie between instants and outside the horizon.
+        """
+        calendar = self.calendar
+        if calendar is None:
+            return {}
+        read = calendar.elapsed if between else lambda text: self.times[self.instant(text, "t")]
+        return {"t": read}
+
+    def columns_of_dates(self, instants: Iterable[int]) -> dict[str, list[str]]:
+        """A column of a table with the date of each instant; none if the clock has no start."""
+        return {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
 
     def instants(self, times: Iterable[Time | str]) -> Times:
         """The instants of some times, in the same order; raises as `instant`.

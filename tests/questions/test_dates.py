@@ -207,6 +207,31 @@ def test_the_command_line_reads_dates(folder: Path, call: Call, tmp_path: Path) 
     assert code != 0
 
 
+def test_replicates_have_dates_also_between_the_instants(folder: Path) -> None:
+    """A table with dates is judged as one with elapsed times."""
+    hours = [0, 1, 6, 13, 24, 30, 45, 48, 60, 72]
+    rows = [(f"p{k}", t, 0.1 * t * k) for k in range(4) for t in hours]
+    table = pd.DataFrame(rows, columns=["patient", "t", "y0"])
+    dated = table.assign(t=table["t"].map(local))
+    answers = [
+        pfdist.backtest(folder / "dated", each, within=6, pool="serial") for each in (table, dated)
+    ]
+    first, second = (json.dumps(each.as_json()) for each in answers)
+    assert first == second
+    assert all(str(at).startswith("2026-03-") for at in answers[1].plan)
+
+
+def test_the_error_at_each_instant_has_dates(folder: Path, call: Call) -> None:
+    found = pfdist.evaluate(folder / "dated", [ON_SUNDAY], profile=True).profile
+    assert found is not None
+    assert found["date"].tolist() == [*map(local, found["t"])]
+    _, text, _ = call("evaluate", str(folder / "dated"), "--times", ON_SUNDAY, "--profile")
+    assert "date" in text
+    assert all(each in text for each in found["date"])
+    simulated = pfdist.simulate(folder / "dated.toml", draws=2)
+    assert simulated["date"].tolist() == [*map(local, simulated["t"])]
+
+
 def test_a_wrong_date_in_a_table_is_named_with_its_row(folder: Path) -> None:
     table = pd.DataFrame({"t": ["2026-03-28T08:00", "2026-03-29T02:30"], "y0": [0.1, 0.2]})
     with pytest.raises(MeasurementsError, match=r"must exist in Europe/Brussels.*\(row 2\)"):
