@@ -34,6 +34,7 @@ from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, sentences, wi
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _ROW, _TALLEST = 0.14, 6.0  # inches of a row, and of a figure
+_LONG_NAME = 16  # letters of a measurement; beside longer ones a legend has less room
 _MOST_LABELS = 30  # rows that have room for their names
 _LENGTH = 0.8  # of a bar, in instants
 _BARS = ((WIDE, 0.28), (STRICT, 0.72))  # level, and height in rows
@@ -178,7 +179,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
         Patch(fc="white", ec=RED, lw=thin(0.5), label="open"),
         Line2D([], [], color=GREY, lw=thin(0.6), label="tried"),
     ]
-    legend_above(ax, handles, columns=3)
+    legend_above(ax, handles, columns=3 if max(map(len, names)) <= _LONG_NAME else 2)
     return ax
 
 
