@@ -28,6 +28,7 @@ from pfdist.filters.interface import (
     checking,
     mse_of_sets,
     one_by_one,
+    over_time_of_sets,
     validated_from,
     weighed,
 )
@@ -348,3 +349,4 @@ def _square(matrix: Array) -> Array:
 
 filter_draws = checking(filter_checked_draws)
 filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
+errors_over_time = partial(one_by_one, over_time_of_sets, filter_checked_draws)

@@ -21,6 +21,7 @@ from pfdist.filters.interface import (
     checking,
     mse_of_sets,
     one_by_one,
+    over_time_of_sets,
     sums_of_sets,
     weighed,
 )
@@ -343,3 +344,4 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
 filter_draws = checking(filter_checked_draws)
 filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
 sum_errors = partial(one_by_one, sums_of_sets, filter_checked_draws)
+errors_over_time = partial(one_by_one, over_time_of_sets, filter_checked_draws)

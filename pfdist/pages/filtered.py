@@ -1,4 +1,4 @@
-"""A filter's belief about z over time, from real measurements, with 50 and 90 % bands."""
+"""A filter's estimate of z over time, from real measurements, with 50 and 90 % bands."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -39,7 +39,7 @@ planned times after the last measurement. With sensors each is written with its 
 
 
 def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
-    """Plot of each component of z: mean, bands, and the times of measurements.
+    """The plot of each component of z: mean, bands, and the times of measurements.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def check_figure_replaceable(path: Path) -> None:
     Raises
     ------
     StoreError
-        The file exists, and is no earlier figure of filtered measurements.
+        The file exists, and is not an earlier figure of filtered measurements.
     """
     check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))
 
@@ -101,8 +101,8 @@ def belief(
     Parameters
     ----------
     source : DataFrame or object
-        A table of filtered measurements, with the columns of `pfdist.store.filtered_schema`, or an
-        object that has it as ``table``, such as the result of `pfdist.filter_measurements`.
+        A table of filtered measurements, with the columns of `pfdist.store.filtered_schema`; or an
+        object whose ``table`` it is, such as the result of `pfdist.filter_measurements`.
     component : int
         Component of z.
     times : tuple of four sequences of int, float or str, optional
@@ -133,7 +133,8 @@ def belief(
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0)
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean; bands: 50 and 90 %")
     label_quantity(ax, quantities, component)
-    sensors = [*by_sensor([*measured, *missing, *to_come])]
+    unit = table.attrs.get("time_unit", "")
+    sensors = [*by_sensor([*measured, *missing, *to_come], unit)]
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
@@ -143,7 +144,8 @@ def belief(
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),
     ):
-        at, sensors_of = zip(*map(time_and_sensor, each), strict=True) if each else ((), ())
+        pairs = [time_and_sensor(t, unit) for t in each]
+        at, sensors_of = zip(*pairs, strict=True) if pairs else ((), ())
         if at:
             ax.plot(
                 at, [levels[sensor] for sensor in sensors_of], shape, ms=marker(1.2),

@@ -1,4 +1,4 @@
-"""The worth of each measurement, and its sampling window: how far it can move at a small loss."""
+"""The worth of each measurement, and its sampling window: how far it may move at a small loss."""
 
 from collections.abc import Mapping, Sequence
 
@@ -34,6 +34,7 @@ from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, sentences, wi
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _ROW, _TALLEST = 0.14, 6.0  # inches of a row, and of a figure
+_LONG_NAME = 16  # letters of a measurement; beside longer ones a legend has less room
 _MOST_LABELS = 30  # rows that have room for their names
 _LENGTH = 0.8  # of a bar, in instants
 _BARS = ((WIDE, 0.28), (STRICT, 0.72))  # level, and height in rows
@@ -48,8 +49,8 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     Parameters
     ----------
     measurements : DataFrame or object
-        A table with the columns name, t, removed and removed_error, or an object that has it as
-        ``worth`` or ``measurements``, such as the result of `pfdist.why`.
+        A table with the columns name, t, removed and removed_error; or an object whose ``worth`` or
+        ``measurements`` it is, such as the result of `pfdist.why`.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
     ax : matplotlib Axes, optional
@@ -105,7 +106,7 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
     table = tables.run.table("sampling_windows")
     rows, which = table[table["name"] == name], phrase_of(tables.run.labels[name])
-    said = sentences(rows.to_dict("records"))
+    said = sentences(rows.to_dict("records"), table.attrs.get("time_unit", ""))
     return Plot(
         _height(len(windows_of(rows.to_dict("records"), WIDE))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
@@ -121,15 +122,15 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     """Draw the instants to which each measurement alone can move at a loss of at most 1 and 5 %.
 
     Each measurement is a row. A thick bar covers the instants within 1 %, a thin bar those within
-    5 %. Hollow bars cover the instants that the draws leave open. A grey line covers all instants
-    that were tried: up to the first that is clearly beyond 5 %, or to the last that the job and the
+    5 %. Hollow bars cover the instants that need more draws. A grey line covers all instants that
+    were tried: up to the first that is clearly beyond 5 %, or to the last that the job and the
     neighbouring measurements allow.
 
     Parameters
     ----------
     table : DataFrame or object
         A table with the columns t, moved_to, within_1 and within_5, and name if there are several
-        sets. Or an object that has it as ``sampling_windows``, such as a run or the result of
+        sets; or an object whose ``sampling_windows`` it is, such as a run or the result of
         `pfdist.why`.
     name : str
         The set that is drawn; by default the last set.
@@ -152,7 +153,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     rows = every.sort_values(["t", "moved_to"])
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
-    columns = ["t", "sensor"] if "sensor" in rows else ["t"]
+    columns = [column for column in ("t", "date", "sensor") if column in rows]
     moved = rows.groupby(columns)["moved_to"].agg(["min", "max"]).reset_index()
     times, places = moved["t"].tolist(), range(len(moved))
     names = [formatted_time(measurement_of(row)) for row in moved.to_dict("records")]
@@ -178,7 +179,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
         Patch(fc="white", ec=RED, lw=thin(0.5), label="open"),
         Line2D([], [], color=GREY, lw=thin(0.6), label="tried"),
     ]
-    legend_above(ax, handles, columns=3)
+    legend_above(ax, handles, columns=3 if max(map(len, names)) <= _LONG_NAME else 2)
     return ax
 
 

@@ -1,16 +1,15 @@
 """The question of a run, how it was computed, how to load its tables, and how to cite."""
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
-import tomli_w
-
+from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Code, Facts, Section, Text
 from pfdist.filters.engines import is_exact
+from pfdist.problem.job import job_toml
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
 from pfdist.results import Run, read_recorded
@@ -24,6 +23,11 @@ _WHAT = (
     "real measurement was used: all results hold as far as the model is right. Errors are means "
     "over new draws, which were simulated after the times had been chosen."
 )
+_TIMES = {
+    "forbidden": "forbidden times",
+    "allowed": "allowed times",
+    "required": "required times",
+}
 _MOST_VALUES = 8  # of a parameter that are shown
 _LOAD = """\
 import pfdist
@@ -72,7 +76,7 @@ def question(subject: Subject) -> str:
 
 
 def made(subject: Subject) -> str:
-    """Name the run, the day on which it was started, and the version of pfdist."""
+    """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
     return f"Run {run.path.name}, {run_day(run)}, pfdist {version_of(run)}."
 
@@ -95,11 +99,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
-    for key, name in (("forbidden", "forbidden times"), ("required", "required times")):
+    for key, name in _TIMES.items():
         if problem.get(key):
             yield name, formatted_spelling(problem[key], subject.unit)
     if problem.get("minimum_spacing"):
-        spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
+        spacing = formatted_spelling(problem["minimum_spacing"], unit_of_spans(subject.unit))
         yield "distance of measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
         text = "; ".join(f"{key} {formatted_spelling(value, '')}" for key, value in keys.items())
@@ -140,17 +144,19 @@ def _measurements(job: Mapping[str, Any]) -> str:
 def _instants(subject: Subject) -> str:
     clock = problem_of(subject.run).clock
     last = formatted_times(clock.times[-1:], clock.unit)
-    ends = f"t = {formatted_time(clock.times[0])} to {last}"
+    ends = f"t = {formatted_time(clock.time(0))} to {last}"
+    if clock.calendar and clock.calendar.start.tzinfo:
+        ends += f" ({clock.calendar.start.tzinfo})"
     if clock.counts:
         return ends
     if clock.is_even:
-        step = formatted_times([clock.times[1] - clock.times[0]], clock.unit)
+        step = formatted_times([clock.times[1] - clock.times[0]], unit_of_spans(clock.unit))
         return f"{ends}, in steps of {step}"
     return f"{len(clock.times)} instants, {ends}"
 
 
 def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
-    """Say how the errors of instants are weighted in the MSE, if they are."""
+    """How the errors of instants are weighted in the MSE, if they are."""
     weights = section.weights
     if weights is None:
         return
@@ -165,6 +171,8 @@ def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tu
 def formatted_spelling(value: Any, unit: str) -> str:
     """Times as the job spells them, with the unit."""
     entries = value if isinstance(value, list | tuple) else [value]
+    if calendar_of(unit):
+        return ", ".join(map(str, entries))
     text = ", ".join(str(entry).replace(":", " to ", 1).replace(":", " by ") for entry in entries)
     return f"{text} {unit}" if unit else text
 
@@ -181,20 +189,20 @@ def computed(subject: Subject) -> Section:
         "How it was computed",
         [
             Facts([*_versions(about), *_work(subject), *identity]),
-            Code(tomli_w.dumps(_sendable(_without_none(job))), "The job, with all its defaults"),
+            Code(job_toml(_sendable(job)), "The job, with all its defaults"),
         ],
     )
 
 
 def tables(subject: Subject) -> Section:
-    """Say how to load the tables."""
+    """Code that loads the tables."""
     name = subject.run.path.name
     quoted = {"name": _quoted(name), "table": _quoted(f"{name}/tables/comparison")}
     return Section("How to load the tables", [Code(_LOAD.format(**quoted))])
 
 
 def citation(subject: Subject) -> Section:
-    """Say how to cite the method and the program."""
+    """References for the method and the program."""
     version = version_of(subject.run)
     text = "Please cite the paper whose method pfdist implements, and the program."
     return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])
@@ -250,11 +258,3 @@ def _quoted(text: str) -> str:
 def _seconds(seconds: float) -> str:
     minutes, rest = divmod(seconds, 60)
     return f"{minutes:.0f} min {rest:.0f} s" if minutes else f"{rest:.1f} s"
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
-    if isinstance(value, list | tuple):
-        return [_without_none(entry) for entry in value]
-    return value if not (isinstance(value, float) and math.isnan(value)) else "nan"

@@ -3,8 +3,9 @@
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import chain
-from numbers import Integral, Real
+from numbers import Real
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class NextTime(Shown):
     measured : tuple of int or float
         Times with a measurement, on the clock of the job, as all times below.
     now : int or float
-        The time from which on errors are expected: the last that has passed.
+        The last time that has passed. Errors are expected from it on.
     plan : tuple of int or float
         Times that are left to be measured, the next first; empty if the budget is spent.
     left : int or None
@@ -83,7 +84,7 @@ class NextTime(Shown):
 
     @property
     def is_improbable(self) -> bool:
-        """Whether a right model has such measurements in less than 1 % of systems."""
+        """Whether the right model gives such measurements in less than 1 % of systems."""
         return self.surprise is not None and self.surprise < IMPROBABLE
 
     def as_json(self) -> dict[str, Any]:
@@ -150,7 +151,7 @@ def next_time(
     job: JobSource | Run,
     measurements: UserTable,
     *,
-    now: Time | None = None,
+    now: Time | str | datetime | None = None,
     planned: str = "",
     prior: UserTable | Prior | ArrayLike = "",
     results: str | Path | None = None,
@@ -167,15 +168,15 @@ def next_time(
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame. It may have no rows. An empty cell is a missing component, a row without any
         value a missed time. If the model has sensors, the column sensor names that of a row.
-    now : int or float, optional
-        The last time that has passed, if nothing was measured at the end. Times planned up to it
-        are planned again for later.
+    now : int, float, str or datetime, optional
+        The last time that has passed, or its date, if nothing was measured at the end. Times
+        planned up to it are planned again for later.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
-        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), if
-        wanted weight, and t, their time (by default the first).
+        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
+        optionally weight, and t, their time (by default the first).
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
@@ -240,14 +241,14 @@ def next_time(
 
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
-    """Whether times may still be measured: at a distance from each other, and not too dear."""
+    """Whether times may still be measured, by their spacing, their limits and the total price."""
     apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_price
     apart = apart and feasible.is_within_limits((*measured, *left))
     return apart and (money is None or feasible.price_of((*measured, *left)) <= money)
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
-    """Tell a planner all measurements in the order of time.
+    """Add all measurements to a planner in the order of time.
 
     Returns
     -------
@@ -269,17 +270,22 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     return instants[-1][0] if instants else -1, surprise
 
 
-def _instant_now(now: Time, last: int, clock: Clock) -> int:
+def _instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
     """The instant of the last time that has passed, after checking it."""
-    if clock.counts and (isinstance(now, bool) or not isinstance(now, Integral)):
+    number: Any = now
+    is_number = isinstance(now, Real) and not isinstance(now, bool)
+    if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
-    first = clock.time(last) if last >= 0 else -1
-    if isinstance(now, Real) and not first <= now <= clock.times[-1]:
-        ends = f"{formatted_time(first)}..{formatted_time(clock.times[-1])}"
-        raise MeasurementsError(
-            f"now must lie in {ends}, got {formatted_time(now)}", argument="now"
-        )
+    first = clock.times[last] if last >= 0 else -1
     try:
-        return int(now) if clock.counts else clock.instant(now, "now")
+        number = number if is_number else clock.times[clock.instant(number, "now")]
+        if not first <= number <= clock.times[-1]:
+            ends = formatted_time(clock.time(last) if last >= 0 else -1), clock.time(clock.horizon)
+            raise MeasurementsError(
+                f"now must lie in {ends[0]}..{formatted_time(ends[1])}, got "
+                f"{formatted_time(number, clock.unit)}",
+                argument="now",
+            )
+        return int(number) if clock.counts else clock.instant(number, "now")
     except MeasurementTimesError as error:
         raise MeasurementsError(str(error), argument="now") from error

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
+from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.parts import Cell, Table, Text
@@ -91,7 +92,7 @@ class Subject:
 
     @cached_property
     def online(self) -> dict[str, Any] | None:
-        """Results of times that were chosen one after another; None if there are none."""
+        """Results of online times; None if there are none."""
         return online_draws(self.run).summary() if is_online(self.run) else None
 
     @property
@@ -101,7 +102,7 @@ class Subject:
 
     @property
     def about_others(self) -> list[Text]:
-        """Say where the figures of the other sets are."""
+        """A sentence about the figures of the other sets, if there are others."""
         others = len(self.others) - len(self.shown)
         shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
         text = (
@@ -115,32 +116,26 @@ class Subject:
         return reaching(self.sets, target)
 
     @property
-    def reference_times(self) -> Sequence[float | str]:
-        """Measurement times of the reference."""
-        times: Sequence[float | str] = self.reference_row.measurement_times
-        return times
-
-    @property
     def reference(self) -> str:
         """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
-        phrase, every = phrase_of(self.reference_row.label), self._step_of_reference
-        problem = problem_of(self.run)
-        is_even = problem.feasible.is_regular(problem.clock.measurements(self.reference_times))
-        is_moved = self.reference_row.label == EVENLY_SPACED and not is_even
+        row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
+        phrase, times = phrase_of(row.label), problem.clock.measurements(row.measurement_times)
+        is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
         how = "moved to allowed instants" if is_moved else every
         return f"{phrase} ({how})" if how else phrase
 
     @property
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
-        sensors = {time_and_sensor(time)[1] for time in self.reference_times}
-        instants = (time_and_sensor(time)[0] for time in self.reference_times)
+        measured = self.reference_row.measurement_times
+        measurements = [time_and_sensor(time, self.unit) for time in measured]
+        instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
             return ""
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if problem_of(self.run).has_clock:
-            return f"every {step} {self.unit}".rstrip() + sensor
+            return f"every {step} {unit_of_spans(self.unit)}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor
 
     @cached_property
@@ -170,6 +165,13 @@ class Subject:
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
         return problem_of(self.run).clock.unit
+
+    @property
+    def head_of_times(self) -> str:
+        """Head of a column of times."""
+        if calendar_of(self.unit):
+            return "date"
+        return "t" + f", {self.unit}" * bool(self.unit)
 
     def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""
@@ -220,12 +222,12 @@ def is_clear(interval: Sequence[float | None]) -> bool:
 def effect(
     gain: float, interval: Sequence[float | None], other: str, what: str = "the expected MSE"
 ) -> str:
-    """Say how far an error lies below that of other times, or that there is no clear difference.
+    """How far an error lies below that of other times, or that there is no clear difference.
 
     Parameters
     ----------
     gain, interval
-        As of `change_of`.
+        As for `change_of`.
     other : str
         The other times.
     what : str
@@ -245,7 +247,7 @@ def effect(
 
 
 def as_good_text(row: Row) -> str:
-    """Say how many evenly spaced measurements do as well as a set, or between which two it lies."""
+    """How many evenly spaced measurements do as well as a set, or between which two it lies."""
     numbers = row.evenly_spaced
     if row.evenly_spaced_between:
         worse, better = numbers

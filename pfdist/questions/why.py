@@ -27,6 +27,7 @@ from pfdist.questions.subject import Subject
 from pfdist.questions.why_page import why_page
 from pfdist.questions.worth import sampling_windows, worth_of
 from pfdist.results import Run, finite, open_run
+from pfdist.results.export import checked_export
 from pfdist.results.stored_run import check_one_number
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
@@ -67,13 +68,12 @@ class Why(Shown):
         instant. The standard errors are removed_error, earlier_error and later_error.
     sampling_windows : DataFrame
         A row for each set, measurement and instant to which it alone is moved (also its own
-        instant, where nothing moves): position, name, t,
-        moved_to (the instant, or on a clock its time), moved_to_instant (its number), draws, loss
-        (the expected MSE over that of the kept set, less 1), loss_error (its standard error),
-        lower_limit and upper_limit (one-sided, 95 %). The states
-        within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
-        the lower limit is above, and else "open". The instants lie between the neighbouring
-        measurements, and end on each side with the first that is outside within_5.
+        instant, where nothing moves): position, name, t, moved_to (the instant, or on a clock its
+        time), moved_to_instant (its number), draws, loss (the expected MSE over that of the kept
+        set, less 1), loss_error (its standard error), lower_limit and upper_limit (one-sided,
+        95 %). The states within_1 and within_5 are "inside" if the upper limit is at most 1 % or
+        5 %, "outside" if the lower limit is above, and otherwise "open". The instants lie between
+        the neighbouring measurements, and end on each side with the first that is outside within_5.
     figures : list of Path
         The PNG, SVG and PDF files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
         reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
@@ -114,6 +114,7 @@ def why(
     *,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
+    export: str | Path | None = None,
     figures: bool = True,
     progress: Show | bool | None = None,
     say: Say = silent,
@@ -135,6 +136,9 @@ def why(
         ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
+    export : str or Path, optional
+        Also write the plan, and how far each measurement may move, into this file, for a
+        spreadsheet (``.csv``) or a diary (``.ics``).
     figures : bool
         Whether to draw the figures.
     progress : callable or bool, optional
@@ -156,15 +160,20 @@ def why(
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     JobError
-        The error of the worst scenario decides: only means are explained.
+        The job asks for the least error in the worst scenario; only means can be explained.
     """
     chosen = Chosen(figures=figures, progress=progress, say=say)
     with following(chosen.progress, chosen.say) as (show, tell):
         opened, built = run_and_job(job, results, changes, tell)
         check_one_number(opened)
+        if export is not None:
+            checked_export(export, built.job.problem.clock)
         sets = opened.sets
         if built.is_worst:
-            raise JobError(f"why explains means, got criterion = 'worst' ({built.job.path})")
+            raise JobError(
+                "scenarios.criterion must be 'mean' for this question, got 'worst' "
+                f"({built.job.path})"
+            )
         with own_store(opened, built, tell, must_be=False) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))
@@ -174,6 +183,8 @@ def why(
             answer: Why = complete(driver, make_pool(Execution(pool=kind)))
         files = _draw(opened) if chosen.figures else []
         renew_report(opened.path, tell)
+    if export is not None:
+        open_run(opened.path).export(export)
     return replace(answer, figures=files)
 
 

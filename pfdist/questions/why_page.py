@@ -19,10 +19,10 @@ _HEAD = (
     f"within {WIDE} %",
 )  # fmt: skip
 _MEANING = (
-    "A measurement whose loss changes little may be left out; a value below 0 means that the error "
-    "is lower without it. A measurement alone may move to the instants of its sampling window: "
-    "there the one-sided 95 % upper limit of the loss is at most so many per cent of the expected "
-    "error. The limit holds for each instant alone. Open instants need more draws."
+    "A measurement without which the error hardly rises may be left out; a value below 0 means "
+    "that the error is lower without it. A measurement alone may move to the instants of its "
+    "sampling window: there the error rises by at most so many per cent (one-sided 95 % upper "
+    "limit, for each instant alone). Open instants need more draws."
 )
 _ROUNDING = 1e-10  # per cent: rounding errors of doubles are smaller
 Frames = Mapping[str, "pd.DataFrame"]
@@ -54,7 +54,7 @@ def why_page(subject: Subject, frames: Frames) -> Page:
 
 
 def _extremes(subject: Subject, frames: Frames) -> str:
-    """Say which measurement of the plan is the most important, and which is the least."""
+    """The most and the least important measurement of the plan, in sentences."""
     plan = subject.by_error[0]
     rises = _rises(plan, frames)
     if not rises or not all(math.isfinite(rise) for _, rise, _ in rises):
@@ -75,19 +75,19 @@ def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
     for name in sorted(frames["worth"]["name"].unique(), key=lambda name: name != plan):
         moved = frames["sampling_windows"]
         rows = moved[moved["name"] == name].to_dict("records")
-        windows = (windows_of(rows, percent) for percent in (STRICT, WIDE))
+        windows = (windows_of(rows, percent, subject.unit) for percent in (STRICT, WIDE))
         texts = [
             {formatted_time(each.measurement): each.text for each in level} for level in windows
         ]
         cells = [
             [
-                Cell(formatted_time(t), time_and_sensor(t)[0]),
+                Cell(formatted_time(t), time_and_sensor(t, subject.unit)[0]),
                 Cell(text, rise),
                 *(Cell(each.get(formatted_time(t), "")) for each in texts),
             ]
             for t, rise, text in _rises(name, frames)
         ]
-        head = ("t" + f", {subject.unit}" * bool(subject.unit), *_HEAD)
+        head = (subject.head_of_times, *_HEAD)
         draws = int(frames["worth"]["draws"].max())
         how = f"on {number_of(draws, 'fresh draw')}" if draws else "exact"
         caption = f"Measurements of {phrase_of(subject.rows[name].label)}, {how}"

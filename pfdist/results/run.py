@@ -16,7 +16,9 @@ from pfdist.common.section import Arguments, Whole
 from pfdist.common.shown import Shown
 from pfdist.errors import ArgumentError, PfdistError, StoreError
 from pfdist.results.columns import Row, finite, records_of, rows_of, sets_table
+from pfdist.results.export import export_plan
 from pfdist.results.online import is_online, online_draws
+from pfdist.results.over_time import RANGE_SUMS, error_over_time
 from pfdist.results.pairs import pairs_of, ranks_of
 from pfdist.results.sets import best_first, sets_of
 from pfdist.results.stored_run import (
@@ -59,7 +61,7 @@ class Run(StoredRun, Shown):
         computed = [
             name
             for name in COMPUTED
-            if ("compared" if name == "sets" else "comparison") in stored
+            if _FROM.get(name, "comparison") in stored
             and (name != "scenarios" or has_scenarios(self))
         ]
         return (*stored, *computed)
@@ -109,8 +111,8 @@ class Run(StoredRun, Shown):
     def best(self) -> Row:
         """The times to measure at, and their results: a row of the table ``sets``.
 
-        It is the found set of least expected MSE; of least error in the worst scenario, if the job
-        asks for it. If no search has run, it is the best of the job's own sets.
+        It is the found set with the lowest expected MSE, or with the lowest error in the worst
+        scenario, if the job asks for it. Without a search, it is the best of the job's sets.
 
         Raises
         ------
@@ -124,6 +126,31 @@ class Run(StoredRun, Shown):
         name = best_first(sets)[0]
         return next(row for row in rows_of(sets) if row.name == name)
 
+    def export(self, path: str | Path) -> Path:
+        """Write the times of `best` for a spreadsheet (``.csv``) or a diary (``.ics``).
+
+        Each row or event has the time, its date if the clock has a start, the sensor, and how far
+        this measurement alone may move at a loss of at most 1 and 5 % where `pfdist.why` was asked.
+
+        Parameters
+        ----------
+        path : str or Path
+            An earlier export is replaced.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ArgumentError
+            The name has another ending, or the clock has no dates for a diary.
+        StoreError
+            The comparison has not begun, or the file cannot be written or is no earlier export.
+        """
+        return export_plan(self, path)
+
     def as_json(self) -> dict[str, Any]:
         """How far the run is, and what it has found, as JSON values.
 
@@ -135,7 +162,7 @@ class Run(StoredRun, Shown):
             - time_unit: that of the job's clock; None without a clock.
             - instant_weights: the weight of each instant's error in the MSE, with mean 1, or None.
             - unproved: why found sets have no lower bound, although one was asked for, and which
-              command proves one; empty if nothing is to be said.
+              command proves one; otherwise empty.
             - sets: the rows of the table ``sets``; empty before the searches have ended.
             - pairs, ranks: rows of these tables, if the job names sets; else None.
             - scenarios: rows of this table, if the job has scenarios; else None.
@@ -215,8 +242,10 @@ COMPUTED: dict[str, Callable[[StoredRun], pd.DataFrame]] = {
     "pairs": pairs_of,
     "ranks": ranks_of,
     "scenarios": scenarios_of,
+    "error_over_time": error_over_time,
 }
-"""Tables that follow from others, by name; the docstring of each function says what they have."""
+"""Tables that follow from others, by name; the docstring of each function lists its columns."""
+_FROM = {"sets": "compared", "error_over_time": RANGE_SUMS}  # else from comparison
 TABLES = (*KEYS, *COMPUTED)
 """Names of all tables that a run may have."""
 
@@ -241,7 +270,7 @@ def open_run(path: str | Path) -> Run:
 
 
 def _title(run: Run) -> str:
-    """A run in a line: its folder, its state and how many draws are compared."""
+    """A run in a line: its folder, its state and the number of compared draws."""
     try:
         return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
     except StoreError:

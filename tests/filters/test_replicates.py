@@ -1,10 +1,8 @@
-"""Replicates of a long table: names of columns, and clocks of their own."""
+"""Replicates of a long table: the names of its columns."""
 
 import numpy as np
 import pandas as pd
-import pytest
 
-import pfdist
 from pfdist.common.clock import Clock
 from pfdist.filters.replicates import read_replicates
 from pfdist.models import StateSpaceModel
@@ -28,39 +26,13 @@ def decaying() -> StateSpaceModel:
     )
 
 
-def table(times: dict[str, list[float]]) -> pd.DataFrame:
-    """Measurements of years that begin with different yields."""
-    noise = np.random.default_rng(1)
-    rows = [
-        {"year": year, "t": t, "y_amount": (place + 1) * np.exp(-0.1 * t) + noise.normal(0, 0.1),
-         "yield_0": place + 1.0, "dose": t % 2}
-        for place, (year, each) in enumerate(times.items()) for t in each
-    ]  # fmt: skip
-    return pd.DataFrame(rows)
-
-
 def test_other_columns_may_begin_with_the_letter_of_measurements() -> None:
     clock = Clock(tuple(np.arange(5.0)), "h")
-    rows = table({"1960": [0.0, 1.0, 2.0, 3.0, 4.0]})
+    rows = pd.DataFrame({
+        "year": 1960, "t": clock.times, "y_amount": [1.0, 0.9, 0.8, 0.8, 0.7], "yield_0": 1.0,
+        "dose": [0.0, 1.0, 0.0, 1.0, 0.0],
+    })  # fmt: skip
     model = decaying().with_parameters({"dose": [0.0] * 5})
     [read] = read_replicates(rows, "year", model, clock, ["dose", "yield_0"])
     assert read.parameters == {"yield_0": 1.0, "dose": (0.0, 1.0, 0.0, 1.0, 0.0)}
     np.testing.assert_array_equal(read.y[:, 0], rows["y_amount"])
-
-
-@pytest.mark.parametrize("number", [3, 4])
-def test_replicates_with_clocks_of_their_own_are_planned_and_judged(number: int) -> None:
-    """Each has its own instants, so the covariate has another length; one has too few times."""
-    clocks = {str(1960 + k): (np.arange(8) * (1 + k / 10)).tolist() for k in range(4)}
-    clocks |= {"1970": [0.0, 1.5]}
-    problem = pfdist.Problem(
-        decaying(), times=[0.0, 5.0, 10.0, 20.0], measurement_budget=number, engine="kalman",
-        parameters={"dose": [0.0] * 4},
-    )  # fmt: skip
-    found = pfdist.backtest(problem, table(clocks), plan_each=True, within=3.0, pool="serial")
-    assert set(found.table["replicate"]) == {"1960", "1961", "1962", "1963"}
-    assert set(found.left_out) == {"1970"}
-    judged = found.table[found.table["set"] == "plan"].set_index("replicate")["judged"]
-    assert (judged >= 8 - 3 * number).all()
-    assert (judged <= 8 - number).all()
-    assert found.plan == ()
