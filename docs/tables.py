@@ -91,6 +91,7 @@ _ROWS = {
     "draws": "each draw of each evaluation, and of the compared sets alone where there is a bound",
     "compared": "each compared set",
     "comparison": "each draw, with a column for each SET; all sets filter the same draws",
+    "range_sums": "each compared set and range of draws, about 32 to 64 ranges for each set",
     "repeated": "up to 2,000 of these draws: the reference under other noise",
     "filter_distance": "up to 1,000 of these draws, with a column for each SET",
     "filter_variance": "up to 1,000 of these draws, with a column for each SET",

@@ -24,6 +24,7 @@ from .questions.check_model import check_model as check_model
 from .questions.compare import compare as compare
 from .questions.evaluate import evaluate as evaluate
 from .questions.filter_measurements import filter_measurements as filter_measurements
+from .questions.fit import fit as fit
 from .questions.list_runs import list_runs as list_runs
 from .questions.next_time import next_time as next_time
 from .questions.online import online as online

@@ -157,6 +157,9 @@ COMMANDS = {
             "pfdist evaluate jobs/plan.toml --times few=0:60:6 --times many=0:60:3": (
                 "Evaluate two sets on the same draws"
             ),
+            "pfdist evaluate jobs/plan.toml --times 0:60:3 --profile": (
+                "Also estimate the expected error at each instant"
+            ),
         },
     ),
     "filter": Command(

@@ -173,6 +173,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "planned": _text("NAME"),
     "pool": Word(str | None, Parameter(metavar="POOL", choices=(AUTO, *POOLS))),
     "prior": _folder("FILE"),
+    "profile": _SWITCH,
     "report": Word(bool | None, Parameter(negative="--no-report")),
     "replicate": _text("COLUMN"),
     "results": _folder("DIR"),

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from pfdist.common.parts import Facts, Page, Section
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
 from pfdist.common.shown import Shown
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,6 +47,9 @@ class Evaluation(Shown):
         Whether `expected_mse` is the largest mean of a scenario, not the mean over all draws.
     degenerate : array of bool, (D,), optional
         Whether each draw is degenerate; by default none is.
+    profile : DataFrame, optional
+        The expected error over time, if `pfdist.evaluate` was asked for it: t, measured, draws,
+        error and standard_error.
     """
 
     measurement_times: Times
@@ -55,6 +62,7 @@ class Evaluation(Shown):
     scenarios: NDArray[np.int64] | None = None
     is_worst: bool = False
     degenerate: NDArray[np.bool_] | None = None
+    profile: "pd.DataFrame | None" = None
 
     @property
     def draws(self) -> int:
@@ -123,6 +131,7 @@ class Evaluation(Shown):
             mse=self.mse[chosen],
             scenarios=None if self.scenarios is None else self.scenarios[chosen],
             degenerate=None if self.degenerate is None else self.degenerate[chosen],
+            profile=None,
         )
 
     @property

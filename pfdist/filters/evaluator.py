@@ -418,12 +418,29 @@ class Evaluator:
         mse, degenerate = self.computed_by.filters.filter_checked_sets(self.believed, *given)
         return mse, degenerate
 
+    def _of_sets(
+        self,
+        draws: Draws,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        stream: int,
+        estimation: Estimation,
+        over_time: bool,
+    ) -> tuple[NDArray[Any], ...]:
+        """The result of `mse_of_sets`, and the errors at each instant if they are wanted."""
+        if not over_time:
+            mse, degenerate = self.mse_of_sets(draws, sets, ends, stream, estimation)
+            return mse, degenerate, np.empty((*mse.shape, 0))
+        given = draws, sets, ends, stream, self.settings(estimation)
+        found: tuple[Any, ...] = self.computed_by.filters.errors_over_time(self.believed, *given)
+        return found
+
     def results(self, works: Iterable[Work]) -> list[Result]:
         """Results of works, as a task computes them; the caller has checked settings and times.
 
         Raises `ModelError` if a formula failed.
         """
-        return [work.result(self._for(work)) for work in works]
+        return [work.result(self._for(work)).in_ranges(work) for work in works]
 
     def _for(self, work: Work) -> "Evaluator":
         """The evaluator with the filter's model and the weights of a work."""
@@ -462,17 +479,19 @@ class Evaluator:
         values = np.empty((len(draws.index), len(work.measurement_times)))
         control = np.zeros(values.shape if work.controlled else 0)
         degenerate = np.zeros(values.shape, np.bool_)
+        errors = np.empty((*values.shape, draws.z.shape[1] if work.over_time else 0))
         for stream, same_noise in columns(work.filter_streams).items():
             sets = [work.measurement_times[column] for column in same_noise]
             ends = [work.ends[column] for column in same_noise]
-            found = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
-            values[:, same_noise], degenerate[:, same_noise] = found
+            given, over_time = (draws, sets, ends, stream), work.over_time > 0
+            found = self._of_sets(*given, work.estimation, over_time)
+            values[:, same_noise], degenerate[:, same_noise], errors[:, same_noise] = found
             if work.controlled:  # by the same noise, so that both errors have much in common
-                second = control_of(work.estimation)
-                found = self.mse_of_sets(draws, sets, ends, stream, second)
-                control[:, same_noise] = np.where(np.isfinite(found[0]), found[0], 0.0)
-                degenerate[:, same_noise] |= found[1]
-        return Result(values, degenerate=degenerate, control=control)
+                mse, fails, at = self._of_sets(*given, control_of(work.estimation), over_time)
+                control[:, same_noise] = np.where(np.isfinite(mse), mse, 0.0)
+                errors[:, same_noise] -= np.where(np.isfinite(at), at, 0.0)
+                degenerate[:, same_noise] |= fails
+        return Result(values, degenerate=degenerate, control=control, errors=errors)
 
     def settings(self, estimation: Estimation) -> Estimation:
         """The estimation, with filters that start from the prior."""

@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 PREDICTIVE = 20_000
 """Least number of simulated measurements behind a p-value. The p-value of a component that lies
 beyond all of them is below 2 over their number."""
-_ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,16 +184,7 @@ def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tu
     # A component without variance is as expected (0 / 0) or impossible (its distance is infinite).
     distance = np.where(np.isnan(distance), 0.0, distance)
     smallest = float(np.min(2 * ndtr(-distance)))
-    return _log_density(innovation, covariance), min(1.0, innovation.size * smallest)
-
-
-def _log_density(innovation: Array, covariance: Array) -> float:
-    """Log-density of a normal vector, in the space that its covariance spans."""
-    values, vectors = np.linalg.eigh(covariance)
-    spanned = values > _ROUNDING * max(float(values.max()), 0.0)
-    values, along = values[spanned], (innovation @ vectors)[spanned]
-    total = np.sum(np.log(2 * np.pi * values) + along**2 / values)
-    return float(-total / 2)
+    return float(kalman.log_density(innovation, covariance)), min(1.0, innovation.size * smallest)
 
 
 @dataclass(frozen=True, eq=False)

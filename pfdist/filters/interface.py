@@ -158,8 +158,8 @@ def one_by_one(
 ) -> T:
     """The joint result of a filter that is called for each set.
 
-    `result` is `mse_of_sets` or `sums_of_sets`. The other arguments are those of functions of
-    `pfdist.filters.particle_filter`.
+    `result` is `mse_of_sets`, `sums_of_sets` or `over_time_of_sets`. The other arguments are those
+    of functions of `pfdist.filters.particle_filter`.
     """
     keys = filter_streams(stream, settings.estimator)
     each_set = (
@@ -191,6 +191,25 @@ def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array
         is_known = np.isfinite(errors).all() and not np.isnan([f.mse for f in filters]).any()
         sums.append(row if is_known else np.full_like(row, np.nan))
     return np.stack(sums)
+
+
+def over_time_of_sets(
+    each_set: EachSet, draws: Draws, estimator: Estimator
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """The result of `pfdist.filters.particle_filter.errors_over_time`."""
+    filtered = list(each_set)
+    mse, degenerate = mse_of_sets(iter(filtered), draws, estimator)
+    errors = np.zeros((*mse.shape, draws.z.shape[1]))
+    with np.errstate(all="ignore"):
+        for column, (some, filters) in enumerate(filtered):
+            errors[:, column, : some.z.shape[1]] = _errors(filters, some, estimator)
+    return mse, degenerate, all_or_none(errors, mse)
+
+
+def all_or_none(errors: Array, mse: Array) -> Array:
+    """The errors of each draw at each instant, all infinite or NaN where the draw's MSE is."""
+    errors[~np.isfinite(mse)] = mse[~np.isfinite(mse), None]
+    return errors
 
 
 def errors_by_variance(

@@ -28,6 +28,7 @@ from pfdist.filters.interface import (
     checking,
     mse_of_sets,
     one_by_one,
+    over_time_of_sets,
     validated_from,
     weighed,
 )
@@ -36,6 +37,7 @@ from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.twin import twin_of
 
 Array = NDArray[np.float64]
+_ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
 _TOLERANCE = 1e-9  # relative, for the rounding errors of a linear formula
 
 
@@ -249,6 +251,43 @@ def filter_checked_draws(
     return Filtered(mse, degenerate, estimate, variance, last)
 
 
+def log_evidence(model: StateSpaceModel, y: Array) -> Array:
+    """The log evidence of measurements, (R,), for R replicates (R, T+1, m) with the same gaps.
+
+    Raises `ModelError` if the model is not linear-Gaussian.
+    """
+    matrices, parts = matrices_of(model, y.shape[1] - 1), model.parts
+    begin, covariance = _begin(matrices, None)
+    mean, evidence = np.repeat(begin[None], len(y), axis=0), np.zeros(len(y))
+    for t in range(y.shape[1]):
+        for number, part in enumerate(parts):
+            if np.isnan(y[:, t, part.y]).all():
+                continue
+            seen, measurement = _seen(
+                y[:, t, part.y], matrices.measurement[t * len(parts) + number]
+            )
+            gain, observation_matrix = _gain(covariance, measurement)
+            innovation = seen - measurement.offset - _times(observation_matrix, mean)
+            noise = _square(measurement.matrix[:, mean.shape[1] :])
+            spread = observation_matrix @ covariance @ observation_matrix.T + noise
+            evidence += log_density(innovation, spread)
+            mean = mean + _times(gain, innovation)
+            covariance = covariance - gain @ observation_matrix @ covariance
+        if t + 1 < y.shape[1]:
+            step = matrices.transition[t]
+            mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
+            covariance = _propagated(covariance, step)
+    return evidence
+
+
+def log_density(innovation: Array, covariance: Array) -> Any:
+    """Log-density of normal vectors, (..., m), in the space that their covariance spans."""
+    values, vectors = np.linalg.eigh(covariance)
+    spanned = values > _ROUNDING * max(float(values.max()), 0.0)
+    values, along = values[spanned], (innovation @ vectors)[..., spanned]
+    return -np.sum(np.log(2 * np.pi * values) + along**2 / values, axis=-1) / 2
+
+
 def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
     """The normal distribution of y(t), given that of x(t).
 
@@ -310,3 +349,4 @@ def _square(matrix: Array) -> Array:
 
 filter_draws = checking(filter_checked_draws)
 filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
+errors_over_time = partial(one_by_one, over_time_of_sets, filter_checked_draws)

@@ -19,7 +19,7 @@ from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.formulas import filter_blocks
-from pfdist.filters.interface import Filtered, checking
+from pfdist.filters.interface import Filtered, all_or_none, checking
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import Request, Results
@@ -122,15 +122,48 @@ def sum_errors(
     particles. Values after the end of a set are arbitrary. The memory does not grow with the draws.
     Arguments are those of `filter_checked_sets`.
     """
-    instants = draws.z.shape[1]
     planned, columns, givers = _planned(draws, sets, ends)
-    errors = np.zeros((len(planned.measured), instants))
-    mse, _ = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
-    for row, giver, begin in zip(errors, givers, planned.begins, strict=True):
-        row[:begin] = errors[giver, :begin]
+    errors = np.zeros((len(planned.measured), draws.z.shape[1]))
+    mse, _ = _filter_over_time(model, draws, planned, givers, stream, settings, errors)
     sums = errors[columns]
     sums[~np.isfinite(mse[:, columns]).all(axis=0)] = np.nan
     return sums
+
+
+def errors_over_time(
+    model: StateSpaceModel,
+    draws: Draws,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    settings: Estimation,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """The results of `filter_checked_sets`, and the error of each draw at each instant.
+
+    The errors are (D, S, T+1). Their mean over the instants is the MSE, also if that is infinite
+    or NaN. Values after the end of a set are arbitrary.
+    """
+    planned, columns, givers = _planned(draws, sets, ends)
+    errors = np.zeros((len(draws.index), len(planned.measured), draws.z.shape[1]))
+    mse, degenerate = _filter_over_time(model, draws, planned, givers, stream, settings, errors)
+    mse = mse[:, columns]
+    return mse, degenerate[:, columns], all_or_none(errors[:, columns], mse)
+
+
+def _filter_over_time(
+    model: StateSpaceModel,
+    draws: Draws,
+    planned: Plan,
+    givers: Sequence[int],
+    stream: int,
+    settings: Estimation,
+    errors: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The result of `_filter`, which fills errors, (..., U, T+1), also of shared prefixes."""
+    found = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
+    for row, (giver, begin) in enumerate(zip(givers, planned.begins, strict=True)):
+        errors[..., row, :begin] = errors[..., giver, :begin]
+    return found
 
 
 def _filter(

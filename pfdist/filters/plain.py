@@ -21,6 +21,7 @@ from pfdist.filters.interface import (
     checking,
     mse_of_sets,
     one_by_one,
+    over_time_of_sets,
     sums_of_sets,
     weighed,
 )
@@ -53,7 +54,7 @@ def simulate(
     user, model = model, twin_of(model, draws.instants)
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
-        return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
+        return tuple(w[:, 0] for w in noise_of(kinds, 1, stream, index, t, role))
 
     with np.errstate(all="ignore"):
         if prior is None:
@@ -176,7 +177,7 @@ def _first(
     prior, particles = settings.prior, settings.particles
     cloud = (len(draws.index), particles)
     if not isinstance(prior, Cloud):
-        noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
+        noise = noise_of(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
         return _states(model.initial(_flat(noise), model.p), cloud), np.ones(cloud)
     weight = prior.weight_of_filters(particles) if settings.carries else None
     if weight is not None:
@@ -200,7 +201,7 @@ def step(
     twin of `pfdist.filters.formulas.filter_blocks`.
     """
     kinds = model.process_noise if y is None else model.proposal_variates
-    w = _flat(_noise(kinds, particles, stream, draws, t, FILTER_PROCESS))
+    w = _flat(noise_of(kinds, particles, stream, draws, t, FILTER_PROCESS))
     log_guide: Array = np.zeros(1)
     if model.proposal is not None and model.proposal_log_density is not None and y is not None:
         w = tuple(_like(part, x[0].shape) for part in model.proposal(x, y, t, w, model.p))
@@ -305,7 +306,7 @@ def _mean_error(draws: Draws, k: int, z: tuple[Any, ...], mean: Array, share: Ar
     return means
 
 
-def _noise(
+def noise_of(
     kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
 ) -> tuple[Array, ...]:
     """The variates of each component, (D, particles)."""
@@ -343,3 +344,4 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
 filter_draws = checking(filter_checked_draws)
 filter_checked_sets = partial(one_by_one, mse_of_sets, filter_checked_draws)
 sum_errors = partial(one_by_one, sums_of_sets, filter_checked_draws)
+errors_over_time = partial(one_by_one, over_time_of_sets, filter_checked_draws)

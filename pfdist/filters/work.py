@@ -116,6 +116,9 @@ class Work:
     sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
     # whether the control variate of each error is wanted, too; the filter must know the truth
     controlled: bool = False
+    # If not 0, the errors at each instant are wanted, too: of each draw, or as sums over ranges of
+    # at most so many draws, a power of 2, from `Evaluator.results`; see `ranges_of`.
+    over_time: int = 0
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
@@ -205,6 +208,38 @@ class Result:
     # (D, S): control variate of each error, a number of expectation 0, if it is wanted; else empty.
     # 0 where the truth itself does not explain a measurement, or where a particle is infinite
     control: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (D, S, T+1): error of each draw at each instant, less its control variate if that is wanted,
+    # or (R, S, T+1): sums over ranges of draws; if they are wanted; else empty
+    errors: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    def in_ranges(self, work: Work) -> "Result":
+        """The same result with sums over ranges of draws, if the work wants them."""
+        if not work.over_time:
+            return self
+        first, sums = work.draws[0], list[NDArray[np.float64]]()
+        for start, draws in ranges_of(*work.draws, work.over_time):
+            errors = self.errors[start - first : start - first + draws]
+            while len(errors) > 1:
+                errors = errors[::2] + errors[1::2]
+            sums.append(errors[0])
+        return replace(self, errors=np.stack(sums))
+
+
+def ranges_of(first: int, end: int, most: int) -> list[tuple[int, int]]:
+    """Cut draws into ranges, each with its first draw and its number of draws.
+
+    The number is a power of 2 of at most `most`, and divides the first draw. A sum over a range is
+    that over its first half plus that over its second. So its bits do not depend on the tasks.
+
+    >>> ranges_of(5, 24, most=8)
+    [(5, 1), (6, 2), (8, 8), (16, 8)]
+    """
+    ranges = []
+    while first < end:
+        draws = min(most, first & -first or most, 1 << (end - first).bit_length() - 1)
+        ranges.append((first, draws))
+        first += draws
+    return ranges
 
 
 def joined(results: Sequence[Result]) -> Result:
@@ -215,9 +250,10 @@ def joined(results: Sequence[Result]) -> Result:
         return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
 
     sums = np.sum([result.sums for result in results], axis=0)
-    mse, z, y, degenerate, control = map(all_of, ("mse", "z", "y", "degenerate", "control"))
+    mse, z, y, degenerate = map(all_of, ("mse", "z", "y", "degenerate"))
     estimates, sizes = all_of("estimates", 1), all_of("sizes", 1)
-    return Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate, control=control)
+    result = Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate)
+    return replace(result, control=all_of("control"), errors=all_of("errors"))
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

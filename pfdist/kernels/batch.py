@@ -108,7 +108,8 @@ class Results(NamedTuple):
     # (D, T+1): of a single set, the effective sample size at measured instants
     sizes: NDArray[np.float64]
     # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
-    # those of its shared prefix. The caller fills them with 0.
+    # those of its shared prefix; or (D, U, T+1): these errors of each draw. The caller fills them
+    # with 0.
     errors: NDArray[np.float64]
     # (2, D, T+1, q): of a single set whose particles contain the truth, at measured instants: the
     # share of the weight of particles whose z lies below that of the truth, and of those whose z
@@ -123,6 +124,7 @@ class Wanted(NamedTuple):
 
     moments: bool
     errors: bool
+    errors_apart: int  # distance of two draws in `errors`; 0 for sums over the draws
 
 
 class Batch(NamedTuple):

@@ -538,7 +538,7 @@ def _measure_distance(at, t, s, mean):
 
 @compiled
 def _add(at, s, t, d, error, weight):
-    """Add a weighted error to those of a draw that has not ended, and to the sum over draws.
+    """Add a weighted error to those of a draw that has not ended, and to those of the instant.
 
     An instant of weight 0 does not count, even if its error is infinite.
     """
@@ -551,7 +551,8 @@ def _add(at, s, t, d, error, weight):
     if batch.error[d] < np.inf and weight != 0.0:
         batch.error[d] += weight * error
         if wanted.errors:
-            results.errors[s * request.instants + t] += weight * error
+            place = (at.first + d) * wanted.errors_apart + s * request.instants + t
+            results.errors[place] += weight * error
 
 
 @entry(Instant)
@@ -636,7 +637,8 @@ def filter_all(
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
     batch, saved, _memory = _arrays(request, plan, width, draws, dtype)
-    wanted = Wanted(results.estimate.size > 0, results.errors.size > 0)
+    apart = request.sets * request.instants if results.errors.ndim == 3 else 0
+    wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
     scratch = resampling_scratch(draws, width)
     steps = _needed(request, plan, results, scheme, dtype)
     blocks = compiled.blocks

@@ -27,18 +27,20 @@ from pfdist.pages.panel import (
     points,
     stack,
     styles_of,
+    table_of,
     thin,
     verbatim,
     write_instead,
 )
 from pfdist.pages.style import GREY, set_style
+from pfdist.pages.why import error_profile
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
+from pfdist.results.over_time import RANGE_SUMS, difference_over_time
 from pfdist.results.stored_run import problem_of
 from pfdist.store.schema import components_in
 
 _MOST_LINES = 5  # sets that differ in colours and dashes
-_MOST_COMPONENTS = 3  # of z, each with a panel above the times
 _ROW, _PANEL = 0.17, 1.6  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
 _MARGIN = 0.03  # part of the axis beside times that are not whole
@@ -47,10 +49,10 @@ _LEADING = 1.25  # distance of two names over the size of their font
 
 @figure("times")
 def times_figure(tables: Tables) -> Plot:
-    """Root mean square error of the estimates over time, and the measurement times of every set."""
+    """Expected error over time of two sets, and the measurement times of every set."""
     run, sets = tables.run, tables.run.sets
     rows = times_inches(sum(len(by_sensor(at)) for at in sets.values()))
-    if "budget" in run.job or len(sets) < 2 or "trajectories" not in run.tables:
+    if len(sets) < 2 or RANGE_SUMS not in run.tables:
         numbers = sorted({len(times) for times in sets.values()})
         each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
         title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
@@ -60,33 +62,29 @@ def times_figure(tables: Tables) -> Plot:
     reference, *others = run.names
     pair = [reference, min(others, key=lambda name: mse[name])]
     best, worse = sorted(pair, key=lambda name: mse[name])
-    components = components_in(tables.trajectories, "z_")
-    number = min(len(components), _MOST_COMPONENTS)
+    profile = table_of(run, "run", "error_over_time")
 
     def draw(panels: Sequence[Axes]) -> None:
-        *above, below = panels
-        for component, ax in enumerate(above):
-            uncertainty(tables.trajectories, pair, component=component, ax=ax)
-        times(run, ax=below)
-        stack([*above, below], 1 + len(components))
+        error_profile(profile, pair, ax=panels[0])
+        times(run, ax=panels[1])
+        stack(panels)
 
     return Plot(
-        0.3 + _PANEL * number + rows, draw, number + 1, share_x=True,
-        title=_title(tables.trajectories, best, worse, run.labels),
-        heights=[*[_PANEL] * number, rows - 0.75],
+        0.3 + _PANEL + rows, draw, 2, share_x=True, title=_title(run, profile, best, worse),
+        heights=[_PANEL, rows - 0.75],
     )  # fmt: skip
 
 
-def _title(trajectories: pd.DataFrame, best: str, reference: str, labels: Mapping[str, str]) -> str:
-    """Say in which stretches of time the best set lowers and raises the error most."""
-    suffixes = [each.suffix for each in components_in(trajectories, "z_")]
-    errors = {
-        name: sum(_squared_errors(trajectories, name, suffix) for suffix in suffixes)
-        for name in (best, reference)
-    }
-    means = pd.DataFrame(errors).assign(t=trajectories["t"]).dropna().groupby("t").mean()
-    lower = np.nan_to_num(means[reference] - means[best], posinf=0.0, neginf=0.0)
-    unit = f" {trajectories.attrs.get('error_unit', '').strip('()')}".rstrip()
+def _title(run: Run, profile: pd.DataFrame, best: str, reference: str) -> str:
+    """Say in which stretches of time the best set lowers and raises the error most, and how often.
+
+    An instant counts if the difference on common draws is clear there, with 95 % confidence.
+    """
+    rows = {name: profile[profile["name"] == name] for name in (best, reference)}
+    at_times = rows[best]["t"].tolist()
+    difference, error = difference_over_time(run, best, reference)
+    lower = np.nan_to_num(-difference, posinf=0.0, neginf=0.0)
+    unit = f" {profile.attrs.get('error_unit', '')}²" if profile.attrs.get("error_unit") else ""
     parts = list[str]()
     for word, change in (("falls", lower), ("rises", -lower)):
         if not (change > 0).any():
@@ -95,15 +93,20 @@ def _title(trajectories: pd.DataFrame, best: str, reference: str, labels: Mappin
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
         before, now = (
-            f"{np.sqrt(means[name].iloc[first:end].mean()):#.3g}".rstrip(".")
+            f"{rows[name]['error'].iloc[first:end].mean():#.3g}".rstrip(".")
             for name in (reference, best)
         )
-        at = " to ".join(formatted_time(t) for t in dict.fromkeys(means.index[[first, end - 1]]))
+        at = " to ".join(
+            formatted_time(t) for t in dict.fromkeys([at_times[first], at_times[end - 1]])
+        )
         parts.append(f"{word} most at t = {at} (from {before} to {now}{unit})")
+    smaller, larger = (int(np.sum(side * lower > BAND * error)) for side in (1, -1))
+    draws = int(profile["draws"].max())
+    on = f"{draws:,} common draws, 95 % confidence at each instant" if draws else "exact"
     return (
-        f"With {phrase_of(labels[best])} instead of {phrase_of(labels[reference])}, the root mean "
-        f"square error of the first {trajectories['draw'].nunique()} draws "
-        f"{' and '.join(parts) or 'is the same at all instants'}."
+        f"With {phrase_of(run.labels[best])} instead of {phrase_of(run.labels[reference])}, the "
+        f"expected error {' and '.join(parts) or 'is the same at all instants'}. It is smaller at "
+        f"{smaller} of {lower.size} instants and larger at {larger} ({on})."
     )
 
 

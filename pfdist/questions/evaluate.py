@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, overload
 
@@ -11,6 +11,8 @@ import numpy as np
 
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
+from pfdist.common.estimate import Estimate
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
 from pfdist.common.percent import heavy_tail_warning
@@ -27,6 +29,7 @@ from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import following
 from pfdist.questions.subject import change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
+from pfdist.results.over_time import profile_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, silent
@@ -46,6 +49,8 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
+    *,
+    profile: bool = False,
 ) -> dict[str, Evaluation]: ...
 
 
@@ -56,6 +61,8 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
+    *,
+    profile: bool = False,
 ) -> Evaluation: ...
 
 
@@ -65,6 +72,8 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
+    *,
+    profile: bool = False,
 ) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
@@ -81,19 +90,24 @@ def evaluate(
         draws and the noise of their filters.
     draws, particles, seed : int, optional
         Replace the job's evaluation.draws, filter.particles and seed.
+    profile : bool
+        Whether the expected error over time is wanted, too.
 
     Returns
     -------
     Evaluation, or dict of str to Evaluation
         ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and the per-draw
-        values ``mse``; of sets with names, by name.
+        values ``mse``; of sets with names, by name. With ``profile``, also the DataFrame
+        ``profile`` with a row for each instant: t, measured (whether the set measures then), draws
+        (0: exact), error and standard_error. Errors are weighted and scaled as in the MSE, so
+        their mean over time is ``expected_mse``. ``pfdist.plots.error_profile`` draws it.
 
     Raises
     ------
     JobError, ModelError, MeasurementTimesError
         The job, the model or the times are not possible.
     """
-    _, compute = prepare(job, measurement_times, draws, particles, seed)
+    _, compute = prepare(job, measurement_times, draws, particles, seed, profile=profile)
     return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
 
 
@@ -103,6 +117,8 @@ def prepare(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
+    *,
+    profile: bool = False,
 ) -> tuple[Built, Callable[[], dict[str, Evaluation]]]:
     """The compiled job, and a function that evaluates without delay.
 
@@ -120,7 +136,7 @@ def prepare(
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
     built = build(job)
-    return built, partial(_evaluated, built, sets, stream)
+    return built, partial(_evaluated, built, sets, stream, profile=profile)
 
 
 def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
@@ -135,10 +151,12 @@ def instants_of(job: Job, name: str, written: Iterable[Time | str] | str) -> Tim
         raise
 
 
-def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str, Evaluation]:
+def _evaluated(
+    built: Built, sets: Mapping[str, Times], stream: int, *, profile: bool
+) -> dict[str, Evaluation]:
     """The evaluation of each set by name, with times on the clock."""
     evaluator, times, count = built.evaluator, tuple(sets.values()), len(sets)
-    exact, scenarios = [None] * count, None
+    exact, scenarios, errors = [None] * count, None, np.empty(0)
     if evaluator.exact:
         exact, mse = built.exact_errors([*times]).tolist(), np.empty((count, 0))
         degenerate = np.empty((count, 0), np.bool_)
@@ -146,15 +164,15 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
         evaluation = Settings.from_job(built.job)
         draws, pieces = evaluation.draws, list[Result]()
         given = times, stream, stream, (0, draws), evaluation.estimation
-        work = evaluator.work(*given, ids=tuple(sets))
+        work = evaluator.work(*given, ids=tuple(sets), over_time=int(profile))
         scenarios = evaluator.scenarios_of(stream, range(draws))
         with following(None, silent) as (show, _):
             for piece in evaluator.pieces(work, MOST_SECONDS):
                 pieces.append(evaluator.filtered(piece))
                 show(Progress("evaluate", piece.draws[1], draws, evaluations=piece.draws[1]))
         result = joined(pieces)
-        mse, degenerate = result.mse.T.copy(), result.degenerate.T
-    return {
+        mse, degenerate, errors = result.mse.T.copy(), result.degenerate.T, result.errors
+    found = {
         name: Evaluation(
             tuple(built.job.problem.clock.written_of(sets[name])),
             mse_of_set,
@@ -168,11 +186,39 @@ def _evaluated(built: Built, sets: Mapping[str, Times], stream: int) -> dict[str
             sets, mse, degenerate, exact, strict=True
         )
     }
+    return _with_profiles(built, sets, found, errors) if profile else found
+
+
+def _with_profiles(
+    built: Built, sets: Mapping[str, Times], found: Mapping[str, Evaluation], errors: Any
+) -> dict[str, Evaluation]:
+    """The evaluations with their errors over time, from the error of each draw, (D, S, T+1).
+
+    If the worst scenario decides, its draws count. An exact engine has no draws.
+    """
+    evaluators = built.evaluator.of_scenarios if built.is_worst else (built.evaluator,)
+    evaluations = dict[str, Evaluation]()
+    for place, (name, each) in enumerate(found.items()):
+        if each.exact is not None:
+            exact = [evaluator.expected_errors([sets[name]])[0] for evaluator in evaluators]
+            estimates, draws = [Estimate(error) for error in max(exact, key=np.mean)], 0
+        else:
+            rows = errors[:, place]
+            rows = rows[each.scenarios == each.worst_scenario] if each.is_worst else rows
+            estimates, draws = [Estimate.of_mean(at_instant) for at_instant in rows.T], len(rows)
+        error, standard_error = np.array([(at.value, at.standard_error) for at in estimates]).T
+        clock = built.job.problem.clock
+        table = profile_of(clock, sets[name], error, standard_error, draws)
+        if name:
+            table.insert(0, "name", name)
+        evaluations[name] = replace(each, profile=table)
+    return evaluations
 
 
 # --- the command ----------------------------------------------------------------------------------
 
 _ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
+_OVER_TIME = ("error", "standard_error")
 _HEAD = ("times", "number", "expected MSE ± standard error", "draws")
 
 
@@ -191,6 +237,7 @@ class Evaluated:
         sets = {
             name: {key: getattr(evaluation, key) for key in _ANSWERED}
             | {"broken_constraints": self.broken[name]}
+            | _columns_of(evaluation)
             for name, evaluation in self.evaluations.items()
         }
         answer: dict[str, Any] = sets[UNNAMED] if list(sets) == [UNNAMED] else {"sets": sets}
@@ -208,6 +255,7 @@ class Evaluated:
             said = self._lowest()
         tables = [Table("", _HEAD, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
+        tables += _over_time(self.evaluations)
         return Page("", "", [Section("", [Text(f"{said}.", prominent=True), *tables])],
                     [*self._warnings()])  # fmt: skip
 
@@ -254,6 +302,7 @@ def evaluated(
     particles: int | None = None,
     seed: int | None = None,
     changes: Iterable[str] = (),
+    profile: bool = False,
 ) -> Evaluated:
     """Estimate the expected MSE of a set of measurement times, or of several.
 
@@ -273,10 +322,12 @@ def evaluated(
         Seed of the noise; by default that of the job.
     changes : iterable of str, optional
         Other values of keys of the job, as seed=3.
+    profile : bool
+        Also estimate the expected error at each instant.
     """
     loaded = load_job(job, changes)
     written = times[UNNAMED] if list(times) == [UNNAMED] else times
-    built, compute = prepare(loaded, written, draws, particles, seed)
+    built, compute = prepare(loaded, written, draws, particles, seed, profile=profile)
     start = time.perf_counter()  # after the compilation
     evaluations = compute()
     seconds = time.perf_counter() - start
@@ -319,6 +370,29 @@ def _of_scenarios(
         for number in sorted(next(iter(columns.values())))
     ]
     return [Table("Expected MSE ± standard error in each scenario", ("scenario", *columns), rows)]
+
+
+def _columns_of(evaluation: Evaluation) -> dict[str, Any]:
+    """The error over time as JSON, if it was asked for."""
+    if evaluation.profile is None:
+        return {}
+    return {"profile": evaluation.profile[["t", *_OVER_TIME]].to_dict("list")}
+
+
+def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
+    """The expected error of each set at each instant, if it was asked for."""
+    profiles = {name: each.profile for name, each in evaluations.items()}
+    tables = {name or "expected error": each for name, each in profiles.items() if each is not None}
+    if not tables:
+        return []
+    times, unit = next((each["t"], each.attrs.get("time_unit")) for each in tables.values())
+    columns = [
+        [mse_cell(*at) for at in each[[*_OVER_TIME]].itertuples(index=False)]
+        for each in tables.values()
+    ]
+    rows = [[Cell(formatted_time(t), t), *cells] for t, *cells in zip(times, *columns, strict=True)]
+    head = (f"t [{unit}]" if unit else "t", *tables)
+    return [Table("Expected error at each instant ± standard error", head, rows)]
 
 
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:

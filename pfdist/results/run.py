@@ -17,6 +17,7 @@ from pfdist.common.shown import Shown
 from pfdist.errors import ArgumentError, PfdistError, StoreError
 from pfdist.results.columns import Row, finite, records_of, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
+from pfdist.results.over_time import RANGE_SUMS, error_over_time
 from pfdist.results.pairs import pairs_of, ranks_of
 from pfdist.results.sets import best_first, sets_of
 from pfdist.results.stored_run import (
@@ -59,7 +60,7 @@ class Run(StoredRun, Shown):
         computed = [
             name
             for name in COMPUTED
-            if ("compared" if name == "sets" else "comparison") in stored
+            if _FROM.get(name, "comparison") in stored
             and (name != "scenarios" or has_scenarios(self))
         ]
         return (*stored, *computed)
@@ -215,8 +216,10 @@ COMPUTED: dict[str, Callable[[StoredRun], pd.DataFrame]] = {
     "pairs": pairs_of,
     "ranks": ranks_of,
     "scenarios": scenarios_of,
+    "error_over_time": error_over_time,
 }
 """Tables that follow from others, by name; the docstring of each function says what they have."""
+_FROM = {"sets": "compared", "error_over_time": RANGE_SUMS}  # else from comparison
 TABLES = (*KEYS, *COMPUTED)
 """Names of all tables that a run may have."""
 

@@ -4,7 +4,7 @@ Tasks end in any order. Interim gains use the whole blocks of draws before the f
 they do not depend on the order, and the comparison stops after the same draws in every run.
 """
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -18,12 +18,27 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
-from pfdist.filters.work import Estimation, Result, Work, control_of, cut, with_truth
+from pfdist.filters.work import (
+    Estimation,
+    Result,
+    Work,
+    control_of,
+    cut,
+    ranges_of,
+    with_truth,
+)
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import within_half_turn
 from pfdist.problem.set_key import references_of
 from pfdist.results import BLOCK, ComparisonStatistics
+from pfdist.results.over_time import (
+    RANGE_SUMS,
+    Range,
+    joined_ranges,
+    longest_range,
+    read_ranges,
+)
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.progress import SetGain
@@ -62,6 +77,14 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         evaluator.compile(control_of(built.comparing))  # the time of tasks is limited
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
+        # Committed before the rows of the draws: a kill in between leaves sums that are computed
+        # again, never draws without sums.
+        if piece.over_time:
+            ranges = ranges_of(*piece.draws, piece.over_time)
+            sums = [
+                Range(*each, errors) for each, errors in zip(ranges, result.errors, strict=True)
+            ]
+            session.keep(COMPARISON, RANGE_SUMS, _range_rows(piece.ids, sums))
         columns = [pa.array(np.arange(*piece.draws))]
         columns += [pa.array(mse) for mse in piece.by_id(result).values()]
         columns += [pa.array(flags) for flags in piece.by_id(result, "degenerate").values()]
@@ -81,13 +104,31 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         )
         return interim.enough > 0
 
-    work = replace(work, controlled=control)
+    most = longest_range(draws) if study.has_details else 0
+    if most and evaluator.exact:
+        most = 0
+        if not session.store.has(RANGE_SUMS):
+            errors = evaluator.expected_errors(work.measurement_times)
+            session.keep(COMPARISON, RANGE_SUMS, _range_rows(work.ids, [Range(0, 0, errors)]))
+    work = replace(work, controlled=control, over_time=most)
     works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
     # The batch commits its last rows before it ends, so publishing finds all draws. A kill while
     # the files are written leaves the parts, and the next start publishes them again.
-    yield Batch(session, COMPARISON, works, RowsByDraw("comparison", rows_of, _result), learn)
+    beside = (RANGE_SUMS,) if most else ()
+    rows = RowsByDraw("comparison", rows_of, _result, beside=beside)
+    yield Batch(session, COMPARISON, works, rows, learn)
     reporter.reach(start + comparison_steps(built))
-    _publish(session.store, interim.enough or draws)
+    _publish(session.store, interim.enough or draws, most)
+
+
+def _range_rows(names: Sequence[str], ranges: Sequence[Range]) -> pa.Table:
+    """Rows of the table ``range_sums``, in order of the sets."""
+    rows = [
+        {"position": place, "name": name, "draw": first, "draws": draws, "sums": sums[place]}
+        for place, name in enumerate(names)
+        for first, draws, sums in ranges
+    ]
+    return pa.Table.from_pylist(rows, schema=schema(RANGE_SUMS))
 
 
 def _result(rows: pa.Table) -> Result:
@@ -119,17 +160,29 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     return built.evaluator.work(*given, filter_streams=streams, ids=tuple(sets))
 
 
-def _publish(store: Store, draws: int) -> None:
-    """Publish the table of the comparison from its parts, a file's rows at a time."""
-    if store.has_parts("comparison", COMPARISON):
-        committed = store.draws("comparison")
+def _publish(store: Store, draws: int, most: int) -> None:
+    """Publish the comparison from its parts, a file's rows at a time.
+
+    The table ``range_sums`` gets ranges of at most `most` draws; 0 if it has none.
+    """
+    tables = "comparison", RANGE_SUMS
+    if not any(store.has_parts(table, COMPARISON) for table in tables):
+        return
+    for table in tables if most else tables[:1]:
+        committed = store.draws(table)
         if not committed or committed[0].start > 0 or committed[0].stop < draws:
             raise StoreError(
                 f"{store.path} lacks draws that were committed; is another command writing to it? "
                 "Run the same command again"
             )
-        rows = ROWS_IN_A_FILE["comparison"]
-        store.publish("comparison", COMPARISON, store.blocks("comparison", rows, draws))
+    rows = ROWS_IN_A_FILE["comparison"]
+    pieces: dict[str, Iterable[pa.Table]] = {"comparison": store.blocks("comparison", rows, draws)}
+    if store.has(RANGE_SUMS):
+        committed_sums = store.read(RANGE_SUMS)
+        ranges = [each for each in read_ranges(committed_sums) if each.end <= draws]
+        names = list(dict.fromkeys(committed_sums["name"]))  # rows are in order of the sets
+        pieces[RANGE_SUMS] = [_range_rows(names, joined_ranges(ranges, most))]
+    store.publish_together(COMPARISON, pieces)
 
 
 class InterimGains:

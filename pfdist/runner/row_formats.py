@@ -110,12 +110,14 @@ class RowsByDraw:
 
     `rows` makes the rows of a work and its result. `results` makes a result of rows, for drivers
     that need the results that the store has; other drivers only need that these rows are there.
+    Draws that a table `beside` lacks are computed again.
     """
 
     table: str
     rows: Callable[[Work, Result], pa.Table]
     results: Callable[[pa.Table], Result] | None = None
     is_shared: bool = False
+    beside: tuple[str, ...] = ()
 
     def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
         """The works that a store lacks, and the results that it has.
@@ -124,23 +126,28 @@ class RowsByDraw:
         it ended.
         """
         most = max((work.draws[1] for work in works), default=0)
-        present = np.zeros(most, np.bool_)
-        for committed in store.draws(self.table):
-            present[committed.start : committed.stop] = True
+        present = np.ones(most, np.bool_)
+        for table in (self.table, *self.beside):
+            there = np.zeros(most, np.bool_)
+            for committed in store.draws(table):
+                there[committed.start : committed.stop] = True
+            present &= there
         lacking = list[Work]()
         for work in works:
             first, last = work.draws
             pieces = cut(first + np.flatnonzero(~present[first:last]), last)
             lacking += [work.part(piece) for piece in pieces]
-        return lacking, self._stored_results(store, works, most)
+        return lacking, self._stored_results(store, works, present)
 
-    def _stored_results(self, store: Store, works: list[Work], most: int) -> StoredResults:
+    def _stored_results(
+        self, store: Store, works: list[Work], present: NDArray[np.bool_]
+    ) -> StoredResults:
         if self.results is None or not works:
             return
         # Read block by block when the driver learns, so memory does not grow with the table.
-        for rows in store.blocks(self.table, BLOCK, most):
+        for rows in store.blocks(self.table, BLOCK, present.size):
             draws = rows["draw"].to_numpy()
-            for first, last in cut(draws, BLOCK):
+            for first, last in cut(draws[present[draws]], BLOCK):
                 place = int(np.searchsorted(draws, first))
                 result = self.results(rows.slice(place, last - first))
                 yield works[0].part((first, last)), result

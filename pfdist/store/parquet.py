@@ -269,14 +269,18 @@ class Store:
             yield from self._read(path, columns)
 
     def draws(self, table: str) -> list[range]:
-        """The draws with rows in a table, as ascending disjoint ranges.
+        """The draws with rows in a table, alone or in ranges, as ascending disjoint ranges.
 
         Usually this is one range, so memory does not grow with the number of draws.
         """
 
         def look() -> list[range]:
-            pieces = (piece["draw"].to_numpy() for piece in self.pieces(table, ["draw"]))
-            return _merged(each for piece in pieces for each in _ranges(piece))
+            columns = [name for name in KEYS[table] if name in ("draw", "draws")]
+            pieces = (
+                [piece[name].to_numpy() for name in columns]
+                for piece in self.pieces(table, columns)
+            )
+            return _merged(each for piece in pieces for each in _ranges(*piece))
 
         return self._again(look)
 
@@ -424,8 +428,11 @@ def _is_own(path: Path) -> bool:
     return path.parent.name in TABLES and NAME.fullmatch(path.name) is not None
 
 
-def _ranges(values: NDArray[np.int64]) -> Iterator[range]:
-    """The values of an array as ranges."""
+def _ranges(values: NDArray[np.int64], lengths: NDArray[np.int64] | None = None) -> Iterator[range]:
+    """The values of an array as ranges; with lengths, each value begins a range."""
+    if lengths is not None:
+        yield from map(range, values.tolist(), (values + lengths).tolist())
+        return
     values = np.sort(values)
     ends = np.flatnonzero(np.diff(values) > 1)
     if values.size:

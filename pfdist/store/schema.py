@@ -44,6 +44,7 @@ KEYS: dict[str, list[str]] = {
     "draws": ["evaluation", "draw"],
     "compared": ["position"],
     "comparison": ["draw"],
+    "range_sums": ["position", "draw", "draws"],
     "repeated": ["draw"],
     "filter_distance": ["draw"],
     "filter_variance": ["draw"],
@@ -103,6 +104,7 @@ _OF_A_SET = (
 )
 _LEFT_OUT = "whether no particle explains a measurement, which is left out"
 _CONTROL = "of expectation 0, if the job asks for it; the printed mean is that of mse - control"
+_SUMS = "errors at t = 0, 1, ..., less the control of each, weighted as in mse, over the draws"
 _DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
@@ -136,6 +138,12 @@ _SCHEMAS = {
         _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),
         _column("distrust", pa.string(), "", "why the search was done again by the squared error"),
+    ],
+    "range_sums": [
+        *_OF_A_SET,
+        _column("draw", pa.int64(), "", "the first draw of the range, as in comparison"),
+        _column("draws", pa.int64(), "", "number of draws, a power of 2; 0: exact errors"),
+        _column("sums", pa.list_(pa.float64()), _MSE, _SUMS),
     ],
     "repeated": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),

@@ -117,7 +117,7 @@ def test_a_table_cut_short_at_any_byte_is_never_read(
 ) -> None:
     run, faults = shutil.copytree(runs["finished"], tmp_path / "run"), 0
     tables = sorted((run / "tables").iterdir())
-    assert len(tables) == 9
+    assert len(tables) == 10
     for table in tables:
         file = max(table.iterdir())
         whole, store = file.read_bytes(), parquet.Store(run)

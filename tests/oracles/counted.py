@@ -34,8 +34,14 @@ def committed_draws(run: Path) -> int:
     searched = len(store.read("draws")) if store.has("draws") else 0
     compared = sum(
         sum(map(len, store.draws(table)))
-        for table in ("comparison", "trajectories", "filter_distance", "filter_variance")
+        for table in ("trajectories", "filter_distance", "filter_variance")
     )
+    # A draw of the comparison counts if both its rows and its errors over time are there.
+    rows, sums = (
+        {draw for each in store.draws(table) for draw in each}
+        for table in ("comparison", "range_sums")
+    )
+    compared += len(rows & sums)
     alone = ("repeated", "filter_variance")  # the reference again, and no measurement at all
     once_more = sum(len(each) for table in alone for each in store.draws(table))
     return searched + SETS * compared + once_more

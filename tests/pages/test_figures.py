@@ -34,6 +34,7 @@ from pfdist.pages.style import BLUE, COLUMN_INCHES, RED, styled
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import Gain, Run, open_run
 from pfdist.results.online import OnlineDraws
+from pfdist.results.over_time import difference_over_time
 from pfdist.results.stored_run import statistics_of
 
 EVALUATIONS = pd.DataFrame(
@@ -231,35 +232,41 @@ def test_a_component_is_that_of_its_name_and_not_of_the_end_of_another() -> None
 
 
 def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
-    plain: Run, several: Run
+    finished: Callable[..., Path], plain: Run, several: Run
 ) -> None:
-    [(_, plot)] = FIGURES["times"].plots(Tables(plain))
+    run = pfdist.open_run(finished())
+    [(_, plot)] = FIGURES["times"].plots(Tables(run))
     above, below = drawn(plot).axes
-    mse = {name: each.mean for name, each in statistics_of(plain).mse.items()}
-    reference, *others = plain.names
+    mse = {name: each.mean for name, each in statistics_of(run).mse.items()}
+    reference, *others = run.names
     best = min(others, key=mse.get)
-    assert [*_lines(above)] == ["evenly spaced", best]
+    assert [line.partition(",")[0] for line in _lines(above)] == ["evenly spaced", best]
     rows = [line for line in below.get_lines() if line.get_marker() != "None"]
-    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets.values()]
+    assert [tuple(line.get_xdata()) for line in rows] == [*run.sets.values()]
     colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
-    places = [plain.names.index(name) for name in (reference, best)]
+    places = [run.names.index(name) for name in (reference, best)]
     assert colours[0] == [colours[1][place] for place in places]
     assert above.get_xlim() == below.get_xlim()
-    table = plain.table("trajectories")
-    errors = [
-        table.eval(f"(estimate_{name}_0 - z_0) ** 2").groupby(table["t"]).mean()
-        for name in (best, reference)
-    ]
+    table = run.table("error_over_time").set_index("name")
+    errors = [table.loc[name, "error"].to_numpy() for name in (best, reference)]
+    for line, error in zip(above.get_lines(), reversed(errors), strict=True):
+        assert line.get_ydata().tolist() == error.tolist()
     said = re.findall(r"(\w+) most at t = (\d+)(?: to (\d+))? \(from (\S+) to (\S+)\)", plot.title)
     assert [word for word, *_ in said] == ["falls", "rises"]
     for sign, (_, first, last, *rounded) in zip((1, -1), said, strict=True):
-        change, at = sign * (errors[1] - errors[0]), slice(int(first), int(last or first))
+        change, at = sign * (errors[1] - errors[0]), slice(int(first), int(last or first) + 1)
         change -= max(0, change.mean())
         stretches = [change[a:b] for a in range(len(change)) for b in range(a + 1, len(change) + 1)]
-        assert change.loc[at].sum() == pytest.approx(max(part.sum() for part in stretches))
-        assert rounded == [f"{np.sqrt(each.loc[at].mean()):#.3g}" for each in reversed(errors)]
-    [(_, plot)] = FIGURES["times"].plots(Tables(several))
-    assert len(drawn(plot).axes) == 1
+        assert change[at].sum() == pytest.approx(max(part.sum() for part in stretches))
+        assert rounded == [f"{each[at].mean():#.3g}" for each in reversed(errors)]
+    difference, error = difference_over_time(run, best, reference)
+    clear = [int((sign * difference > 1.96 * error).sum()) for sign in (-1, 1)]
+    counted = "smaller at {} of 13 instants and larger at {} (250 common draws".format(*clear)
+    assert counted in plot.title
+    assert min(clear) > 0
+    for without in (several, plain):  # of several numbers, and written before the table was
+        [(_, plot)] = FIGURES["times"].plots(Tables(without))
+        assert len(drawn(plot).axes) == 1
 
 
 def _gain(relative: np.ndarray) -> Gain:

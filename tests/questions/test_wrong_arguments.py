@@ -90,6 +90,8 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("backtest", (FINISHED, MEASURED), {"within": -1.0}),
     ("backtest", (FINISHED, MEASURED), {"block": 0}),
     ("backtest", (FINISHED, MEASURED.assign(patient="a")), {"times": {"mine": [99]}}),
+    ("fit", (FINISHED, MEASURED.assign(patient="a"), ["process_sd"]), {}),
+    ("fit", (FINISHED, 5, ["process_sd"]), {}),
     ("next_time", (FINISHED, MEASURED), {"now": "late"}),
     ("next_time", (FINISHED, pd.DataFrame()), {}),
     ("filter_measurements", (FINISHED, pd.DataFrame()), {}),

@@ -245,4 +245,4 @@ def test_a_table_that_lacks_committed_draws_is_not_published(committed: list[ran
     """As where another driver has taken the parts away."""
     store: Any = SimpleNamespace(path="run", has_parts=lambda *_: True, draws=lambda *_: committed)
     with pytest.raises(StoreError, match="lacks draws that were committed"):
-        comparison_phase._publish(store, 8)
+        comparison_phase._publish(store, 8, 0)

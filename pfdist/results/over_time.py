@@ -1,0 +1,143 @@
+"""The error of each compared set over time, on all draws of the comparison.
+
+The table ``range_sums`` has sums of the errors at each instant over ranges of draws. The number of
+draws of a range is a power of 2 and divides its first draw, and a sum is that over its first half
+plus that over its second. So the table does not depend on how draws were cut into tasks. Ranges
+also give standard errors, and those of differences of two sets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.clock import Clock
+from pfdist.common.measurement_times import Times
+from pfdist.results.stored_run import StoredRun, problem_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+RANGE_SUMS = "range_sums"
+"""Name of the table."""
+_FEWEST = 32  # ranges of a comparison, if it has so many draws: standard errors are as good as that
+
+
+class Range(NamedTuple):
+    """The errors of S sets at each instant, summed over a range of draws; 0 draws: exact."""
+
+    first: int
+    draws: int
+    sums: Array  # (S, T+1)
+
+    @property
+    def end(self) -> int:
+        """The draw after the last."""
+        return self.first + self.draws
+
+
+def longest_range(draws: int) -> int:
+    """The largest number of draws of a range in a comparison of so many draws."""
+    return int(1 << max(0, (draws // _FEWEST).bit_length() - 1))
+
+
+def read_ranges(rows: pd.DataFrame) -> list[Range]:
+    """The ranges in rows of the table, in order; a range that is part of another is left out."""
+    found = list[Range]()
+    rows = rows.sort_values(["draw", "draws", "position"], ascending=[True, False, True])
+    for _, same in rows.groupby(["draw", "draws"], sort=False):
+        first, draws = int(same["draw"].iloc[0]), int(same["draws"].iloc[0])
+        if not found or first >= found[-1].end:
+            found.append(Range(first, draws, np.stack([*same["sums"]])))
+    return found
+
+
+def joined_ranges(ranges: Iterable[Range], most: int) -> list[Range]:
+    """The longest ranges, of at most so many draws, that successive ranges make up."""
+    whole = list[Range]()
+    for each in ranges:
+        whole.append(each)
+        while len(whole) > 1:
+            first, second = whole[-2:]
+            draws = 2 * first.draws
+            if first.draws != second.draws or draws > most or first.first % draws:
+                break
+            whole[-2:] = [Range(first.first, draws, first.sums + second.sums)]
+    return whole
+
+
+def error_over_time(run: StoredRun) -> pd.DataFrame:
+    """A row for each compared set and instant: the expected error then.
+
+    The columns are name (of the set); t; measured (whether the set measures then); draws (all of
+    the comparison; 0: exact); error and standard_error. Errors are weighted and scaled as in the
+    MSE, and less their controls if there are any: their mean over time is the expected MSE.
+    """
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    ranges, clock = read_ranges(run.table(RANGE_SUMS)), problem_of(run).clock
+    draws, tables = sum(each.draws for each in ranges), list[pd.DataFrame]()
+    for place, (name, times) in enumerate(run.sets.items()):
+        estimates = _estimates(ranges, place)
+        tables.append(profile_of(clock, clock.measurements(times), *estimates, draws))
+        tables[-1].insert(0, "name", name)
+    table = pd.concat(tables, ignore_index=True)
+    table.attrs.update(tables[0].attrs)
+    return table
+
+
+def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
+    """The error of a set at each instant less that of another, and its standard error, (T+1,)."""
+    ranges, names = read_ranges(run.table(RANGE_SUMS)), run.names
+    places = names.index(name), names.index(reference)
+    return _estimates(ranges, *places)
+
+
+def profile_of(
+    clock: Clock, times: Times, error: Array, standard_error: Array, draws: int
+) -> pd.DataFrame:
+    """A row for each instant, from the expected error of a set then and its standard error, (T+1,).
+
+    The columns are those of `error_over_time` but the name. The times are possible measurements of
+    the clock.
+    """
+    import pandas as pd  # noqa: PLC0415  it loads when tables are made
+
+    at = {time // max(1, len(clock.sensors)) for time in times}
+    table = pd.DataFrame(
+        {
+            "t": clock.times,
+            "measured": [t in at for t in range(len(clock.times))],
+            "draws": draws,
+            "error": error,
+            "standard_error": standard_error,
+        }
+    )
+    if not clock.counts:
+        table.attrs["time_unit"] = clock.unit
+    return table
+
+
+def _estimates(
+    ranges: Sequence[Range], place: int, other: int | None = None
+) -> tuple[Array, Array]:
+    """The error of a set at each instant, less that of another, and its standard error, (T+1,).
+
+    Ranges count by their draws. With one draw each, this is the standard error of a mean.
+    """
+    sums = np.stack([each.sums[place] for each in ranges])
+    if other is not None:
+        sums = sums - [each.sums[other] for each in ranges]
+    draws = np.array([max(1, each.draws) for each in ranges])[:, None]  # 0: exact, of one draw
+    with np.errstate(invalid="ignore"):
+        mean = sums.sum(axis=0) / draws.sum()
+        squares = (draws * (sums / draws - mean) ** 2).sum(axis=0)
+    if not ranges[0].draws:
+        return mean, np.zeros_like(mean)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return mean, np.sqrt(squares / np.float64(len(ranges) - 1) / draws.sum())

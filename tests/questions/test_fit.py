@@ -1,0 +1,128 @@
+"""Maximum likelihood: the exact optimum for a linear-Gaussian model, by Kalman's likelihood."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import minimize
+
+import pfdist
+from pfdist.filters.evaluator import recorded_evaluator
+from pfdist.filters.evidence import exact_log_evidence
+
+HORIZON, SYSTEMS = 20, 30
+TRUE = {"a": 0.9, "sd": 0.5, "noise": 0.7}
+START = {"a": 0.6, "sd": 1.0, "noise": 1.0}
+
+
+def model_with(**parameters: float) -> pfdist.StateSpaceModel:
+    """A stationary autoregression that is measured with noise."""
+    return pfdist.StateSpaceModel(
+        name="autoregression",
+        initial=lambda w, p: (p.sd / np.sqrt(1 - p.a**2) * w[0],),
+        transition=lambda x, t, w, p: (p.a * x[0] + p.sd * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + p.noise * v[0],),
+        log_likelihood=lambda y, x, t, p: pfdist.densities.normal_logpdf(y[0], x[0], p.noise),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        parameters=parameters,
+        parameter_ranges={"a": (0.0, 0.99), "sd": (1e-3, 10.0), "noise": (1e-3, 10.0)},
+        linear_gaussian=True,
+        normalised=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def data() -> pd.DataFrame:
+    """Measurements of thirty systems; every fifth instant was not measured."""
+    problem = pfdist.Problem(model_with(**TRUE), horizon=HORIZON, measurement_budget=4)
+    draws = pfdist.simulate(problem, draws=SYSTEMS, seed=3)
+    draws = draws.rename(columns={"draw": "system", "y_0": "y0"})[["system", "t", "y0"]]
+    return draws[draws["t"] % 5 != 4]
+
+
+def problem(**keys: object) -> pfdist.Problem:
+    """The problem with wrong values of the parameters."""
+    start = model_with(**START)
+    return pfdist.Problem(start, horizon=HORIZON, measurement_budget=4, **keys)
+
+
+def test_the_fit_finds_the_maximum_of_the_exact_likelihood(data: pd.DataFrame) -> None:
+    """Another search of the same likelihood, with derivatives, ends at the same place."""
+    fitted = pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial")
+    y = np.full((SYSTEMS, HORIZON + 1, 1), np.nan)
+    y[data["system"], data["t"], 0] = data["y0"]
+
+    def loss(values: np.ndarray) -> float:
+        model = model_with(**dict(zip(START, values.tolist(), strict=True)))
+        recorded = recorded_evaluator(model, model, horizon=HORIZON).model
+        return -float(exact_log_evidence(recorded, y).sum())
+
+    best = minimize(
+        loss, [*START.values()], method="L-BFGS-B", bounds=[(0, 0.99), (0.1, 5), (0.1, 5)]
+    )
+    assert fitted.is_converged
+    assert fitted.error == 0.0
+    assert fitted.log_likelihood == pytest.approx(-best.fun, abs=0.02)
+    assert [*fitted.parameters.values()] == pytest.approx(best.x.tolist(), abs=0.02)
+    assert fitted.log_likelihood > fitted.started_at
+    assert fitted.log_likelihood >= -loss(np.array([*TRUE.values()]))
+
+
+def test_particles_find_nearly_the_same(data: pd.DataFrame) -> None:
+    """The fit by particles loses little of Kalman's likelihood: less than a 95 % region, 3.9."""
+    exact = pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial")
+    fitted = pfdist.fit(problem(particles=500), data, [*START], evaluations=150, pool="threads")
+    start = pfdist.Problem(
+        model_with(**fitted.parameters), horizon=HORIZON, measurement_budget=4, engine="kalman"
+    )
+    again = pfdist.fit(start, data, [*START], evaluations=1, pool="serial")
+    assert exact.log_likelihood - again.started_at < 2.0
+    assert 0.0 < fitted.error < 3.0
+    assert abs(fitted.log_likelihood - again.started_at) < 6 * fitted.error
+
+
+def test_training_replicates_alone_are_used(data: pd.DataFrame) -> None:
+    marked = data.assign(train=(data["system"] < 10).astype(int))
+    fitted = pfdist.fit(problem(engine="kalman"), marked, ["noise"], pool="serial")
+    first = pfdist.fit(
+        problem(engine="kalman"), data[data["system"] < 10], ["noise"], pool="serial"
+    )
+    assert fitted.replicates == first.replicates == 10
+    assert fitted.parameters == first.parameters
+
+
+def test_bounds_hold(data: pd.DataFrame) -> None:
+    fitted = pfdist.fit(problem(engine="kalman"), data, {"noise": (0.9, 2.0)}, pool="serial")
+    assert fitted.parameters["noise"] == pytest.approx(0.9, abs=1e-3)
+    assert fitted.parameters["noise"] >= 0.9
+
+
+def test_a_likelihood_without_its_constant_is_not_fitted(data: pd.DataFrame) -> None:
+    model = replace(model_with(**START), normalised=False)
+    without = pfdist.Problem(model, horizon=HORIZON, measurement_budget=4)
+    with pytest.raises(pfdist.PfdistError, match="normalised=True"):
+        pfdist.fit(without, data, ["noise"])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        (["nois"], "did you mean 'noise'"),
+        ([], "at least one"),
+        ({"noise": (2.0, 3.0)}, "must start in 2..3, got 1"),
+    ],
+)
+def test_wrong_parameters_end_in_one_line(
+    data: pd.DataFrame, parameters: list[str], said: str
+) -> None:
+    with pytest.raises(pfdist.PfdistError, match=said):
+        pfdist.fit(problem(engine="kalman"), data, parameters)
+
+
+def test_a_fitted_parameter_has_no_column(data: pd.DataFrame) -> None:
+    with pytest.raises(pfdist.PfdistError, match="no column in the table, got noise"):
+        pfdist.fit(problem(engine="kalman"), data.assign(noise=0.7), ["noise"])
