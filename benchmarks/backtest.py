@@ -20,7 +20,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.predicted import predicted
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, OCHRE, RED
+from pfdist.pages.style import BLUE, COLUMN_INCHES, GREEN, GREY, OCHRE, PURPLE, RED
 from pfdist.results.promise import (
     HALF,
     KEPT,
@@ -41,6 +41,7 @@ GRIDS = ("from_start", "centred")
 REPLICATES = (20, 50, 100, 200, 400)
 JUDGED = [t for t in range(HORIZON + 1) if t not in sum(SETS.values(), ())]
 _SYSTEMS = 400  # groups of simulated systems, of which each replicate takes one
+COLOURS = ("black", GREY, BLUE, RED, OCHRE, GREEN, PURPLE)
 _INSTANTS = np.arange(HORIZON + 1)
 
 
@@ -84,7 +85,7 @@ def errors(y: Array) -> dict[str, Array]:
     found = {}
     for name, times in SETS.items():
         filtered = kalman.filter_checked_draws(model, draws, times, 0, Estimation(1), True)
-        apart = y[:, JUDGED] - filtered.estimate[:, JUDGED, 0]
+        apart = y[:, JUDGED] - np.asarray(filtered.estimate)[:, JUDGED, 0]
         found[name] = np.mean(apart**2, axis=1)
     return found
 
@@ -99,7 +100,7 @@ def mean_errors(moments: Array) -> dict[str, float]:
     means = {}
     for name, times in SETS.items():
         filtered = kalman.filter_checked_draws(model, draws, times, 0, Estimation(1), True)
-        rest = (units - filtered.estimate)[:, JUDGED, 0]
+        rest = (units - np.asarray(filtered.estimate))[:, JUDGED, 0]
         means[name] = float(np.trace(rest.T @ moments @ rest) / len(JUDGED))
     return means
 
@@ -142,7 +143,8 @@ def without_gain(shape: Array) -> Array:
             ("shape", mean_errors(np.outer(shape, shape))),
         )
     }
-    return shape * np.sqrt(-difference["foreseen"] / difference["shape"])
+    size = float(np.sqrt(-difference["foreseen"] / difference["shape"]))
+    return size * shape
 
 
 def cases() -> Mapping[str, Case]:
@@ -237,4 +239,44 @@ def repeated(
 
 def summary(tables: Tables) -> str:
     """Give the table in Markdown."""
-    return "TODO"
+    rows = tables["backtest"]
+    lines = [
+        [
+            row["case"],
+            f"{row['ratio']:.2f}".replace("-0.00", "0.00"),
+            str(row["replicates"]),
+            *(f"{100 * row[share]:.1f}" for share in ("kept", "not_kept", "not_decided", "wrong")),
+        ]
+        for row in rows[rows["grid"] == "centred"].to_dict("records")
+    ]
+    header = (
+        "measurements", "true ratio", "replicates", "kept, %", "not kept, %", "not decided, %",
+        "model is wrong, %",
+    )  # fmt: skip
+    return (
+        f"Verdicts of {REPEATS} backtests of a plan of 4 measurements in T = {HORIZON} against "
+        "centred times, and how many say that the model is wrong. The true ratio of the found and "
+        "the foreseen difference is exact. The foreseen gain is 20 % against centred times and "
+        "11 % against times from 0, for which verdicts take about three times as many replicates."
+        "\n\n" + markdown(header, lines)
+    )
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw the share of clear verdicts against the number of replicates."""
+    figure = Figure(figsize=(COLUMN_INCHES, 1.5 * COLUMN_INCHES), layout="constrained")
+    panels = figure.subplots(2, sharex=True, sharey=True)
+    rows = tables["backtest"]
+    for axes, grid in zip(panels, GRIDS, strict=True):
+        chosen = rows[rows["grid"] == grid]
+        for (name, case), colour in zip(chosen.groupby("case", sort=False), COLOURS, strict=False):
+            share = 100 * (1 - case["not_decided"])
+            axes.plot(case["replicates"], share, "o-", ms=2, color=colour, label=name)
+        axes.set_title(f"against {'times from 0' if grid == 'from_start' else 'centred times'}")
+        axes.set_ylabel("verdicts, %")
+    panels[1].set_xlabel("replicates")
+    panels[1].set_xscale("log")
+    panels[1].set_xticks(REPLICATES, [str(each) for each in REPLICATES])
+    panels[1].minorticks_off()
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
