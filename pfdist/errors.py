@@ -98,6 +98,16 @@ def one_line(text: str) -> str:
     return " ".join(printable(text).splitlines())
 
 
+def reason_of(error: Exception) -> str:
+    """The message of an error in a line; after the name of its type, if pfdist did not expect it.
+
+    >>> reason_of(StoreError("no run")), reason_of(KeyError("a"))
+    ('no run', "KeyError: 'a'")
+    """
+    text = str(error) if isinstance(error, PfdistError) else f"{type(error).__name__}: {error}"
+    return one_line(shown_text(text))
+
+
 def printable(text: str) -> str:
     """A text as outputs show it: with relative paths, and no control characters but line breaks."""
     text = relative(text)

@@ -24,14 +24,14 @@ class Command(NamedTuple):
     examples : dict of str to str
         Whole command lines of at most 78 characters, each with what it does. The help of the
         command ends with them, and a test runs them. The first is the one to begin with.
-    goes_on : bool
-        Whether the same command, given again, goes on from what an interrupted one committed.
+    resumes : bool
+        Whether the same command, given again, resumes what was interrupted.
     """
 
     function: str
     sentence: str
     examples: dict[str, str]
-    goes_on: bool = False
+    resumes: bool = False
 
 
 COMMANDS = {
@@ -44,10 +44,10 @@ COMMANDS = {
                 "Run it in one process, without Ray"
             ),
             "pfdist run jobs/quick.toml --set comparison.draws=8000": (
-                "Go on with more draws in the comparison"
+                "Resume it with more draws in the comparison"
             ),
         },
-        goes_on=True,
+        resumes=True,
     ),
     "plan": Command(
         "pfdist.questions.plan:plan",
@@ -63,13 +63,13 @@ COMMANDS = {
                 "Change a key of the job, and keep the run in another folder"
             ),
             "pfdist plan jobs/plan.toml --set filter.particles=auto --results results/auto": (
-                "Find first how many particles are enough"
+                "First find how many particles are enough"
             ),
             "pfdist plan jobs/plan.toml --search exchange --results results/exchange": (
                 "Search by another method"
             ),
         },
-        goes_on=True,
+        resumes=True,
     ),
     "budget": Command(
         "pfdist.questions.budget:budget",
@@ -79,13 +79,13 @@ COMMANDS = {
                 "Show how the error falls with 5, 6, ..., 41 measurements"
             ),
             "pfdist budget jobs/plan.toml --measurements 10:40:10 --results results/tens": (
-                "Look at 10, 20, 30 and 40 measurements alone"
+                "Try only 10, 20, 30 and 40 measurements"
             ),
             "pfdist budget jobs/plan.toml --measurements 5:41 --target 25": (
                 "Find the smallest number of measurements that reaches an error of 25"
             ),
         },
-        goes_on=True,
+        resumes=True,
     ),
     "compare": Command(
         "pfdist.questions.compare:compare",
@@ -98,7 +98,7 @@ COMMANDS = {
                 "Compare a set with those of a finished run"
             ),
         },
-        goes_on=True,
+        resumes=True,
     ),
     "online": Command(
         "pfdist.questions.online:online",
@@ -108,10 +108,10 @@ COMMANDS = {
                 "Compare times chosen one after another with times found in advance"
             ),
             "pfdist online jobs/plan.toml --draws 200": (
-                "Do so for a job without a section [online], on few draws"
+                "The same for a job without a section [online], on few draws"
             ),
         },
-        goes_on=True,
+        resumes=True,
     ),
     "sweep": Command(
         "pfdist.cli.own:sweep",
@@ -126,16 +126,16 @@ COMMANDS = {
             "pfdist sweep jobs/budgets.toml --dry-run": "List the points of a sweep file",
             "pfdist sweep jobs/budgets.toml --part 3/12": "Compute the third of twelve parts",
         },
-        goes_on=True,
+        resumes=True,
     ),
     "bound": Command(
         "pfdist.questions.bound:bound",
         "Prove how much lower the expected MSE of any other times can be.",
         {
             "pfdist bound jobs/plan.toml": "Prove a lower bound for the times of a finished run",
-            "pfdist bound jobs/plan.toml --within 0.05": "Take draws until the gap is at most 5 %",
+            "pfdist bound jobs/plan.toml --within 0.05": "Add draws until the gap is at most 5 %",
         },
-        goes_on=True,
+        resumes=True,
     ),
     "why": Command(
         "pfdist.questions.why:why",
@@ -143,7 +143,7 @@ COMMANDS = {
         {
             "pfdist why jobs/plan.toml": "Show what each measurement of the plan is worth",
             "pfdist why jobs/plan.toml --draws 20000": "Show it more precisely",
-            "pfdist why results/plan": "Ask about a run by its folder",
+            "pfdist why results/plan": "Name the run by its folder",
         },
     ),
     "evaluate": Command(
@@ -188,9 +188,9 @@ COMMANDS = {
         "pfdist.questions.next_time:next_time",
         "Choose when to measure a system next, from the measurements so far.",
         {
-            "pfdist next jobs/plan.toml patient.csv": "Say when to measure this patient next",
+            "pfdist next jobs/plan.toml patient.csv": "Choose the patient's next measurement time",
             "pfdist next jobs/plan.toml patient.csv --now 17": (
-                "Say so if nothing was measured since, up to t = 17"
+                "The same, if nothing was measured since, up to t = 17"
             ),
         },
     ),
@@ -199,7 +199,7 @@ COMMANDS = {
         "Show how far a run is and what it has found.",
         {
             "pfdist status results/plan": "Show what a run has found so far",
-            "pfdist status results/plan --json": "Give the same to a program",
+            "pfdist status results/plan --json": "Print the same as JSON, for a program",
         },
     ),
     "list": Command(
@@ -207,7 +207,7 @@ COMMANDS = {
         "List the runs in a folder: how far each is, and what it has found.",
         {
             "pfdist list": "Show all runs in the folder results",
-            "pfdist list results --json": "Give the same to a program",
+            "pfdist list results --json": "Print the same as JSON, for a program",
         },
     ),
     "table": Command(
@@ -224,8 +224,8 @@ COMMANDS = {
         "Write the report of a run or a sweep: one HTML file that can be sent to anybody.",
         {
             "pfdist report results/plan": "Write report.html into the folder of the run",
-            "pfdist report results/plan --watch": "Write it again and again while the run goes on",
-            "pfdist report results/budgets": "Write that of a sweep, with links to the points",
+            "pfdist report results/plan --watch": "Write it again while the run continues",
+            "pfdist report results/budgets": "Write the report of a sweep, with links to points",
         },
     ),
     "plot": Command(
@@ -267,7 +267,7 @@ COMMANDS = {
         "pfdist.cli.own:completion",
         "Print a script by which a shell completes commands, options and files.",
         {
-            'eval "$(pfdist completion bash)"': "Complete by Tab in this terminal",
+            'eval "$(pfdist completion bash)"': "Complete with Tab in this terminal",
             "pfdist completion bash > ~/.pfdist.bash": (
                 "Keep the script, for the line `. ~/.pfdist.bash` in ~/.bashrc"
             ),

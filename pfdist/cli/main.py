@@ -1,4 +1,4 @@
-"""The program `pfdist`: parse the arguments, call the command, and say what went wrong.
+"""The program `pfdist`: parse the arguments, call the command, and print what went wrong.
 
 A signal of the user or of a batch system ends a command as an error would, so that it cleans up;
 see `pfdist.common.stopping`.
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         stopping.listen()
     try:
-        started_in(os.getcwd())  # a model may move the process
+        started_in(os.getcwd())  # a model may change the working folder
         # Not above: the package itself makes this check, before anything imports Numba.
         from pfdist.kernels import check_settings  # noqa: PLC0415
 
@@ -80,9 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(line: "Line", *, ends: bool) -> int:
-    """Call the function of a command and show its answer; turn errors into a line and a code.
+    """The exit code of a command, whose answer is shown; an error becomes a line.
 
-    `ends` says whether the process ends afterwards.
+    The process ends afterwards if `ends` is true.
     """
     try:
         with _warnings_as_lines():
@@ -92,16 +92,16 @@ def _run(line: "Line", *, ends: bool) -> int:
                 stopping.check()
                 raise
             flush_output()
-        stopping.check()  # the exit code says that a signal was received, even at the very end
+        stopping.check()  # the exit code shows a signal that was received, even at the very end
     except KeyboardInterrupt:
-        resumes = COMMANDS[line.name].goes_on and not line.options.get("dry_run")
+        resumes = COMMANDS[line.name].resumes and not line.options.get("dry_run")
         print(f"pfdist: Stopped.{_SAVED if resumes else ''}", file=sys.stderr)
         return stopping.exit_code() or _INTERRUPTED
     except BrokenPipeError:
         return _unread()
     except SilenceError as error:
         code = _error(error, debug=line.debug)
-        if ends:  # threads of a lost cluster could end the process with a code of their own
+        if ends:  # threads of a lost cluster could end the process with another code
             with contextlib.suppress(OSError):
                 flush_output()
             os._exit(code)
@@ -120,7 +120,7 @@ def _show(line: "Line", *, ends: bool) -> None:
 
 
 def _answer(line: "Line") -> Any:
-    """Call the function of a command, which shows its progress and its messages if it has any."""
+    """The answer of a command's function; its progress and its messages are shown meanwhile."""
     taken = signature(line.function).parameters
     if "say" not in taken:
         return line.function(*line.arguments, **line.options)
@@ -134,14 +134,14 @@ def _answer(line: "Line") -> Any:
 
 
 def _unread() -> int:
-    """End quietly, because the reader of the output has ended, as ``head`` does."""
+    """The exit code after the reader of the output has ended, as ``head`` does; without a line."""
     _output_error()
     sys.stderr.close()
     return stopping.exit_code() or _ERROR
 
 
 def _error(error: Exception, *, debug: bool) -> int:
-    """Print an error as one line, after its traceback if that is wanted; return the exit code."""
+    """The exit code of an error, which is printed as one line, after its traceback if wanted."""
     reason, hint = str(error), ""
     if isinstance(error, PfdistError) and error.argument:
         option = f"--{error.argument.replace('_', '-')}"

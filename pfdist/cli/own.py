@@ -1,6 +1,6 @@
-"""Commands that are no function of the library as it is.
+"""Commands that differ from the functions of the library.
 
-Each gives an answer, as the functions of `pfdist.questions` do, or lines and checks one by one.
+Each returns an answer, as the functions of `pfdist.questions` do, or yields lines or checks.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -40,8 +40,8 @@ def sweep(
     job : str
         A sweep file, which names a job and values of its keys; or a job file, with --over.
     over : mapping, optional
-        A key of the job with its values, as seed=1:10 or model.parameters.NAME=0.5,1; once for
-        each key. Every combination is a point.
+        A key of the job with its values, as seed=1:10 or model.parameters.NAME=0.5,1; give the
+        option once for each key. Every combination is a point.
     results : str, optional
         Folder of the sweep; by default ``results/NAME`` of a sweep file ``NAME.toml``, or
         ``results/NAME-sweep`` of a job.
@@ -51,12 +51,12 @@ def sweep(
         Number of draws of the lower bound that is proved at each point; 0 for no bound.
     judge : bool, optional
         Also judge the times found at each point at every point, in the folder judged of the sweep;
-        by default as the sweep file says.
+        the default is judge of the sweep file.
     part : tuple of two int, optional
-        Compute every N-th point, from the K-th, and look at no other, as tasks of a batch array do.
-        Then the same command without --part judges and reports the whole sweep.
+        Compute every N-th point, from the K-th, and no other, as tasks of a batch array do. Then
+        the same command without --part judges and reports the whole sweep.
     dry_run : bool
-        Print the points, their work by the speed of a few draws, and the number of parts that pays;
+        Print the points, their work, estimated from a few draws, and how many parts are worthwhile;
         compute no point.
     options
         See `Options`.
@@ -65,7 +65,7 @@ def sweep(
     from pfdist.questions.sweep import sweep as computed
 
     if dry_run and part is not None:
-        raise ArgumentError("either a part or a dry run, got --part and --dry-run")
+        raise ArgumentError("--part and --dry-run exclude each other: a dry run computes no point")
     if dry_run:
         return foreseen(
             job, over or {}, results=results, changes=changes, judge=judge,
@@ -153,7 +153,7 @@ def check_model(
     from pfdist.questions.check_model import checks_of
 
     if horizon is not None and times is not None:
-        raise ArgumentError("either a horizon or a clock, got --horizon and --times")
+        raise ArgumentError("--horizon and --times exclude each other: a clock has a last instant")
     wrong = list[str]()
     checks = checks_of(model, horizon, particles, clock_of(times).times if times else ())
     yield from _noting(wrong, checks)
@@ -180,7 +180,7 @@ def doctor(*, results: str = "results", address: str = "") -> Iterator["Check"]:
 
 
 def _noting(wrong: list[str], checks: Iterable["Check"]) -> Iterator["Check"]:
-    """Checks, while the names of those that found something wrong are noted."""
+    """Yield the checks, and note the names of those that found something wrong."""
     for check in checks:
         yield check
         wrong += [check.name] * (check.state == "wrong")

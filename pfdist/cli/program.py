@@ -1,4 +1,4 @@
-"""The program: its commands, their help, and what is said about wrong words."""
+"""The program: its commands, their help, and the messages about wrong words."""
 
 import inspect
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -34,12 +34,12 @@ _EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
     "75 ended by SIGTERM or SIGUSR1, which batch systems send, or because no worker answers."
 )
-_GOES_ON = "If it is interrupted, the same command resumes where it stopped. "
+_RESUMES = "If it is interrupted, the same command resumes where it stopped. "
 _MARGIN = 24  # columns before the meaning of an argument
 
 
 class Program(App):
-    """The command line, with help of our own."""
+    """The command line, whose help is that of `help_of`."""
 
     def help_print(self, tokens: str | Iterable[str] | None = None, **_: Any) -> None:
         """Print the help of the program, or of the command that some words begin with."""
@@ -60,12 +60,14 @@ def program() -> App:
 
 
 def line_of(words: Sequence[str]) -> "Line | None":
-    """A command line that is read; None if it asks for help or the version, which is printed.
+    """The command line that some words spell; None if they ask for help or the version.
+
+    Help or version are then printed.
 
     Raises
     ------
     CycloptsError
-        The words are wrong; `complaint` says so in a line.
+        The words are wrong; `complaint` gives the line to print.
     """
     read, given, _ = program().parse_args(words, exit_on_error=False, print_error=False)
     line: Line | None = read(*given.args, **given.kwargs)
@@ -108,13 +110,13 @@ def usage(app: App, name: str) -> str:
 
 
 def help_of(app: App, name: str) -> str:
-    """The help of a command: what its docstring says, its arguments, and examples."""
+    """The help of a command: the text of its docstring, its arguments, and examples."""
     command = COMMANDS[name]
     docstring = inspect.getdoc(app[name].default_command) or ""
     about = docstring.partition("\nParameters\n---")[0].replace("``", "`").strip()
     text = "\n\n".join(fill(" ".join(each.split()), line_width()) for each in about.split("\n\n"))
     rows = _rows([*arguments_of(app, name), ("--help, -h", "Show this help.")])
-    notes = fill((_GOES_ON if command.goes_on else "") + _EXIT_CODES, line_width())
+    notes = fill((_RESUMES if command.resumes else "") + _EXIT_CODES, line_width())
     parts = [
         text,
         f"usage: {usage(app, name)} [options]",

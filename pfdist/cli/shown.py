@@ -114,7 +114,7 @@ def _page_of(frame: pd.DataFrame, line: Line) -> Page:
 def _places(run: Run) -> dict[str, Path]:
     """Tables, figures and report of a run, as far as they are there.
 
-    Files of the user's own that have these names do not count.
+    The user's own files with these names do not count.
     """
     places = {
         "tables": ("tables", (run.path / "tables").is_dir()),

@@ -82,7 +82,7 @@ def flush_output() -> None:
 
 @contextlib.contextmanager
 def stream_for_json(*, ends: bool) -> Iterator[Any]:
-    """A stream for the JSON object of ``--json``, and none of what a model prints.
+    """A stream that gets the JSON object of ``--json``, and nothing that a model prints.
 
     All other output goes to standard error, also that of compiled code and of child processes.
 
@@ -101,7 +101,7 @@ def stream_for_json(*, ends: bool) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _separate_stream(stream: Any, *, ends: bool) -> Iterator[Any]:
-    """A new stream to where a stream writes, and redirect the old descriptors to 2."""
+    """A new stream with the target of a stream, whose old descriptors are redirected to 2."""
     try:
         stream.flush()
         copies = {number: os.dup(number) for number in {1, stream.fileno()}}

@@ -1,7 +1,7 @@
 """How the words of a command line become the arguments of a function.
 
-A parameter of a function is read as `WORDS` says for its name, or for ``COMMAND.NAME`` if it is
-read differently there. Most parameters are options, whose names `WORDS` may change (``changes`` is
+`WORDS` declares how each parameter is read, by its name, or by ``COMMAND.NAME`` if one command
+reads it differently. Most parameters are options, whose names `WORDS` may change (``changes`` is
 ``--set``). Words without an option are marked in `WORDS`, and some parameters are for Python alone.
 """
 
@@ -77,7 +77,7 @@ def _texts(metavar: str, read: Callable[[list[str]], Any] = list, **settings: An
 
 
 def _path(text: str) -> str:
-    """A path; no word stands for the current folder but ``.``."""
+    """A path; an empty word is none: the current folder is ``.``."""
     if not text.strip():
         raise ValueError(f"must be a path, got {shown(text)}")
     return text
@@ -93,7 +93,7 @@ def _decimal(text: str) -> int | float:
 
 
 def _part(text: str) -> tuple[int, int]:
-    """The numbers of ``3/200``; `SweepJob.part` knows which are allowed."""
+    """The numbers of ``3/200``; `SweepJob.part` checks them."""
     number, _, parts = text.partition("/")
     try:
         return whole_number(number), whole_number(parts)
@@ -102,13 +102,13 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _clock(text: str) -> str:
-    """Times as they are written, which the clock of the job reads."""
+    """Times as they are written; the clock of the job reads them."""
     ranges(_SENSOR.sub(" ", text), finite_number)
     return text
 
 
 def _sets_or_one(texts: list[str]) -> dict[str, str]:
-    """Sets as `_sets` gives them; the name of a set that is alone may be missing."""
+    """Sets as `_sets` gives them; a single set needs no name."""
     if len(texts) > 1 or "=" in texts[0] or texts == [REGULAR]:
         return _sets(texts)
     return {"": _clock(texts[0])}
@@ -142,7 +142,7 @@ def _sets(texts: list[str]) -> dict[str, str]:
 
 
 def _search() -> Word:
-    # Not above: a search of an installed package that cannot be loaded spoils no other command.
+    # Not above: an installed search that cannot be loaded must not break other commands.
     from pfdist.problem.methods import METHODS  # noqa: PLC0415
 
     return Word(str, Parameter(metavar="METHOD", choices=tuple(METHODS)))
@@ -207,7 +207,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
 
 
 class Line(NamedTuple):
-    """A command line that was read: a function, its arguments, and how its answer is shown."""
+    """A command line as it was read: a function, its arguments, and how its answer is shown."""
 
     name: str
     function: Callable[..., Any]

@@ -10,25 +10,23 @@ _SMALLEST_PLACE = -5  # a zero is not written with more decimals than the smalle
 _MOST_DIGITS = 12  # beyond them a double's own rounding begins to show
 
 
-def rounded(value: float | None, digits: int = _DIGITS, sign: bool = False) -> str:
+def rounded(value: float | None, digits: int = _DIGITS) -> str:
     """A number without a standard error, as text with a few significant digits.
 
-    None, like NaN, is unknown. With `sign`, a positive number has a plus sign.
+    None, like NaN, is unknown.
 
     >>> rounded(31.2), rounded(1234567.0), rounded(-0.00001), rounded(0.0)
     ('31.200', '1.2346e+06', '-1.0000e-05', '0')
     """
     if value is None or not math.isfinite(value):
         return _word(value)
-    plus = "+" if sign else ""
-    return _text(value, _exponent(value) - digits + 1, plus) if value else f"{0:{plus}}"
+    return _text(value, _exponent(value) - digits + 1) if value else "0"
 
 
-def with_error(value: float | None, error: float | None, sign: bool = False) -> str:
+def with_error(value: float | None, error: float | None) -> str:
     """A value ± its standard error as text, both to the second significant digit of the error.
 
-    None, like NaN, is unknown. An error of 0 belongs to an exact value, and is left out. With
-    `sign`, a positive value has a plus sign.
+    None, like NaN, is unknown. An error of 0 belongs to an exact value, and is left out.
 
     >>> with_error(22.7345, 0.0304), with_error(1234.5, 249.0)
     ('22.735 ± 0.030', '1230 ± 250')
@@ -36,19 +34,19 @@ def with_error(value: float | None, error: float | None, sign: bool = False) -> 
     ('(1.23 ± 0.40)e+108', '(1.000 ± 0.030)e-09')
     """
     if value is None or not math.isfinite(value) or error == 0.0:
-        return rounded(value, sign=sign)
+        return rounded(value)
     if error is None or not math.isfinite(error):
-        return f"{rounded(value, sign=sign)} ± {_word(error)}"
-    place, size, plus = _last_place(error), max(abs(value), error), "+" if sign else ""
+        return f"{rounded(value)} ± {_word(error)}"
+    place, size = _last_place(error), max(abs(value), error)
     if _exponent(size) - place >= _MOST_DIGITS:
-        return f"{rounded(value, sign=sign)} ± {error:.1e}"
+        return f"{rounded(value)} ± {error:.1e}"
     if _SMALLEST <= size < _LARGEST:
-        return f"{_fixed(value, place, plus)} ± {_fixed(error, place)}"
+        return f"{_fixed(value, place)} ± {_fixed(error, place)}"
     exponent = int(f"{size:.{_exponent(size) - place}e}".partition("e")[2])  # once it is rounded
     # As decimals: a power of ten may be too large or too small for a double.
     mantissa, error_part = (Decimal(part).scaleb(-exponent) for part in (value, error))
     decimals = max(0, exponent - place)
-    return f"({mantissa:{plus}.{decimals}f} ± {error_part:.{decimals}f})e{exponent:+03d}"
+    return f"({mantissa:.{decimals}f} ± {error_part:.{decimals}f})e{exponent:+03d}"
 
 
 def with_interval(value: float | None, low: float | None, high: float | None) -> tuple[str, ...]:
@@ -87,16 +85,14 @@ def _last_place(error: float) -> int:
     return int(f"{error:.1e}".partition("e")[2]) - 1
 
 
-def _text(value: float, place: int, plus: str = "") -> str:
+def _text(value: float, place: int) -> str:
     """A number rounded to a decimal place, with an exponent if the number is large or small."""
     nearest = round(value, -place) + 0.0
     if nearest and not _SMALLEST <= abs(nearest) < _LARGEST:
-        return f"{nearest:{plus}.{max(0, _exponent(nearest) - place)}e}"
-    if not nearest and place < _SMALLEST_PLACE:
-        return f"{0:{plus}}"
-    return _fixed(value, place, plus)
+        return f"{nearest:.{max(0, _exponent(nearest) - place)}e}"
+    return "0" if not nearest and place < _SMALLEST_PLACE else _fixed(value, place)
 
 
-def _fixed(value: float, place: int, plus: str = "") -> str:
+def _fixed(value: float, place: int) -> str:
     nearest = round(value, -place) + 0.0  # no minus sign before a zero
-    return f"{nearest:{plus}.{max(0, -place)}f}"
+    return f"{nearest:.{max(0, -place)}f}"

@@ -12,15 +12,3 @@ from pfdist.models.loader import (
     installed_name,
     load_model,
 )
-
-__all__ = [
-    "PYTHON",
-    "NamedModel",
-    "Sensor",
-    "StateSpaceModel",
-    "check_name",
-    "installed_models",
-    "installed_name",
-    "load_model",
-    "squared_error",
-]

@@ -10,7 +10,7 @@ import keyword
 import math
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -32,7 +32,7 @@ from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula
 
 NoiseKind = Literal["normal", "uniform", "centred"]
-NOISE_KINDS = get_args(NoiseKind)
+
 ARGUMENTS = {
     "initial": ("w", "p"),
     "transition": ("x", "t", "w", "p"),

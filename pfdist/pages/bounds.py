@@ -1,4 +1,4 @@
-"""The reach of a number of measurements: the budget curve, and the proof of a lower bound."""
+"""The budget curve, and the lower bound against the work of its proof."""
 
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ def budget_figure(tables: Tables) -> Plot:
 
 
 def draw_target(run: Run, target: float) -> list[Path]:
-    """Draw which numbers of measurements reach a target, and which cannot, in a figure of its own.
+    """The files of a figure of a target: which numbers of measurements reach it, and which cannot.
 
     Parameters
     ----------
@@ -52,7 +52,6 @@ def draw_target(run: Run, target: float) -> list[Path]:
     Returns
     -------
     list of Path
-        The files written.
     """
     return save_plots(run, [(f"budget-target-{target:g}", _plot(run, target))])
 
@@ -93,7 +92,8 @@ def budget(
 ) -> Axes:
     """Draw the expected MSE against N with its 95 % intervals, and the lower bound if there is one.
 
-    An arrow shows how many fewer times of the plan do as well as most evenly spaced ones.
+    An arrow shows how many planned measurements do as well as the largest number of evenly spaced
+    ones.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def budget(
 
 
 def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
-    """Draw an arrow from most evenly spaced times to the fewer planned times that do as well."""
+    """Draw an arrow from most evenly spaced times to the fewer planned ones that do as well."""
     rows = table[table["kind"] == "regular"].sort_values("measurements")
     number, mse = rows[["measurements", "expected_mse"]].iloc[-1]
     least = reaching(table, mse)["found"]["measurements"]

@@ -41,14 +41,14 @@ class Plot:
         In inches, for a font of 8 points; it scales with the font of the style. The style gives
         the width.
     draw : callable
-        Draws into the panels, from above to below.
+        Draws into the panels, from top to bottom.
     panels : int
         Number of panels.
     share_x : bool
         Whether the panels share one horizontal axis.
     title : str
-        One sentence that says what to see in the data. It is not drawn; reports show it beside the
-        figure, and files hold it as their title.
+        The finding, in a sentence. It is not drawn; reports show it beside the figure, and files
+        have it as their title.
     heights : sequence of float, optional
         Relative heights of the panels; by default all are equal.
     """
@@ -107,7 +107,7 @@ class Figure:
     plot : callable
         The plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
     applies : callable
-        Says whether a run has the figure.
+        Whether a run has the figure.
     each_set : bool
         Whether there is a file ``<name>-<set>`` for each compared set but the reference.
     """
@@ -159,7 +159,7 @@ def figure(
     name : str
         File name without suffix; with ``each_set`` the first part of it.
     applies : callable
-        Says whether a run has the figure; by default every run has it.
+        Whether a run has the figure; by default every run has it.
     each_set : bool
         Whether there is a file ``<name>-<set>`` for each compared set but the reference. The
         function is then called with the name of a set, too.
@@ -174,7 +174,7 @@ def figure(
 
 
 def draw_missing_figures(run: Run) -> None:
-    """Draw the figures of a run whose files are missing; its comparison has begun.
+    """Draw those figures of a run whose files are missing. The comparison has begun.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def draw_missing_figures(run: Run) -> None:
 
 
 def draw_figures(run: Run, only: str = "") -> list[Path]:
-    """Draw all figures of a run from its tables, or one, into its folder ``figures``.
+    """The files of all figures of a run, or of one, drawn from its tables into ``figures``.
 
     Parameters
     ----------
@@ -201,7 +201,6 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
     Returns
     -------
     list of Path
-        The files written.
 
     Raises
     ------
@@ -210,15 +209,17 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
         file cannot be written.
     """
     if run.state == "searching" or not run.draws_compared:
-        raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
+        raise StoreError(
+            f"{run.path} has no compared draws yet: resume it first, `pfdist run {run.path}`"
+        )
     tables, wanted = Tables(run), [FIGURES[only]] if only else FIGURES.values()
     return save_plots(run, (plot for figure in wanted for plot in figure.plots(tables)))
 
 
 def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
-    """Draw plots in the style for print into the folder ``figures`` of a run; return the files.
+    """The files of plots, drawn in the style for print into the folder ``figures`` of a run.
 
-    Each plot comes with the name of its files, without suffix, and has a PNG and an SVG file.
+    Each plot comes with the name of its files, without suffix, and has a file of each format.
     """
     saved = []
     with styled():
@@ -234,7 +235,7 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
 def save_plot(path: Path, plot: Plot, title: str) -> None:
     """Draw a plot in the style for print into any PNG file.
 
-    The title, in ASCII, is not drawn. The file has it near its start as metadata, by which a later
+    The title, in ASCII, is not drawn. It is metadata near the start of the file, by which a later
     call recognises an earlier figure.
     """
     with styled():
@@ -242,16 +243,16 @@ def save_plot(path: Path, plot: Plot, title: str) -> None:
 
 
 def drawn(plot: Plot) -> Canvas:
-    """Draw a plot, as large as the style in use makes it, on a canvas without a window.
+    """A canvas with a plot, in the size that the style in use gives; it has no window.
 
-    The layout is made here, once. A canvas with a layout engine would draw everything twice for
-    each format.
+    The layout is computed here, once. A canvas with a layout engine would draw everything twice
+    for each format.
     """
     check()
     size = rcParams["figure.figsize"][0], scaled(plot.height)
     dots = rcParams["savefig.dpi"]  # an inch; "figure" in styles that have no number
     canvas = Canvas(figsize=size, dpi=None if dots == "figure" else dots)
-    canvas.set_layout_engine("none")  # whatever the style says
+    canvas.set_layout_engine("none")  # in any style
     panels = canvas.subplots(
         plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
     )
@@ -262,7 +263,7 @@ def drawn(plot: Plot) -> Canvas:
 
 
 def _remove_control_characters(canvas: Canvas) -> None:
-    """Replace the control characters that names in a run from elsewhere may hold."""
+    """Replace control characters: a run from elsewhere may have them in its names."""
     for axis in (axis for panel in canvas.axes for axis in (panel.xaxis, panel.yaxis)):
         labels = [label.get_text() for label in axis.get_ticklabels()]
         if (shown := [*map(printable, labels)]) != labels:

@@ -1,4 +1,4 @@
-"""A filter's belief about z over time, from real measurements, with 50 and 90 % bands."""
+"""A filter's estimate of z over time, from real measurements, with 50 and 90 % bands."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -39,7 +39,7 @@ planned times after the last measurement. With sensors each is written with its 
 
 
 def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
-    """Plot of each component of z: mean, bands, and the times of measurements.
+    """The plot of each component of z: mean, bands, and the times of measurements.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def check_figure_replaceable(path: Path) -> None:
     Raises
     ------
     StoreError
-        The file exists, and is no earlier figure of filtered measurements.
+        The file exists, and is not an earlier figure of filtered measurements.
     """
     check_replaceable(path, partial(begins_with, mark=_TITLE.encode(), most=_START))
 
@@ -101,8 +101,8 @@ def belief(
     Parameters
     ----------
     source : DataFrame or object
-        A table of filtered measurements, with the columns of `pfdist.store.filtered_schema`, or an
-        object that has it as ``table``, such as the result of `pfdist.filter_measurements`.
+        A table of filtered measurements, with the columns of `pfdist.store.filtered_schema`; or an
+        object whose ``table`` it is, such as the result of `pfdist.filter_measurements`.
     component : int
         Component of z.
     times : tuple of four sequences of int, float or str, optional

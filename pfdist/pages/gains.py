@@ -1,4 +1,4 @@
-"""Gains of found times: the relative gain over all draws, and one draw (paper, figures 3, 4)."""
+"""The relative gain of a set over all draws, and one draw (the paper's figures 4 and 3)."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -53,7 +53,7 @@ def gain_figure(tables: Tables, name: str) -> Plot:
 
 
 def title_of_gain(relative: Gain, which: str, reference: str) -> str:
-    """Say in how many draws the error with these times is lower than with the reference."""
+    """The share of draws in which a set has a lower error than the reference, in a sentence."""
     if not relative.counts.any():
         return "No draw has a finite gain."
     share = 100 * relative.positive / relative.relative.count
@@ -165,7 +165,7 @@ def _draw_gains(ax: Axes, gains: dict[str, Gain], reference: str, colours: Seque
 
 
 def _mark_beyond(ax: Axes, relative: Gain, first: int, last: int) -> None:
-    """Draw an arrow on each side on which draws lie beyond the axis, and write how many."""
+    """Draw an arrow on each side where draws lie beyond the axis, and write how many."""
     below = relative.below + int(relative.counts[:first].sum())
     above = relative.above + int(relative.counts[last:].sum())
     for draws, where, index, arrow in ((below, "below", first, "<"), (above, "above", last, ">")):
@@ -214,14 +214,14 @@ def draw_figure(tables: Tables, name: str) -> Plot:
 
 
 def no_draw() -> Plot:
-    """A plot that says that there is no draw to show."""
+    """A plot with a sentence in place of a draw."""
     text = "no draw with a trajectory has a gain"
     title = f"{text[0].upper()}{text[1:]}."
     return Plot(2.6, lambda panels: write_instead(panels[0], text), title=title)
 
 
 def title_of_draw(gain: float, draws: int, which: str, reference: str) -> str:
-    """Say how much the errors of two sets differ in a draw near the median of so many draws."""
+    """How far the errors of two sets differ in a draw near the median of all, in a sentence."""
     lower = "lower" if gain >= 0 else "higher"
     return (
         f"One draw, of a gain near the median of all {draws:,}: with {which} the error is "
@@ -230,7 +230,7 @@ def title_of_draw(gain: float, draws: int, which: str, reference: str) -> str:
 
 
 def legend_of_draw(draw: int, gain: float) -> str:
-    """The number of a draw and its relative gain, as the title of a legend."""
+    """The title of a legend: the number of a draw and its relative gain."""
     return f"draw {draw}, relative gain {minus(f'{100 * gain:.1f} %')}; markers: measured"
 
 
@@ -251,7 +251,7 @@ def plot_of_draw(trajectory: pd.DataFrame, sets: Sets, legend: str, title: str) 
 
 
 def median_draw(gains: "pd.Series[float]", every: Gain) -> int:
-    """The draw, of those in the index, whose gain is nearest the median of all draws."""
+    """The draw in the index whose gain is nearest the median of all draws."""
     median = np.clip(every.quantile(0.5), EDGES[0], EDGES[-1])
     return int((gains - median).abs().fillna(np.inf).idxmin())
 

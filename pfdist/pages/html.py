@@ -1,4 +1,4 @@
-"""From a page to one self-contained HTML file.
+"""A page as one HTML file that loads nothing.
 
 A name in a run's files cannot become markup: the template escapes every text, and the page allows
 no script but its own.

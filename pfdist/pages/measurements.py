@@ -1,4 +1,4 @@
-"""The worth of each measurement, and its sampling window: how far it can move at a small loss."""
+"""The worth of each measurement, and its sampling window: how far it may move at a small loss."""
 
 from collections.abc import Mapping, Sequence
 
@@ -48,8 +48,8 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     Parameters
     ----------
     measurements : DataFrame or object
-        A table with the columns name, t, removed and removed_error, or an object that has it as
-        ``worth`` or ``measurements``, such as the result of `pfdist.why`.
+        A table with the columns name, t, removed and removed_error; or an object whose ``worth`` or
+        ``measurements`` it is, such as the result of `pfdist.why`.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
     ax : matplotlib Axes, optional
@@ -121,15 +121,15 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     """Draw the instants to which each measurement alone can move at a loss of at most 1 and 5 %.
 
     Each measurement is a row. A thick bar covers the instants within 1 %, a thin bar those within
-    5 %. Hollow bars cover the instants that the draws leave open. A grey line covers all instants
-    that were tried: up to the first that is clearly beyond 5 %, or to the last that the job and the
+    5 %. Hollow bars cover the instants that need more draws. A grey line covers all instants that
+    were tried: up to the first that is clearly beyond 5 %, or to the last that the job and the
     neighbouring measurements allow.
 
     Parameters
     ----------
     table : DataFrame or object
         A table with the columns t, moved_to, within_1 and within_5, and name if there are several
-        sets. Or an object that has it as ``sampling_windows``, such as a run or the result of
+        sets; or an object whose ``sampling_windows`` it is, such as a run or the result of
         `pfdist.why`.
     name : str
         The set that is drawn; by default the last set.

@@ -1,4 +1,4 @@
-"""Times that are chosen one after another: when draws are measured, what they gain, one draw."""
+"""Online times: when draws are measured, their gains, and one draw."""
 
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -38,7 +38,7 @@ from pfdist.results import Run, relative_gain
 from pfdist.results.online import OnlineDraws, online_draws
 from pfdist.store.schema import components_in
 
-MOST_ROWS = 200  # draws in the raster: more could not be told apart
+MOST_ROWS = 200  # draws in the raster: nobody could distinguish more
 
 
 @figure("online_times", applies=has_online)
@@ -58,7 +58,7 @@ def online_times_figure(tables: Tables) -> Plot:
 
 
 def measured_at(times: Collection[Sequence[int]], horizon: int) -> NDArray[np.bool_]:
-    """Say whether each draw is measured at each instant, (D, T+1)."""
+    """Whether each draw is measured at each instant, (D, T+1)."""
     measured = np.zeros((len(times), horizon + 1), np.bool_)
     for row, instants in zip(measured, times, strict=True):
         row[np.asarray(instants, np.int64)] = True
@@ -66,7 +66,7 @@ def measured_at(times: Collection[Sequence[int]], horizon: int) -> NDArray[np.bo
 
 
 def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
-    """Draw the share of draws that are measured at each instant, beside the planned times.
+    """Draw the share of draws that are measured at each instant; triangles mark the planned times.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ def online_shares(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
 
 
 def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
-    """Draw a row for each draw, dark where it is measured; draws with like times are neighbours.
+    """Draw a row for each draw, dark where it is measured; draws with similar times are neighbours.
 
-    The planned times are marked above the rows.
+    Triangles above the rows mark the planned times.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def online_raster(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
 
 
 def _measured(source: Run | OnlineDraws) -> tuple[OnlineDraws, NDArray[np.bool_], Clock]:
-    """The draws, whether each is measured at each instant by each sensor, and the clock."""
+    """The draws, whether each sensor measures each of them at each instant, and the clock."""
     draws = _draws_of(source)
     clock, times = draws.clock, draws.rows["measurement_times"]
     measured = measured_at([clock.measurements(t) for t in times], clock.possible - 1)
@@ -184,7 +184,7 @@ def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
 
 @figure("online_gain", applies=has_online)
 def online_gain_figure(tables: Tables) -> Plot:
-    """Histogram of the relative gain of online times; the plan's gain on the same draws."""
+    """Histogram of the relative gain of online times, and the plan's gain on the same draws."""
     draws = tables.online
     over_reference = draws.gain("online", draws.reference)
     reference = phrase_of(tables.run.labels[draws.reference])
@@ -244,7 +244,7 @@ def online_draw_figure(tables: Tables) -> Plot:
 
 
 def with_online(trajectory: pd.DataFrame, estimate: np.ndarray) -> pd.DataFrame:
-    """Add the estimate with the online times, ((T+1) q,), to the trajectory of a draw."""
+    """The trajectory of a draw with the estimate with its online times, ((T+1) q,)."""
     quantities = components_in(trajectory, "z_")
     estimates = np.reshape(estimate, (-1, len(quantities)))
     columns = {

@@ -43,8 +43,8 @@ _LABELLED = 2  # of more points beyond the axis, only the farthest has a number
 def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
     """The axes to draw into: those given, or those of a new figure of pyplot.
 
-    The height of a new figure is in inches where the style has 8 points; by default it is the
-    style's own.
+    The height of a new figure is in inches for a font of 8 points; the default is that of the
+    style.
     """
     if ax is not None:
         check_kind(ax, (Axes,), "ax")
@@ -58,9 +58,9 @@ def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
 
 
 def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
-    """A table: the DataFrame itself, a run's, or an attribute or a method of another object.
+    """A DataFrame itself, a table of a run, or an attribute or a method of another object.
 
-    The first of these names that the object has counts.
+    The first of the names that the object has is taken.
     """
     if isinstance(source, pd.DataFrame):
         return source
@@ -95,7 +95,7 @@ def check_kind(value: object, kinds: Sequence[type], argument: str) -> None:
 
 
 def chosen(name: T, among: Collection[T], argument: str) -> T:
-    """The name itself; a `JobError` lists the allowed names if it is none of them."""
+    """The name itself; if it is not allowed, a `JobError` lists the allowed names."""
     if name in among:
         return name
     allowed = ", ".join(map(str, among))
@@ -117,7 +117,7 @@ def verbatim(name: object) -> str:
 
 
 def clipped(text: str, letters: int) -> str:
-    """The start of a text, with an ellipsis in the place of the rest.
+    """The start of a text, with an ellipsis instead of the rest.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def scaled(inches: float) -> float:
 
 
 def height_of_rows(rows: int, inches: float) -> float:
-    """Height of a figure with a row for each set, of this height where the style has 8 points."""
+    """Height of a figure with a row for each set; a row has these inches for a font of 8 points."""
     return 0.9 + inches * max(rows, 3)
 
 
@@ -148,7 +148,7 @@ def marker(share: float = 1.0) -> float:
 
 
 def minus(text: str) -> str:
-    """A text with true minus signs in the place of hyphens, if the style has them."""
+    """A text with minus signs instead of hyphens, if the style has them."""
     return Formatter.fix_minus(text)
 
 
@@ -157,8 +157,7 @@ def legend_above(
 ) -> None:
     """Put the legend above the axes, where it covers no curve.
 
-    By default it has three columns, and fewer if labels are long. The handles are by default
-    everything that has a label.
+    The default is three columns, or fewer for long labels, and a handle for each label.
     """
     if handles is None:
         handles = ax.get_legend_handles_labels()[0]
@@ -174,7 +173,7 @@ def legend_above(
 def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
     """Write names of curves beside the right edge, each in its colour near the curve's end.
 
-    Each end has a value of y, a name and a colour. The limits of the axes are final.
+    Each end has a value of y, a name and a colour. The limits of the axes must not change later.
     """
     ax.autoscale_view()
     inches = ax.get_window_extent().height / ax.figure.dpi
@@ -189,7 +188,7 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
 
 
 def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
-    """Label the horizontal axis as time, with the unit of the clock and whole numbers or not."""
+    """Label the horizontal axis as time, with the unit of the clock; ticks are whole if `whole`."""
     ax.set_xlabel(f"time $t$ [{verbatim(unit)}]" if unit else "instant $t$")
     ax.xaxis.set_major_locator(MaxNLocator(integer=whole, steps=[1, 2, 5, 10]))
 
@@ -204,7 +203,7 @@ def label_quantity(
 ) -> None:
     """Label the vertical axis as a component of z, by its name and unit if the model has them.
 
-    The text `what` says what is drawn, with braces in the place of the component.
+    The text `what` is the label, with braces for the component.
     """
     symbol = "$z$" if len(quantities) == 1 else f"$z_{{{number}}}$"
     text = what.format(verbatim(quantities[number].label) or symbol)
@@ -218,9 +217,10 @@ def label_error(ax: Axes, table: pd.DataFrame, what: str = "expected MSE") -> No
 
 
 def error_unit(run: Run) -> str:
-    """The unit whose squares errors have, in brackets unless it is a word.
+    """The unit of the root of an error, in brackets unless it is a word.
 
-    It is empty if z has no unit or several, or if errors are no squares, or have weights or scales.
+    It is empty if z has no unit or several, or if errors are not squares, or are weighted or
+    scaled.
     """
     names = read_recorded(run.path)[0]["provenance"].get("names", {}).get("z", [])
     units, angles = {named_component(name).unit for name in names}, angles_of(run)
@@ -241,11 +241,11 @@ def step_of(times: Iterable[float]) -> float:
 def styles_of(
     source: pd.DataFrame | Collection[str], names: Iterable[str]
 ) -> dict[str, dict[str, Any]]:
-    """The style of each set by name, with its label; they are the same in all figures of a run.
+    """The style of each set by name, with its label; it is the same in all figures of a run.
 
     The source is a table of the run, or the labels or names of its sets. The evenly spaced times,
-    or else the first set, have the style of a reference, and the plan that which follows. Names
-    that are no sets of the run come last.
+    or else the first set, have the style of a reference, and the plan has the next style. Names
+    that are not sets of the run come last.
     """
     sets = source.attrs.get("sets", ()) if isinstance(source, pd.DataFrame) else source
     labels = sets if isinstance(sets, Mapping) else {}
@@ -263,8 +263,8 @@ def rows_of_sets(
 ) -> list[tuple[str, pd.DataFrame, dict[str, Any]]]:
     """The name, the rows in order of time and the style of each set of a table; by default of all.
 
-    Without a column name the table has one set, whose name is empty. An empty table has no set. One
-    name is a sequence of itself.
+    A table without a column name has one set, whose name is empty. An empty table has no set. A
+    single name may be a str.
     """
     check_kind(names, (Sequence,), "names")
     names = [names] if isinstance(names, str) else names
@@ -292,9 +292,9 @@ def write_instead(ax: Axes, text: str) -> Axes:
 
 
 def stack(panels: Sequence[Axes], components: int = 0) -> None:
-    """Let panels with one horizontal axis share its labels, and what a legend above says already.
+    """Remove labels and entries of legends that another of some panels with one axis has.
 
-    If there are more components of z than panels, the last label says how many are left out.
+    If there are more components of z than panels, the last label has the number that is left out.
     """
     said = set[str]()
     for ax in panels:
@@ -322,7 +322,7 @@ class Points(NamedTuple):
 
 
 def points(x: ArrayLike, y: ArrayLike, colour: str, name: str) -> Points:
-    """The points of a curve that have a value; infinite values have one. The name is verbatim."""
+    """The points of a curve that have a value, which may be infinite. The name is verbatim."""
     at, values = np.asarray(x, np.float64), np.asarray(y, np.float64)
     present = ~np.isnan(values)
     return Points(at[present], values[present], colour, name)
@@ -333,8 +333,8 @@ def cut_outliers(
 ) -> None:
     """Limit the vertical axis if outliers flatten it; arrows show where the outliers are.
 
-    Everything is drawn already. The arrows have labels with the numbers, so a legend must follow.
-    The values in `keep` are shown. With `zero`, the axis begins at 0.
+    Call it after all curves are drawn, and before the legend, because arrows have labels. The
+    values in `keep` are shown. With `zero`, the axis begins at 0.
     """
     limits = shown_range(np.concatenate([curve.y for curve in curves] or [np.zeros(0)]))
     if zero:
@@ -354,7 +354,7 @@ def shown_range(values: Array) -> tuple[float, float] | None:
     """The least and the largest value to show; None if no value need be cut off.
 
     Up to a tenth of the values, those farthest from the median, are cut off if the axis would
-    otherwise be four times as long. As few are cut off as this takes. Infinite values are.
+    otherwise be four times as long; as few as possible. Infinite values are always cut off.
 
     Examples
     --------
@@ -375,7 +375,7 @@ def shown_range(values: Array) -> tuple[float, float] | None:
 
 
 def number(value: float) -> str:
-    r"""A number with three digits, as text in a figure.
+    r"""A number with three digits, as a text of a figure.
 
     Examples
     --------
@@ -393,7 +393,7 @@ def number(value: float) -> str:
 def _mark_beyond(
     ax: Axes, curve: Points, beyond: NDArray[np.bool_], edge: float, shape: str
 ) -> None:
-    """Draw an arrow at the edge for each point beyond it; the legend has their numbers."""
+    """Draw an arrow at the edge for each point beyond it; labels have the numbers."""
     if not beyond.any():
         return
     farthest = sorted(curve.y[beyond].tolist(), key=abs, reverse=True)

@@ -3,8 +3,8 @@
 The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
 `online_shares`, `particle_losses`, `sampling_windows`, `searches`, `times`, `uncertainty` and
-`worth` each draw one panel: of a run, or of tables, into ``ax``, or into a new figure of pyplot.
-They return the axes. So does `against`, which draws a table of many runs.
+`worth` each draw a run, or tables, into ``ax`` or into a new figure of pyplot, and return the axes.
+So does `against`, which draws a table of many runs.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """

@@ -179,8 +179,8 @@ def searches(
 ) -> Axes:
     """Draw how far estimated errors lie above the best, against the number of evaluations.
 
-    The difference is in per cent. Beyond 10 % the axis is logarithmic except near 0, so that
-    differences of 1 % are seen beside those of 100 %.
+    The difference is in per cent. If one exceeds 10 %, the axis is logarithmic except near 0, so
+    that differences of 1 % are seen beside those of 100 %.
 
     Parameters
     ----------
@@ -188,15 +188,16 @@ def searches(
         A run, or the table of this name.
     names : mapping of str to str, or collection of str
         The searches to show: with a DataFrame the method of each search by its name. By default
-        the searches of a run that estimate the expected MSE as the comparison does, or else those
-        that estimate in another, common way. Errors by different estimators are not comparable.
+        those of a run that estimate the expected MSE as the comparison does, or else those that
+        share another estimator. Errors by different estimators are not comparable.
     reference : (str, float), optional
         Label and expected MSE of the reference, drawn as a line; a run has its own.
     best : (str, float), optional
         Label and expected MSE of the set to which errors are relative: that of a run with the
         least expected MSE on fresh draws. By default it is the least that is drawn.
     title : str
-        Title of the legend; a run says how these searches estimate, if not as the comparison.
+        Title of the legend; by default how the searches of a run estimate, if not as the
+        comparison.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -234,7 +235,7 @@ def searches(
     differences = []
     styles = styles_of(evaluations, ["", *curves])  # none has that of the reference
     colours = {name: styles[name]["color"] for name in curves}
-    if len({*colours.values()}) < len(curves):  # only a palette tells so many apart
+    if len({*colours.values()}) < len(curves):  # only a palette has so many colours
         colours = {name: colormaps["viridis"](k / len(curves)) for k, name in enumerate(curves)}
     handles, kinds = [], dict[str, str]()
     for position, (name, curve) in enumerate(curves.items()):
@@ -271,7 +272,7 @@ def searches(
 
 
 def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
-    """Have a linear axis of small differences, and else an axis that is linear only near 0."""
+    """Choose a linear axis for small differences, else an axis that is linear only near 0."""
     sizes = np.abs(differences[differences != 0])
     if sizes.size and sizes.max() > _LINEAR:
         near = 10 ** np.floor(np.log10(np.clip(np.quantile(sizes, 0.1), 0.1, 1.0)))
@@ -284,7 +285,7 @@ def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
 
 
 def _alike(groups: Mapping[str, list[str]], names: list[str]) -> tuple[str, list[str]]:
-    """How some searches estimate, and their names; without names, those of the first group."""
+    """How some searches estimate, and their names; by default those of the first group."""
     way_of = {name: way for way, group in groups.items() for name in group}
     names = [chosen(name, way_of, "searches") for name in names] or next(iter(groups.values()))
     ways = {way_of[name] for name in names}
@@ -305,7 +306,7 @@ def _columns(names: Collection[str]) -> int:
 
 @figure("compared", applies=lambda run: bool(named_sets(run)))
 def compared_figure(tables: Tables) -> Plot:
-    """Expected MSE of each compared set, with the 95 % interval of its difference to the best."""
+    """Expected MSE of each compared set, with the 95 % interval of its difference from the best."""
     ranks, labels = table_of(tables.run, "run", "ranks"), tables.run.labels
     best, *others = ranks.to_dict("records")
     rivals = [labels[each["name"]] for each in others if each["best_rank"] == 1]
@@ -328,8 +329,8 @@ def _height(ranks: pd.DataFrame) -> float:
 def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """Draw the expected MSE of each set, the best on top, and how far it is from the best.
 
-    The bar of a set is the 95 % interval of the difference to the best set on the same draws. Its
-    name is followed by its rank.
+    The bar of a set is the 95 % interval of the difference from the best set on the same draws.
+    The rank stands behind the name.
 
     Parameters
     ----------

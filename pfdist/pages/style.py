@@ -1,10 +1,10 @@
-"""Matplotlib, imported such that no setting of the machine changes a figure; styles and colours.
+"""Styles and colours; Matplotlib is imported so that no setting of the machine changes a figure.
 
 The package imports this module first, and no module outside the package imports Matplotlib.
 
-Sets of times differ for colour-blind readers and in grey. The styles ``print.mplstyle`` and
-``screen.mplstyle`` hold fonts and sizes. Figures take their sizes from the style in use, so these
-two and any other style of Matplotlib apply.
+Colour-blind readers, and readers of a grey print, can distinguish the sets of times. The styles
+``print.mplstyle`` and ``screen.mplstyle`` have fonts and sizes. Figures take their sizes from the
+style in use, so any style of Matplotlib applies.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ finally:
     if _backend is not None:
         os.environ["MPLBACKEND"] = _backend
 if _backend:
-    with contextlib.suppress(ValueError):  # an unknown backend is as good as none
+    with contextlib.suppress(ValueError):  # an unknown backend is ignored
         mpl.rcParams["backend"] = _backend
 
 PALETTE = {
@@ -60,7 +60,7 @@ _SETS: tuple[dict[str, Any], ...] = (
 def set_style(position: int) -> dict[str, Any]:
     """Colour, dashes and marker of a set of times; position 0 is the reference, hollow and blue.
 
-    No other set is blue: after the last style follows that of position 1.
+    No other set is blue: the style of position 1 follows that of the last.
     """
     return dict(_SETS[position and 1 + (position - 1) % (len(_SETS) - 1)])
 
@@ -68,9 +68,10 @@ def set_style(position: int) -> dict[str, Any]:
 def styled(
     name: str = PRINT, settings: Mapping[str, Any] = MappingProxyType({})
 ) -> AbstractContextManager[Any]:
-    """Context in which files are drawn: the defaults of Matplotlib, and a style of pfdist.
+    """The context in which files are drawn: the defaults of Matplotlib, and a style of pfdist.
 
-    `settings` replace those of the style. No figure has a layout engine: it is laid out once.
+    `settings` replace those of the style. No figure has a layout engine: `drawn` computes the
+    layout.
     """
     once = {"figure.constrained_layout.use": False}
     return style.context(["default", name, once, dict(settings)])

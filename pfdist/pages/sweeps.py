@@ -39,10 +39,10 @@ from pfdist.results.studies import (
     values_of,
 )
 
-MOST_LINES = 20  # more could not be told apart
+MOST_LINES = 20  # nobody could distinguish more
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
-_PARTS = (slice(1), slice(1, None))  # values that colours tell apart, and dashes
+_PARTS = (slice(1), slice(1, None))  # values that have colours, and values that have dashes
 _BESIDE = 2.5  # points between two lines at one value
 _LONGEST_LABEL, _LONGEST_TEXT = 42, 16  # letters
 _MOST_TICKS, _CLOSEST = 8, 0.08  # ticks at the values, and their least distance over the axis
@@ -61,20 +61,20 @@ def against(
 ) -> Axes:
     """Draw a result of many runs against a key of their jobs, with 95 % intervals.
 
-    Runs that differ in their seeds alone are replicates: small points, and a line through their
-    means, with the interval of the mean by Student's t. Where no runs differ in their seeds alone,
-    the interval is that of the run. There is a line for each combination of values of the other
-    keys and sets; lines stand a little beside each other. The first of these that varies has
-    colours. The expected MSE of the references is dashed and grey.
+    Runs that differ only in their seeds are replicates: small points, and a line through their
+    means, with the interval of the mean by Student's t. Without replicates, the interval is that
+    of the run. There is a line for each combination of the other keys and the sets; lines are
+    drawn a little beside each other. Colours show the first of these that varies. The expected MSE
+    of the references is dashed and grey.
 
     Parameters
     ----------
     table : DataFrame
-        As `pfdist.table` or `Sweep.judged` gives it, or an object with such a method ``table``, as
-        what `pfdist.sweep` returns.
+        The result of `pfdist.table` or `Sweep.judged`, or an object with such a method ``table``,
+        such as the result of `pfdist.sweep`.
     key : str, optional
         A column with a key in which the jobs differ; by default the first other than seed. Values
-        that are no numbers are categories.
+        that are not numbers are categories.
     value : str
         A column with a result. Gains, fractions, gaps and regrets are drawn in per cent.
     ax : matplotlib Axes, optional
@@ -95,8 +95,7 @@ def against(
     for name in ("run", SET):
         if name not in frame.columns:
             raise ArgumentError(
-                "table must be a table of runs as pfdist.table gives it, but lacks the column "
-                f"{name}",
+                f"table must be a result of pfdist.table, got one without the column {name}",
                 argument="table",
             )
     key, value = _key(frame, key), _result(frame, value)
@@ -143,7 +142,7 @@ def _key(frame: pd.DataFrame, key: str | None) -> str:
         if name in keys and name != SEED:
             return name
     raise ArgumentError(
-        "key must be a key in which the jobs differ, but they differ in none but the seed",
+        "key must be a key in which the jobs differ, but only their seeds differ",
         argument="key",
     )
 
@@ -189,7 +188,7 @@ def _draw_line(
     ax: Axes, line: list[Average], places: dict[Any, float], factor: float, style: dict[str, Any],
     aside: float = 0.0
 ) -> Points:  # fmt: skip
-    """Draw means with their intervals, and replicates, so many points beside their places."""
+    """Draw means with their intervals, and replicates, shifted to the side by so many points."""
     line = sorted(line, key=lambda each: places[each.point[0]])
     x = np.array([places[each.point[0]] for each in line], np.float64)
     mean, low, high = factor * np.array([(each.mean, each.low, each.high) for each in line]).T

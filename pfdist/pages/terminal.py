@@ -9,7 +9,7 @@ from itertools import zip_longest
 from pfdist.common.parts import Block, Code, Facts, Page, Table, Text, without_empty_columns
 from pfdist.errors import one_line
 
-_NARROWEST, _USUAL, _WIDEST = 40, 80, 120  # columns of lines; the usual where there is no terminal
+_NARROWEST, _USUAL, _WIDEST = 40, 80, 120  # columns of lines; the usual without a terminal
 _NAME = 21  # characters of a fact's name
 _LEAST = 24  # characters of a column of text that is cut into lines
 _GAP = "  "
@@ -18,12 +18,12 @@ _WORD, _PIECE = re.compile(r"[^ ]+ ?| "), re.compile(r"[^_./ ]+[_./ ]?|[_./ ]")
 
 
 def line_width() -> int:
-    """Columns of the terminal, or of the variable COLUMNS; 80 if the output is no terminal."""
+    """Columns of the terminal, or of the variable COLUMNS; 80 if the output is not a terminal."""
     return min(max(_NARROWEST, shutil.get_terminal_size((_USUAL, 1)).columns), _WIDEST)
 
 
 def lines_of(page: Page, *, verbose: bool = False) -> list[str]:
-    """The lines of a page, without its pictures; without its details unless they are asked for."""
+    """The lines of a page without its pictures; its details only if `verbose`."""
     is_path = "/" in page.subtitle  # which is not cut
     lines = [one_line(page.subtitle)] if is_path else wrapped(page.subtitle)
     for section in page.sections:
@@ -44,7 +44,7 @@ def lines_of_blocks(blocks: Iterable[Block], *, verbose: bool = False) -> list[s
 
 
 def wrapped(text: str, start: str = "") -> list[str]:
-    """A paragraph in lines; beside the text that the first line starts with, if there is one.
+    """The lines of a paragraph; the first begins with `start`, and the others are indented.
 
     No line begins with a percent sign or with an interval. A no-break space becomes a space. No
     path is cut.
@@ -117,7 +117,7 @@ def _columns(table: Table, piece: re.Pattern[str], left_out: Sequence[str]) -> l
 
 
 def _is_narrowed(columns: Sequence["_Column"]) -> bool:
-    """Narrow the widest columns of text, and say whether the columns fit then."""
+    """Whether columns fit, after the widest columns of text are narrowed."""
     excess = sum(each.width + len(_GAP) for each in columns) - len(_GAP) - line_width()
     while excess > 0 and (wide := [each for each in columns if each.width > each.least]):
         max(wide, key=lambda each: each.width).width -= 1
@@ -132,7 +132,7 @@ def _line(cells: Iterable[str], columns: Iterable["_Column"]) -> str:
 
 
 def _cut(text: str, width: int) -> list[str]:
-    """A text in lines that end with words; within words, where one of them is too long."""
+    """A text in lines that end with words; they end within words if a word is too long."""
     is_long = any(len(word) > width for word in text.split(" "))
     pieces = (_PIECE if is_long else _WORD).findall(text)
     return _lines_of(
@@ -150,7 +150,7 @@ def _lines_of(pieces: Iterable[str], width: int) -> list[str]:
 
 
 class _Column:
-    """A column of a table: its head is cut between some pieces, and its text may be narrowed."""
+    """A column of a table: its head is cut between pieces, and its text may be narrowed."""
 
     def __init__(self, pieces: Sequence[str], cells: Sequence[str], is_number: bool) -> None:
         self.cells, self.is_number = [one_line(cell) for cell in cells], is_number

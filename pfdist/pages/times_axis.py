@@ -195,7 +195,7 @@ def times(
     """Draw sets of measurement times on one axis, a row for each; forbidden instants are grey.
 
     The reference of a run has hollow markers. A new figure grows with the sets, up to 40. Axes
-    without room for all names show every second, third, ... name, and say so.
+    without room for all names show every second, third, ... name; the label has the distance.
 
     Parameters
     ----------
@@ -205,8 +205,8 @@ def times(
         The last instant T, or time of the clock; by default that of the run, or else the last
         measurement time.
     forbidden : iterable of int or float
-        Instants or times that may not be measured; a run adds its own. Without a run, times that
-        are not whole are shaded halfway to the next given time.
+        Instants or times that may not be measured, in addition to those of a run. Without a run,
+        times that are not whole are shaded halfway to the next given time.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -288,7 +288,7 @@ def _forbidden_times(run: Run) -> list[float]:
 
 
 def _clock_of(times: Iterable[float], last: float) -> Clock:
-    """The clock of times without a run: whole numbers from 0 on, or else only these times."""
+    """The clock of times without a run: whole numbers from 0 on, or only these times."""
     instants = {0, last, *(t for t in times if t <= last)}
     if all(t == int(t) for t in instants):
         return Clock.counting(int(last))

@@ -1,4 +1,4 @@
-"""Why these times: the expected error over time, and what limits the filters (`pfdist why`)."""
+"""The expected error over time, and the effective sample size of the filters (`pfdist why`)."""
 
 from collections.abc import Sequence
 
@@ -68,8 +68,8 @@ def _title(measurements: pd.DataFrame, mean: float, label: str) -> str:
         for row in (rows[0], rows[-1])
     )
     return (
-        f"The measurement of {phrase_of(label)} that matters most is at {most}, and that which "
-        f"matters least at {least}: so much higher is the expected MSE without it."
+        f"Most important measurement of {phrase_of(label)}: {most}; least important: {least}. The "
+        "expected MSE rises by so much without it."
     )
 
 
@@ -108,22 +108,17 @@ def filters_figure(tables: Tables) -> Plot:
     return Plot(2.0, draw, title=f"{title} No draw is degenerate.")
 
 
-def error_profile(
-    profile: object, names: Sequence[str] = (), *, draws: int | None = None, ax: Axes | None = None
-) -> Axes:
+def error_profile(profile: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
     """Draw the expected error over time with its 95 % band, and the measurement times.
 
     Parameters
     ----------
     profile : DataFrame or object
-        A table with the columns name, t, measured, error and standard_error, or an object that has
-        it as ``profile``, such as the result of `pfdist.why`. The column weight, if there is one,
-        weighs the mean in the legend.
+        A table with the columns name, t, measured, error and standard_error; or an object whose
+        ``profile`` it is, such as the result of `pfdist.why`. The column weight, if there is one,
+        weighs the mean in the legend, which also shows the column draws.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
-    draws : int, optional
-        Number of draws behind the estimates, for the legend; 0 if they are exact. By default
-        that of the table's column of this name, if there is one.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -153,8 +148,7 @@ def error_profile(
     cut_outliers(ax, curves, zero=True)
     label_error(ax, table, "expected error $e(t)$")
     label_times(ax, table)
-    if draws is None:
-        draws = int(table["draws"].max()) if "draws" in table else 0
+    draws = int(table["draws"].max()) if "draws" in table else 0
     drawn = f"{draws:,} draws; " if draws else ""
     legend_above(ax, title=f"{drawn}band: 95 % confidence\nmarkers: measured there")
     return ax
@@ -174,9 +168,9 @@ def effective_sample_size(
     Parameters
     ----------
     profile : DataFrame or object
-        A table with the columns t and effective_sample_size, and name if there are several sets.
-        Instants without a value are left out. Or an object that has it as ``profile``, such as the
-        result of `pfdist.why`, or as ``table``, such as that of `pfdist.filter_measurements`.
+        A table with the columns t and effective_sample_size, and name if there are several sets;
+        instants without a value are left out. Or an object whose ``profile`` or ``table`` it is,
+        such as the result of `pfdist.why` or `pfdist.filter_measurements`.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
     particles : int, optional
@@ -218,8 +212,8 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
     Parameters
     ----------
     profile : DataFrame or object
-        A table with the columns name, t, draws and degenerate_draws (their number up to t), or an
-        object that has it as ``profile``, such as the result of `pfdist.why`.
+        A table with the columns name, t, draws and degenerate_draws (their number up to t); or an
+        object whose ``profile`` it is, such as the result of `pfdist.why`.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
     ax : matplotlib Axes, optional
@@ -253,14 +247,14 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
 
 
 def particle_losses(losses: pd.DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Draw the loss against the number of particles, by two filters and at most.
+    """Draw the particle loss against the number of particles: its estimate and its upper limit.
 
     Dotted lines are the limits of ``filter.particles = "auto"``, 1 and 5 %.
 
     Parameters
     ----------
     losses : DataFrame
-        A table as `pfdist.particle_losses` gives it.
+        The result of `pfdist.particle_losses`.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 

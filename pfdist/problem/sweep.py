@@ -143,7 +143,7 @@ def read_sweep(
         if key in given:
             raise JobError(
                 f"a key of the sweep must not also be changed at all points, got {shown_text(key)}",
-                argument="changes",
+                argument="set",
             )
     jobs = {}
     for point in sweep_points:

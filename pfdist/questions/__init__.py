@@ -3,5 +3,5 @@
 They are run, plan, budget, compare, online, sweep, bound, why, evaluate, filter_measurements,
 next_time, check_model, simulate, list_runs, table and report. Each function takes a job or a run,
 returns an object with results, and prints nothing. A module ``X_page`` words the answer of the
-question X. A `Planner` keeps what was measured, and is told more.
+question X. A `Planner` keeps the measurements of a system and takes further ones.
 """

@@ -1,16 +1,14 @@
 """The question of a run, how it was computed, how to load its tables, and how to cite."""
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
-import tomli_w
-
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Code, Facts, Section, Text
 from pfdist.filters.engines import is_exact
+from pfdist.problem.job import job_toml
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
 from pfdist.results import Run, read_recorded
@@ -72,7 +70,7 @@ def question(subject: Subject) -> str:
 
 
 def made(subject: Subject) -> str:
-    """Name the run, the day on which it was started, and the version of pfdist."""
+    """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
     return f"Run {run.path.name}, {run_day(run)}, pfdist {version_of(run)}."
 
@@ -150,7 +148,7 @@ def _instants(subject: Subject) -> str:
 
 
 def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
-    """Say how the errors of instants are weighted in the MSE, if they are."""
+    """How the errors of instants are weighted in the MSE, if they are."""
     weights = section.weights
     if weights is None:
         return
@@ -181,20 +179,20 @@ def computed(subject: Subject) -> Section:
         "How it was computed",
         [
             Facts([*_versions(about), *_work(subject), *identity]),
-            Code(tomli_w.dumps(_sendable(_without_none(job))), "The job, with all its defaults"),
+            Code(job_toml(_sendable(job)), "The job, with all its defaults"),
         ],
     )
 
 
 def tables(subject: Subject) -> Section:
-    """Say how to load the tables."""
+    """Code that loads the tables."""
     name = subject.run.path.name
     quoted = {"name": _quoted(name), "table": _quoted(f"{name}/tables/comparison")}
     return Section("How to load the tables", [Code(_LOAD.format(**quoted))])
 
 
 def citation(subject: Subject) -> Section:
-    """Say how to cite the method and the program."""
+    """References for the method and the program."""
     version = version_of(subject.run)
     text = "Please cite the paper whose method pfdist implements, and the program."
     return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])
@@ -250,11 +248,3 @@ def _quoted(text: str) -> str:
 def _seconds(seconds: float) -> str:
     minutes, rest = divmod(seconds, 60)
     return f"{minutes:.0f} min {rest:.0f} s" if minutes else f"{rest:.1f} s"
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
-    if isinstance(value, list | tuple):
-        return [_without_none(entry) for entry in value]
-    return value if not (isinstance(value, float) and math.isnan(value)) else "nan"

@@ -1,4 +1,4 @@
-"""The pool of a run or a sweep, entered and left, and the word of a process that it may crash."""
+"""The pool of a run or a sweep while it works, and the mark of a process that may crash."""
 
 import contextlib
 import os
@@ -16,16 +16,16 @@ from pfdist.runner.progress import Detail, Say
 from pfdist.store import remove_file, write_file
 
 _BEGUN = ".begun"
-_SAYS = "A process computes here, or has ended without a word.\n"
+_SAYS = "A process computes here, or has ended without a message.\n"
 _CRASHED = (
-    "the last process that computed here ended without a word: it was killed, or the model crashed "
-    "it (--pool processes isolates the model)"
+    "the last process that computed here ended without a message: it was killed, or the model "
+    "crashed it (--pool processes isolates the model)"
 )
 
 
 @contextlib.contextmanager
 def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[Pool]:
-    """Enter the pool of a run, and say that its workers are ready, and why it is this pool.
+    """The pool of a run, as a context; a message reports when it is ready, and why it was chosen.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
     Raises
     ------
     PoolError
-        The pool does not start. If its workers fall silent, the error says what to do.
+        The pool does not start, or its workers no longer answer; the error names the remedy.
     """
     start, threaded = perf_counter(), release_the_lock(engines)
     execution, reason = chosen_pool(execution, threaded=threaded)
@@ -50,15 +50,15 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
         except SilenceError as error:
             isolate = "" if kind.isolated else "; --pool processes isolates the model"
             raise SilenceError(
-                f"{error}; run the same command again to go on from what is committed{isolate}"
+                f"{error}; finished work is saved, run the same command to resume{isolate}"
             ) from error
 
 
 @contextlib.contextmanager
 def noted(session: Session) -> Iterator[None]:
-    """Note in a run's locked folder that formulas run in this process, for as long as they do.
+    """Mark the locked folder of a run while formulas run in this process.
 
-    A formula that crashes the process leaves no word, so the next process speaks in its place.
+    A formula that crashes the process leaves the mark, and the next process reports the crash.
     """
     begun = session.store.path / _BEGUN
     if os.path.lexists(begun):

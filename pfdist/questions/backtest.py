@@ -226,7 +226,7 @@ def backtest(
     replicate : str, optional
         Column with the name of the replicate; by default the first.
     times : mapping of str to iterable or str, optional
-        Further sets to compare, one each time, as ``clinic=0,6,12,24`` or ``paper=0:60:3``.
+        Further sets to compare, as ``clinic=0,6,12,24``; give the option once for each set.
     planned : str, optional
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.

@@ -31,32 +31,32 @@ class Bound(Shown):
     ----------
     run : Path
     window, longest_gap, windows : int
-        Measurements of a window at first; the number of instants for which the error of a window
-        counts at most (also on a clock); and how many windows the relaxation knows in the end.
+        Largest number of measurements of the first windows; the largest number of instants, also
+        on a clock, for which the error of a window counts; and the number of windows in the end.
     particles, draws : int
-        Settings of the bound's filter; 0 where the engine is exact.
+        Settings of the bound's filter; 0 if the engine is exact.
     confidence : float
         Confidence of the limit of each gap.
     within_reached : bool or None
-        Whether the limits of all found sets are as small as demanded; None if nothing was demanded.
+        Whether the limits of all found sets are at most `within`; None without `within`.
     gaps : list of Gap
         One for each compared set of the run.
     losses : dict of str to ParticleLoss
-        The loss by the number of particles of the job's own filter, for each compared set; empty
-        where it is not known.
+        The particle loss of the job's filter with each compared set; empty if it is unknown.
     is_constrained : bool
         Whether the job excludes some times, beside their number or price.
     leaves_out_spacing : bool
-        Whether a sensor has a spacing of its own, which the bound checks only within windows.
+        Whether a sensor has its own minimum spacing, which the bound checks only within windows.
     has_scenarios : bool
-        Whether the job has scenarios. Then the bound is that of a filter that is told the scenario.
+        Whether the job has scenarios. Then the bound is that of a filter with the parameters of
+        each draw's scenario.
     shares : tuple of float
         Shares of the scenarios on the draws of the bound, if the worst scenario decides; else
         empty.
     within : float or None
-        The limit of the gaps that was demanded.
+        The demanded limit of the gaps.
     labels : mapping of str to str
-        The sets as pages call them, by name.
+        The labels of the sets on pages, by name.
     """
 
     run: Path
@@ -109,7 +109,7 @@ def bound(
 
     The model is run on draws that neither chose the times nor compared them, and the tables
     ``bound`` and ``error_sums`` of the run are written. The same call resumes where it was stopped.
-    The figure of the bound, if figures are drawn, and an existing report are made again. With an
+    The figure of the bound, if figures are drawn, and an existing report are written again. With an
     exact engine the pool is not used.
 
     Parameters
@@ -122,14 +122,14 @@ def bound(
         low. Exact engines ignore it.
     within : float, optional
         Double the number of draws until the upper limits of the gaps are at most this fraction, or
-        until there are as many as `draws` says, by default 30,720. The gaps of the references do
-        not count, and with searches the gaps of all sets that the job gives do not count.
+        until it is `draws`, by default 30,720. The gaps of references do not count. If there are
+        searches, only the gaps of found sets count.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter.
     window : int
         Largest number of measurements of the first windows, before windows grow.
     work : float, optional
-        Particle-steps after which no window grows; 0 if no window is to grow. By default twice
+        Particle-steps after which no window grows; 0 to keep the first windows. By default twice
         those that the first windows take on 480 draws; exact engines have no limit. Windows also
         stop growing when no set of the relaxation is better than the run's sets by more than 0.1 %,
         on the draws that choose the windows; with an exact engine, when none is better at all.
@@ -152,8 +152,7 @@ def bound(
     StoreError
         There is no finished run of the job, or the run is of another job or of other models.
     JobError, ModelError
-        The model defines an error of its own; the relaxation is too large; or the model cannot be
-        loaded.
+        The model defines its own error; the relaxation is too large; or the model cannot be loaded.
     TaskError, PoolError
         A task failed, or no worker answers. All committed sums are kept.
     """

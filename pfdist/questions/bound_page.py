@@ -30,8 +30,8 @@ _TESTED = (
     "sensor's standard deviation that is 20 % wrong in more than 9 of 10 cases."
 )
 _TOLD = (
-    "The lower bound is that of a filter that is told the scenario of its draw. It knows more than "
-    "any real filter, so the bound holds for all."
+    "The lower bound is that of a filter with the parameters of each draw's scenario. It has more "
+    "information than any real filter, so the bound holds for all filters."
 )
 _WORST = (
     "The expected MSE is that of the worst scenario. The lower bound is one of a mean of the "
@@ -66,11 +66,11 @@ def bound_page(
     Parameters
     ----------
     answer : mapping
-        As of `pfdist.questions.bound.Bound.as_json`.
+        The result of `pfdist.questions.bound.Bound.as_json`.
     labels : mapping of str to str
         The label of each set, by its name.
     within : float, optional
-        The gap that was demanded.
+        The demanded limit of the gaps.
     """
     proofs, common = answer["sets"], {"confidence": answer["confidence"]}
     constrained = answer["is_constrained"]
@@ -109,7 +109,7 @@ def bound_page(
 
 
 def _meaning(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
-    """Say what the bound is, and how far its likelihood was tested if it is not exact."""
+    """The meaning of the bound, and the tests of its likelihood if it is not exact."""
     is_tested = any(each["bound_error"] for each in proofs.values())
     return [Text(f"{_MEANING} {_TESTED}" if is_tested else _MEANING, detail=True)]
 
@@ -121,7 +121,7 @@ def _table(proofs: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str]) -
 
 
 def _scenarios(shares: Sequence[float]) -> list[Block]:
-    """Say which filter the bound is of, and which mean of the scenarios."""
+    """The filter whose bound it is, and the shares of the scenarios in its mean."""
     listed = ", ".join(percent(share, 1) for share in shares)
     return [Text(_TOLD), *([Text(f"{_WORST}{listed}.")] if shares else [])]
 

@@ -67,8 +67,8 @@ def budget(
     changes : sequence of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs, one each time. Every evaluation that one of them has is taken from
-        there.
+        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
+        for each run.
     options
         See `Options`.
 
@@ -89,8 +89,8 @@ def budget(
     job = as_job(job, changes, sections={"search": search, "online": None, **fixed_sections})
     if job.with_changes(sections=fixed_sections) != job:
         raise JobError(
-            "changes of a budget must leave [budget] and [comparison] as measurements and draws "
-            f"say, got {' '.join(changes)}",
+            "changes must not set [budget] or comparison.draws, which measurements and draws give, "
+            f"got {' '.join(changes)}",
             argument="set",
         )
     # The run must not depend on the measurement budget that the job file names.
@@ -98,7 +98,7 @@ def budget(
     job = job.with_control()
     chosen = Chosen(**options)
     if target is not None:
-        options["report"] = False  # it is written below: the run knows no target
+        options["report"] = False  # it is written below, with the target
     finished = run(
         job, folder_of(job, results, "-budget"), bound_draws=bound_draws, reuse=reuse, **options
     )

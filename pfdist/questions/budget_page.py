@@ -20,8 +20,9 @@ _ERROR = COLUMNS["expected_mse"]
 _HEAD = ("N", *_KINDS.values(), "as good, evenly spaced", "lower bound (95 % limit)")
 _BOUND = (
     "No times of the same number have a lower expected MSE than the lower bound, with any filter "
-    "of the same model. A plan is as good as the numbers of evenly spaced measurements whose error "
-    "on the same draws does not differ clearly (95 %)."
+    "of the same model. A number is undecided if its plan does not reach the error, but other "
+    "times might. A plan is as good as the numbers of evenly spaced measurements whose error on "
+    "the same draws does not differ clearly (95 %)."
 )
 
 
@@ -63,6 +64,8 @@ def _answer(subject: Subject) -> list[Text]:
     if reached["impossible"] is not None:
         too_few = number_of(reached["impossible"], "measurement")
         text += f" Proved: {too_few} cannot, at any times (95 % confidence)."
+    if undecided := _undecided(subject, reached):
+        text += f" {undecided}."
     if untried := _untried(subject, number):
         text += f" {untried}."
     return [Text(text, prominent=True)]
@@ -74,12 +77,15 @@ def _target(subject: Subject) -> Iterator[Text]:
         return
     reaching = subject.reaching(subject.target)
     for kind in (FOUND, REGULAR):
-        number = reaching[kind]["measurements"]
+        reached = reaching[kind]
+        number, impossible = reached["measurements"], reached.get("impossible")
         where = _of_number(subject, number) if number and kind == FOUND else ""
-        text = _reached(kind, reaching[kind], subject.target, where)
-        untried = "" if number is None else _untried(subject, number)
-        text = f"{text}; {untried}." if untried else f"{text}."
-        yield Text(text, prominent=True)
+        texts = [_reached(kind, reached, subject.target, where)]
+        if impossible is not None:
+            texts.append(f"{impossible} {'is' if impossible == 1 else 'are'} provably too few")
+            texts.append(_undecided(subject, reached))
+        texts.append(_untried(subject, number) if number else "")
+        yield Text(f"{'; '.join(filter(None, texts))}.", prominent=True)
 
 
 def _of_number(subject: Subject, number: int) -> str:
@@ -102,13 +108,20 @@ def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -
         text = f"To reach an MSE of {target:g} you need {needed}{interval}{where}"
     if others := reached["larger_that_do_not"]:
         text += f", but {', '.join(map(str, others))} do not reach it"
-    impossible = reached.get("impossible")
-    are = "is" if impossible == 1 else "are"
-    return text if impossible is None else f"{text}; {impossible} {are} provably too few"
+    return text
+
+
+def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
+    """Say which numbers lie between those that are provably too few and those that are enough."""
+    few, enough = reached["impossible"], reached["measurements"] or math.inf
+    tried = sorted({row.measurements for row in subject.rows.values()})
+    between = [] if few is None else [number for number in tried if few < number < enough]
+    are = "is" if len(between) == 1 else "are"
+    return f"{ranges_of(between)} {are} undecided" if between else ""
 
 
 def _untried(subject: Subject, number: int) -> str:
-    """Say which numbers below this one were left out, down to the next that was tried."""
+    """The numbers that were left out between this one and the next smaller one, in a sentence."""
     tried = {row.measurements for row in subject.rows.values()}
     below = max((each for each in tried if each < number), default=number - 1)
     if below == number - 1:
@@ -166,9 +179,9 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
 
 
 def _estimated(rows: Sequence[Row]) -> Iterator[Text]:
-    """The mean distance of the search's estimates from the fresh errors (winner's curse)."""
+    """The mean distance of the search's estimates from the errors on fresh draws."""
     excesses = [row.search_excess for row in rows if row.search_excess is not None]
-    if not excesses or rows[0].search_standard_error == 0.0:  # the search knew exact errors
+    if not excesses or rows[0].search_standard_error == 0.0:  # errors are exact
         return
     mean, causes = sum(excesses) / len(excesses), [row.search_cause for row in rows]
     reasons = "; ".join(filter(None, [max(causes, key=causes.count), rows[0].search_settings]))

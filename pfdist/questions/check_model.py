@@ -24,14 +24,14 @@ HORIZON, PARTICLES = 60, 500
 def check_model(
     model: StateSpaceModel | JobSource, horizon: int | None = None, particles: int | None = None
 ) -> pd.DataFrame:
-    """Check a model in every way, as the command ``pfdist check-model`` does.
+    """The result of each check of a model, as ``pfdist check-model`` prints it.
 
     Parameters
     ----------
     model : StateSpaceModel, Problem, Job, str or Path
         A model or the name of a model; or a problem, a job, or the path of a job file ``*.toml``.
-        Its models are checked with their parameters, and its filter with its own horizon, sensors,
-        scenarios and regular times.
+        Its models are checked with their parameters, and its filter with the job's horizon,
+        sensors, scenarios and regular times.
     horizon : int, optional
         T of the draws with which formulas are checked; by default that of the problem, or 60. With
         a clock, T is at most that of the clock.
@@ -42,9 +42,9 @@ def check_model(
     -------
     DataFrame
         A row for each check: check (its name), state and text. The state is "ok"; "note" for
-        something worth knowing; or "wrong" for a mistake that makes all results wrong or ends a
-        run. If the filter has another model, the names of the checks of its formulas begin with
-        "filter: ". Each check takes about 20 seconds at most: a slow model has fewer draws.
+        useful information; or "wrong" for a mistake that makes all results wrong or ends a run. If
+        the filter has another model, the names of the checks of its formulas begin with "filter: ".
+        Each check takes about 20 seconds at most: a slow model has fewer draws.
 
     Raises
     ------
@@ -63,15 +63,15 @@ def checks_of(
     particles: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None,
     times: Sequence[float] = (),
 ) -> Iterator[Check]:
-    """Check a model, or the models of a job, and yield the result of each check as it ends.
+    """Yield the result of each check of a model, or of the models of a job, as the check ends.
 
     Parameters
     ----------
     model, horizon, particles
         As for `check_model`.
     times : sequence of float, (T+1,), optional
-        The clock for a model that is given by its name. A job has a clock of its own, and a
-        StateSpaceModel ignores these times: use its ``on_clock``.
+        The clock for a model that is given by its name. A job has a clock, and a StateSpaceModel
+        ignores these times: use its ``on_clock``.
 
     Raises
     ------
@@ -85,7 +85,9 @@ def checks_of(
         particles = job.filter.particles if job and not job.filter.is_automatic else PARTICLES
     if job is not None:
         if times:
-            raise ArgumentError("a job has a clock of its own, got times, too", argument="times")
+            raise ArgumentError(
+                "times cannot be given with a job: it has a clock", argument="times"
+            )
         return _checks_of_job(job, horizon, particles)
     if isinstance(model, str):
         return check_loaded(lambda: load_model(model), horizon, particles, times)

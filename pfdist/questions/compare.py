@@ -1,4 +1,4 @@
-"""Compare named sets of times on common draws: hand-made schedules, and the sets of runs."""
+"""Named sets of times, hand-made or those of runs, compared on the same draws."""
 
 import math
 import re
@@ -33,12 +33,12 @@ class SetsToCompare:
     Parameters
     ----------
     job : Job
-        Gives the problem.
+        The job with the problem.
 
     Attributes
     ----------
     differences : list of str
-        Sentences that say how the problems of other runs differ from that of the job.
+        Sentences about how the problems of other runs differ from that of the job.
     """
 
     def __init__(self, job: Job) -> None:
@@ -134,7 +134,8 @@ class SetsToCompare:
         if len(self._written) < 2:
             got = ", ".join(self._written) or "none"
             raise JobError(
-                f"compare needs at least two sets of times, got {got}: name sets, or give runs",
+                f"compare needs at least two sets of times, got {got}: give sets, as mine=0,6,12 "
+                "and regular, or runs",
                 argument="times",
             )
         named, (reference, times) = dict(self._written), next(iter(self._written.items()))
@@ -189,7 +190,7 @@ class SetsToCompare:
 
 
 def _differences(run: Run, first: ProblemSection) -> list[str]:
-    """Say how the problem of a run differs from the first, of the same clock."""
+    """Sentences about how the problem of a run differs from the first, on the same clock."""
     own, differences = problem_of(run), []
     if own.clock.horizon != first.clock.horizon:
         ends = [each.clock.formatted(each.clock.horizon) for each in (own, first)]
@@ -228,11 +229,10 @@ def compare(
 ) -> Run:
     """Compare named sets of times, and the sets of runs, on the same fresh draws.
 
-    The comparison is a run of its own, without a search, and the same call goes on where it was
-    stopped. Its tables ``pairs`` and ``ranks`` are the
-    answers. All sets filter the same draws of the job's problem. The first set is the reference of
-    the gains. If the filter knows the true model, means are those of mse - control, unless the job
-    has comparison.control = false.
+    The comparison is a separate run without a search. Its tables ``pairs`` and ``ranks`` have the
+    answers, and the same call resumes where it was stopped. All sets filter the same draws of the
+    job's problem. The first set is the reference of the gains. If the filter has the true model,
+    means are those of mse - control, unless the job has comparison.control = false.
 
     Parameters
     ----------
@@ -245,8 +245,9 @@ def compare(
         references if they differ. The runs are only read. A name that is already in use gets the
         name of the run's folder before it.
     times : mapping of str to iterable or str, optional
-        Named sets, one each time, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``:
-        times on the clock of the problem, or its regular times. They may break constraints.
+        Named sets, as ``clinic=0,6,12,24``, ``paper=0:60:3`` or ``old=regular``: times on the clock
+        of the problem, or its regular times. They may break constraints. Give the option once for
+        each set.
     results : str or Path, optional
         Folder of the comparison; by default ``results/NAME-compare`` of a job ``NAME.toml``.
     draws : int, optional
@@ -265,7 +266,7 @@ def compare(
     JobError, MeasurementTimesError
         There are fewer than two sets, a name is used twice, or times are not those of the problem.
     PfdistError
-        As `pfdist.run` raises. A folder that compares other sets is refused.
+        As `pfdist.run` raises; or the folder compares other sets.
     """
     chosen = Chosen(**options)
     settings = {"execution": chosen.execution, "comparison": {"draws": draws}}
@@ -287,7 +288,7 @@ def compare(
 
 
 def _other_models(runs: Iterable[Run], built: Built) -> list[str]:
-    """Say which runs have other models than the job."""
+    """Sentences about runs that have other models than the job."""
     sentences = []
     for run in runs:
         changes = changed_models(run.path, built)

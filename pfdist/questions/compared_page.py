@@ -35,8 +35,8 @@ _RANKS_MEANING = (
     "Intervals in brackets are 95 % CIs for one set alone."
 )
 _PAIRS_MEANING = (
-    "A negative difference says that the first set of a pair has the lower error. A difference is "
-    "clear if its sign holds with 95 % for all pairs together."
+    "If a difference is negative, the first set of the pair has the lower error. A difference is "
+    "clear if its sign is certain, with 95 % confidence for all pairs together."
 )
 
 
@@ -67,7 +67,7 @@ def compared(subject: Subject) -> Section | None:
 
 
 def _best(subject: Subject, ranks: Sequence[Row], pairs: Sequence[Row]) -> str:
-    """Say which set is best and by how much, or which sets the draws leave in question."""
+    """The best set and its lead, or the sets that may be the best, in sentences."""
     best, second, *_ = ranks
     phrases = {name: phrase_of(row.label) for name, row in subject.rows.items()}
     gain, *ends = _lower(pairs, second.name, best.name)
@@ -132,9 +132,9 @@ _THE_WORST = "the expected MSE in the worst scenario"
 
 _SCENARIOS_MEANING = (
     "The true model of each draw has the parameters of one scenario, with the probability of its "
-    "share. The last column says how much lower the error of the last set is than that of the "
-    "first. Intervals in brackets hold with 95 % for one scenario alone. The worst scenario is "
-    "chosen by these same draws, so the largest error is a little too large."
+    "share. The last column is how much lower the error of the last set is than that of the "
+    "first. Intervals in brackets are 95 % CIs for one scenario alone. The worst scenario is "
+    "chosen on these same draws, so the largest error is slightly too large."
 )
 
 
@@ -175,7 +175,7 @@ def _worst_scenario(subject: Subject, name: str) -> Row | None:
 
 
 def _sentences(subject: Subject, best: str) -> Iterator[str]:
-    """Compare the worst scenario of the best set with that of the reference."""
+    """A sentence about the worst scenarios of the best set and of the reference."""
     names = best, subject.reference_row.name
     worst, reference = (_worst_scenario(subject, name) for name in names)
     if worst is None or reference is None or best == reference.name:
@@ -191,10 +191,10 @@ def _sentences(subject: Subject, best: str) -> Iterator[str]:
 
 
 def worst_effect(subject: Subject, name: str) -> str | None:
-    """Say what a set does to the error of the worst scenario, if the job asks for the least.
+    """The effect of a set on the error of the worst scenario, if the job asks for the least.
 
-    The worst scenarios of two sets may differ. Then their draws do, too, so the logarithms of the
-    two errors are independent.
+    The worst scenarios of two sets may differ. Then their draws differ, too, so the logarithms of
+    the two errors are independent.
     """
     if not (subject.scenarios and subject.worst_decides):
         return None
@@ -230,7 +230,7 @@ _FIGURES = ("online_gain", "online_times", "online_draw")
 
 
 def online(subject: Subject) -> Section | None:
-    """Compare online times with the plan and with the reference."""
+    """Online times compared with the plan and with the reference."""
     result = subject.online
     if result is None:
         return None
@@ -244,15 +244,15 @@ def online(subject: Subject) -> Section | None:
         [[COLUMNS[name].cell(row) for name in _SHOWN] for row in rows],
     )
     meaning = (
-        "Each time is chosen when the measurement before it is known: the rest of the plan is made "
-        f"again from what is then known. In {percent(result['differs_from_plan'], 0)} of "
+        "Each time is chosen after the measurement before it: the rest of the plan is made again "
+        f"from all measurements so far. In {percent(result['differs_from_plan'], 0)} of "
         f"the draws the times differ from those of {phrase_of(labels[plan['name']])}."
     )
     return Section("Times chosen one after another", [Text(meaning), table, Figures(_FIGURES)])
 
 
 def online_sentence(subject: Subject) -> str:
-    """The gain of choosing each time when the last measurement is known; empty if unknown."""
+    """The gain of online times over the plan, in a sentence; empty if it is unknown."""
     if subject.online is None:
         return ""
     plan = subject.online["plan"]

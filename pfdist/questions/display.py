@@ -34,7 +34,7 @@ class _Line:
 
 
 def notebook_line() -> Callable[[str], Any] | None:
-    """A function that writes a line anew below the cell that runs now; None outside a notebook."""
+    """A function that replaces a line below the running cell; None outside a notebook."""
     ipython = sys.modules.get("IPython")  # a notebook has loaded it
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):
@@ -51,7 +51,7 @@ WIDE = 110  # columns that a terminal needs for a bar
 LINE_SECONDS = 5.0  # between two lines without a terminal
 _RATE_SECONDS = 0.5  # after which the rate of a phase is shown
 _LONGEST_IN_SECONDS = 120  # longer times are given in minutes
-_GROWN = 3  # times in a row that the time left may grow before it is no forecast
+_GROWN = 3  # times in a row that the time left may grow before it is no longer shown
 
 
 def _columns(with_bar: bool) -> list[ProgressColumn]:
@@ -70,15 +70,15 @@ def _columns(with_bar: bool) -> list[ProgressColumn]:
 class Display:
     """The progress of a run: live in a terminal or notebook, else a line every few seconds.
 
-    A terminal and plain lines are on standard error. A context manager; `pfdist.run` takes the
-    methods `show` and `say` as arguments.
+    It is a context manager, and writes to standard error. `pfdist.run` takes its methods `show` and
+    `say` as arguments.
 
     Parameters
     ----------
     console : Console, optional
         By default, the console of standard error.
     after : float
-        Seconds before the progress is shown. If there are any, there are no plain lines.
+        Seconds before the progress is shown. If they are not 0, there are no plain lines.
     verbose : bool
         Whether lines that are a `pfdist.runner.progress.Detail` are printed.
     """

@@ -84,8 +84,8 @@ def evaluate(
     job : Problem, Job, str or Path
         A job file, as ``jobs/plan.toml``, or the folder of a run.
     measurement_times : iterable of int or float, or str; or mapping of str to these
-        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3";
-        "regular" stands for the regular times of the job. They may break the job's constraints:
+        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3" or
+        "regular" (the regular times of the job). They may break the job's constraints:
         ``load_job(path).problem.broken(times)`` lists the broken ones. Sets with names share their
         draws and the noise of their filters.
     draws, particles, seed : int, optional
@@ -120,10 +120,7 @@ def prepare(
     *,
     profile: bool = False,
 ) -> tuple[Built, Callable[[], dict[str, Evaluation]]]:
-    """The compiled job, and a function that evaluates without delay.
-
-    The name of a set without a name is empty.
-    """
+    """The compiled job, and a function that evaluates the sets; a set without a name has ``""``."""
     settings = {"evaluation": {"draws": draws}, "filter": {"particles": particles}, "seed": seed}
     job = as_job(job, settings=settings)
     written, are_named = {UNNAMED: measurement_times}, False

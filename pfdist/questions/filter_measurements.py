@@ -118,7 +118,7 @@ class FilteredMeasurements(Shown):
 
     @property
     def is_improbable(self) -> bool:
-        """Whether a right model has such measurements in less than 1 % of systems."""
+        """Whether the right model gives such measurements in less than 1 % of systems."""
         among_all = self.surprise_of_all
         return among_all is not None and among_all < IMPROBABLE
 
@@ -170,9 +170,9 @@ def filter_measurements(
 ) -> FilteredMeasurements:
     """Filter real measurements of one system, with the filter of a job.
 
-    A table, ``NAME.filtered.csv`` or ``.parquet`` as the measurements are, a figure,
-    ``NAME.filtered.png``, and a report, ``NAME.filtered.html``, are written. They replace those
-    of an earlier call, and no other file.
+    It writes a table, ``NAME.filtered.csv`` or ``.parquet`` like the measurements, a figure,
+    ``NAME.filtered.png``, and a report, ``NAME.filtered.html``. They replace those of an earlier
+    call, and no other file.
 
     Parameters
     ----------
@@ -186,8 +186,8 @@ def filter_measurements(
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
-        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), if
-        wanted weight, and t, their time (by default the first).
+        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
+        optionally weight, and t, their time (by default the first).
     out : str or Path, optional
         Folder of the table, the figure and the report; by default that of the measurements, and
         none for a DataFrame.
@@ -324,7 +324,7 @@ def _report_of(answer: FilteredMeasurements) -> Page:
     subtitle = f"{number} of {file}, by the filter of the run {run}"
     source = f"from the measurements {file} by the filter of the run {run}"
     warnings = _improbable(answer)
-    return Page("What the measurements say", subtitle, sections, warnings, source=source)
+    return Page("Filtered measurements", subtitle, sections, warnings, source=source)
 
 
 def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
@@ -349,7 +349,7 @@ def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
 
 
 def _estimate(answer: FilteredMeasurements) -> str:
-    """The estimate at the last measurement, or at t = 0 without one, and how well it all fits."""
+    """The estimate at the last measurement, or else at t = 0; and whether the model fits."""
     measured = answer.table[answer.table["measured"]]
     row = (measured if len(measured) else answer.table[::-1]).iloc[-1].to_dict()
     estimates = []
@@ -383,7 +383,7 @@ def _belief(answer: FilteredMeasurements) -> Section:
 
 
 def _fit(answer: FilteredMeasurements) -> Section:
-    """Say how well the measurements fit the model, and how many particles count."""
+    """The fit of the measurements to the model, and the effective sample size."""
     from pfdist.pages.figure import Plot  # noqa: PLC0415  as in _belief
     from pfdist.pages.why import effective_sample_size  # noqa: PLC0415
     from pfdist.questions.pictures import picture  # noqa: PLC0415

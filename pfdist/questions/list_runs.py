@@ -10,7 +10,7 @@ import pandas as pd
 from pfdist.common.arguments import path_argument
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
-from pfdist.errors import StoreError, one_line, relative, shown_text
+from pfdist.errors import StoreError, reason_of, relative
 from pfdist.results import Run, open_run
 from pfdist.results.columns import Row, rows_of
 from pfdist.results.pairs import formatted_ranks
@@ -30,13 +30,13 @@ _COLUMNS = {
 def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     """List the runs in a folder: how far each is, and what it has found.
 
-    Folders are looked into three levels deep. Links are not followed, and hidden folders are
-    skipped. A run that cannot be read has a row that says why.
+    Links are not followed, and hidden folders are skipped. A run that cannot be read has a row with
+    the reason.
 
     Parameters
     ----------
     folder : str or Path
-        Folder in which runs are listed, three levels deep; the folder of a run is listed alone.
+        Folder in which runs are listed, up to three levels deep; or the folder of a run.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     Raises
     ------
     ArgumentError
-        The folder is no path.
+        The folder is not a path.
     StoreError
         The folder cannot be listed.
     """
@@ -81,7 +81,7 @@ def listed_run(path: Path, name: str) -> Row:
     Parameters
     ----------
     path : Path
-        The folder. Whatever it holds, there is no error.
+        The folder. Nothing in it raises an error.
     name : str
         The path as the list shows it.
     """
@@ -140,8 +140,6 @@ def _best(run: Run) -> Row | None:
 
 def _in_few_words(error: Exception, path: Path) -> str:
     """The error without its remedy, and with names of files relative to the run's folder."""
-    if not isinstance(error, StoreError):
-        return one_line(shown_text(f"{type(error).__name__}: {error}"))
-    shown_path = relative(str(path))
-    text = str(error).replace(f"{shown_path}/", "").replace(f"{shown_path} ", "")
-    return one_line(shown_text(text.partition("; ")[0]))
+    shown_path, text = relative(str(path)), reason_of(error)
+    text = text.replace(f"{shown_path}/", "").replace(f"{shown_path} ", "")
+    return text.partition("; ")[0] if isinstance(error, StoreError) else text

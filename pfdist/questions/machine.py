@@ -25,7 +25,7 @@ Finding = tuple[str, str]
 
 
 def examine(results: Path, address: str = "") -> Iterator[Check]:
-    """Yield a check of everything that a run needs of a machine.
+    """Yield a check of each thing that a run needs from a machine.
 
     `results` is the folder for runs. If there is an address, the nodes of this Ray cluster are
     checked, too.
@@ -58,12 +58,12 @@ def _memory() -> Finding:
     for name in ("memory.max", "memory.limit_in_bytes"):
         limits = (int(text) for (text,) in settings("memory", name) if text.isdecimal())
         free = min(free, *limits, free)
-    return _enough(free, LEAST_MEMORY, "a run wants", "fewer workers need less")
+    return _enough(free, LEAST_MEMORY, "a run needs", "fewer workers need less")
 
 
 def _shared_memory() -> Finding:
     free = shutil.disk_usage("/dev/shm").free  # noqa: S108  looked at, not written to
-    return _enough(free, LEAST_SHARED, "Ray wants", "start the container with --shm-size=1g")
+    return _enough(free, LEAST_SHARED, "Ray needs", "start the container with --shm-size=1g")
 
 
 def _enough(free: float, least: float, who: str, what: str) -> Finding:
@@ -77,7 +77,7 @@ def _ray() -> Finding:
     if tuple(int(part) for part in installed.split(".")[:2]) < LEAST_RAY:
         return (
             "wrong",
-            f"{installed}: pages of a browser may run code here (CVE-2025-62593), 2.52 mends it",
+            f"{installed}: pages of a browser may run code here (CVE-2025-62593), fixed in 2.52",
         )
     return "ok", installed
 
@@ -108,7 +108,7 @@ def _results(results: Path) -> Finding:
             try_lock(other)
     except OSError as error:
         reason = error.strerror or error
-        return "wrong", f"files in {folder} cannot be {doing}: {reason}; runs must lie elsewhere"
+        return "wrong", f"files in {folder} cannot be {doing}: {reason}; runs need another folder"
     free = shutil.disk_usage(folder).free
     text = f"{folder}: files can be flushed and locked, {free / 1e9:.1f} GB free"
     return ("ok" if free > LEAST_DISK else "note"), text

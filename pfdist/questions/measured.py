@@ -39,7 +39,7 @@ _NARROWER = 0.7  # deviation of the test density, over that of the measurements
 
 
 class NoIntegralError(Exception):
-    """Values have no density, and are no whole numbers; the reason, which names no variable."""
+    """Values have no density, and are not whole numbers; the message is the reason."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Finds mistakes in a model before a long run on a cluster does."""
+"""Checks that find mistakes in a model before a long run does."""
 
 import math
 import time
@@ -55,7 +55,7 @@ class Check:
     ----------
     name : str
     state : {"ok", "note", "wrong"}
-        A note is worth knowing; what is wrong makes every figure wrong or ends the run.
+        A note is useful information; what is wrong makes every result wrong or ends the run.
     text : str
         The finding, and what to do.
     """
@@ -73,7 +73,7 @@ def check_loaded(
     *,
     filtered: bool = True,
 ) -> Iterator[Check]:
-    """Yield the result of each check of the model that a function loads, as soon as it is known.
+    """Yield the result of each check of the model that a function loads, as the check ends.
 
     The draws have instants 0..horizon; a clock replaces the horizon. `particles` is the number of
     particles of the filter that is timed. `times`, (T+1,), is the clock: the time of each instant.
@@ -118,7 +118,7 @@ def check_loaded(
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
-    """The evaluator, which calls formulas that cannot be traced, and the result."""
+    """The evaluator, which calls formulas that cannot be traced, and the check."""
     try:
         evaluator.compile(estimation)
     except TraceError as error:
@@ -249,7 +249,7 @@ def _digits(evaluator: Evaluator, work: Work, mse: NDArray[np.float64]) -> tuple
 
 
 def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
-    """State and text: the loss by the number of particles, and a number that is enough.
+    """State and text: the particle loss, and a number of particles that is enough.
 
     A particle-step takes so many seconds.
     """
@@ -360,6 +360,6 @@ def _engines(
         return "ok", f"{nanoseconds} a particle-step on arrays; traced, it computes something else"
     faster = f"{rounded(1e9 * seconds_a_step(compiled, times, estimation), 2)} ns"
     return "note", (
-        f"the functions can be traced: {faster} a particle-step in place of {nanoseconds}; "
+        f"the functions can be traced: {faster} a particle-step instead of {nanoseconds}; "
         "write model.as_formulas()"
     )

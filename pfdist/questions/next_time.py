@@ -48,7 +48,7 @@ class NextTime(Shown):
     measured : tuple of int or float
         Times with a measurement, on the clock of the job, as all times below.
     now : int or float
-        The time from which on errors are expected: the last that has passed.
+        The last time that has passed. Errors are expected from it on.
     plan : tuple of int or float
         Times that are left to be measured, the next first; empty if the budget is spent.
     left : int or None
@@ -83,7 +83,7 @@ class NextTime(Shown):
 
     @property
     def is_improbable(self) -> bool:
-        """Whether a right model has such measurements in less than 1 % of systems."""
+        """Whether the right model gives such measurements in less than 1 % of systems."""
         return self.surprise is not None and self.surprise < IMPROBABLE
 
     def as_json(self) -> dict[str, Any]:
@@ -174,8 +174,8 @@ def next_time(
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
-        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), if
-        wanted weight, and t, their time (by default the first).
+        Table of particles from which the filter starts: columns x0, x1, ... (or ``x_NAME``), and
+        optionally weight, and t, their time (by default the first).
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``, or
         ``results/NAME-plan`` if only that holds a run.
@@ -240,14 +240,14 @@ def next_time(
 
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
-    """Whether times may still be measured: at a distance from each other, and not too dear."""
+    """Whether times may still be measured, by their spacing, their limits and the total price."""
     apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_price
     apart = apart and feasible.is_within_limits((*measured, *left))
     return apart and (money is None or feasible.price_of((*measured, *left)) <= money)
 
 
 def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
-    """Tell a planner all measurements in the order of time.
+    """Add all measurements to a planner in the order of time.
 
     Returns
     -------

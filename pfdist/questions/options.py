@@ -1,4 +1,4 @@
-"""How a computation is done and what it shows: options that all functions that compute share."""
+"""Options that all computing functions share: where they compute, and what they show."""
 
 import contextlib
 import inspect
@@ -56,9 +56,9 @@ class Options(TypedDict, total=False):
 
     pool : str, optional
         Where tasks are computed: by workers of a Ray cluster (``ray``), in ``processes`` of this
-        machine, on ``threads`` of this process, or one after another (``serial``). On ``auto``, by
-        Ray if a cluster is given, in processes if formulas are not compiled, else on threads. The
-        default is execution.pool of the job.
+        machine, on ``threads`` of this process, or one after another (``serial``). With ``auto``,
+        by Ray if a cluster is given, in processes if formulas are not compiled, else on threads.
+        The default is execution.pool of the job.
     workers : int, optional
         Number of workers, at most 1,000 on one machine; 0 is one for each core. The default is
         execution.workers of the job.
@@ -66,7 +66,7 @@ class Options(TypedDict, total=False):
         The Ray cluster to join, as HOST:PORT; ``auto`` finds one, and ``local`` starts one on this
         machine. The default is execution.address of the job.
     wait_for_cores : int, optional
-        Begin when the cluster has so many cores, within 5 minutes. The default is
+        Wait, at most 5 minutes, until the cluster has so many cores. The default is
         execution.wait_for_cores of the job.
     figures : bool
         Whether to draw the figures that the folder lacks.
@@ -79,8 +79,8 @@ class Options(TypedDict, total=False):
         from the fifth second on.
     say : callable, optional
         Receives lines: which model files are run, when the pool is ready, which files were
-        damaged, why a search does not trust its estimator, and why there is no lower bound. If
-        it is not given, lines that concern the results become a `pfdist.errors.PfdistWarning`.
+        damaged, why a search was run again, and why there is no lower bound. If it is not given,
+        lines that concern the results become a `pfdist.errors.PfdistWarning`.
     """
 
     pool: str | None
@@ -122,7 +122,7 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
     Raises
     ------
     ArgumentError
-        The function is called with a name that it does not know; the error names the nearest.
+        The function has no parameter of a given name; the error names the nearest.
     """
     signature = inspect.signature(function)
     own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]

@@ -1,4 +1,4 @@
-"""The loss by a finite number of particles, as a table, before a run."""
+"""The particle loss as a table, before a run."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -36,9 +36,10 @@ def particle_losses(
     draws: Annotated[Whole, Field(ge=2, le=1_000_000)] = 1000,
     seed: int | None = None,
 ) -> pd.DataFrame:
-    """The loss by each of some numbers of particles, on the same draws, in this process.
+    """The particle loss with each of some numbers of particles, on the same draws.
 
-    Where the filter's model is not the truth, the draws are those of the filter's model.
+    It is computed in this process. If the filter's model is not the truth, the draws are those of
+    the filter's model.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def particle_losses(
     ------
     JobError, ModelError, MeasurementTimesError, ArgumentError
         The job, the model, the times or a number is not possible; the engine has no particles; or
-        the model has an error of its own.
+        the model defines its own error.
 
     References
     ----------
@@ -80,8 +81,8 @@ def particle_losses(
     evaluator, rows = built.evaluator.self_consistent, []
     if not evaluator.has_particle_loss:
         raise JobError(
-            "the loss by the number of particles needs an engine with particles, and the squared "
-            f"error, got the engine {evaluator.engine!r} and the model {evaluator.model.name}"
+            "the particle loss needs an engine with particles, and the squared error, got the "
+            f"engine {evaluator.engine!r} and the model {evaluator.model.name}"
         )
     for number in particles:
         estimation = replace(built.comparing, particles=number)

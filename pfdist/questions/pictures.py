@@ -1,4 +1,4 @@
-"""Figures as pictures of a page: SVG elements with the colours of the page and ids of their own."""
+"""Figures as pictures of a page: SVG elements with the colours of the page and unique ids."""
 
 import io
 import re
@@ -50,12 +50,7 @@ def _pictures(tables: Tables, figures: Figures) -> Iterator[Picture]:
 
 
 def picture(plot: Plot, name: str, description: str) -> Picture:
-    """A plot as a picture of a page. The name comes before all ids of the element."""
-    return Picture(plot.title, description, as_svg(plot, name, description))
-
-
-def as_svg(plot: Plot, name: str, description: str) -> str:
-    """Draw a plot as an SVG element.
+    """A plot as a picture of a page: an SVG element with its title.
 
     Parameters
     ----------
@@ -64,10 +59,6 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
         Comes before all ids of the element, so that two elements of a page share none.
     description : str
         A line for those who cannot see the figure.
-
-    Returns
-    -------
-    str
     """
     file = io.StringIO()
     with styled(SCREEN, {"figure.figsize": _INCHES}):
@@ -83,11 +74,11 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
     for key in ("width", "height", "version"):
         svg.attrib.pop(key, None)
     svg.attrib |= {"role": "img", "aria-label": printable(description)}
-    return ElementTree.tostring(svg, encoding="unicode")
+    return Picture(plot.title, description, ElementTree.tostring(svg, encoding="unicode"))
 
 
 def _adapt(element: ElementTree.Element, prefix: str) -> None:
-    """Have an element name its own page's ids and colours."""
+    """Give an element the colours of the page, and ids that begin with a prefix."""
     link = element.attrib.pop(f"{{{_LINK}}}href", None)
     if link is not None:
         element.set("href", f"#{prefix}{link[1:]}" if link.startswith("#") else link)

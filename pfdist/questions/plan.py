@@ -25,9 +25,9 @@ def plan(
 ) -> Run:
     """Find measurement times for a job's problem, and prove how good they are.
 
-    One search finds them. They are compared with regular times on fresh draws. A lower bound tells
-    how much better any other times can be, and a quick estimate how many evenly spaced
-    measurements do as well. The same call goes on where it was stopped.
+    One search finds them. They are compared with regular times on fresh draws. A lower bound proves
+    how much better any other times can be, and a quick estimate shows how many evenly spaced
+    measurements do as well. The same call resumes where it was stopped.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def plan(
         given. A bound that would take more than about four minutes of one core is left out, and a
         line names the command that proves it.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs, one each time. Every evaluation that one of them has is taken from
-        there.
+        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
+        for each run.
     options
         See `Options`.
 

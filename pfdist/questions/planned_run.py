@@ -60,7 +60,7 @@ def planned_run(
     planned: str,
     prior: UserTable | Prior | ArrayLike,
 ) -> PlannedRun:
-    """The finished run of a job whose times were planned, and what filters need.
+    """The finished run of a job, the set that was planned, and what filters need.
 
     The arguments are those of `pfdist.next_time`, and the errors those of `run_and_job`, of
     `planned_set` and of `read_prior`.
@@ -116,7 +116,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
     ----------
     built : Built
     prior : Cloud or Gaussian, optional
-        The knowledge of x(s), in the place of the model's `initial`.
+        The distribution of x(s), instead of the model's `initial`.
     draw : int
         Number of the system, which keys the noise.
 
@@ -128,8 +128,8 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
     job = built.job
     if built.evaluator.told:
         raise JobError(
-            "a filter of real measurements cannot be told the scenario, got scenarios.filter = "
-            f"'told' ({job.path}): 'nominal' gives it the parameters of the model"
+            "scenarios.filter must be 'nominal' or 'learned' for real measurements, whose scenario "
+            f"is unknown, got 'told' ({job.path})"
         )
     return Filter(
         built.evaluator.believed,

@@ -38,24 +38,24 @@ _FIRST_DRAWS = 300  # simulated systems for the plan before anything is measured
 class Planner:
     """Chooses the next measurement time of one system, again after each measurement.
 
-    The same job, times and measurements give the same plans. So a program that was killed makes a
-    new planner, tells it all measurements, and goes on.
+    The same job, times and measurements give the same plans. So a program that was killed can
+    resume: it adds all measurements to a new planner.
 
     Parameters
     ----------
     job : Problem, Job, str or Path
-        A job file, as ``jobs/plan.toml``, or the folder of a run. Its section [online] says
-        how plans are made. A job that is built already is not built again.
+        A job file, as ``jobs/plan.toml``, or the folder of a run. Its section [online] has the
+        settings of plans. A job that is built already is not built again.
     times : iterable of int or float, optional
         The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible
         set of the job, or of one of its measurement budgets. By default a short search finds some.
     prior : Cloud, Gaussian, array or DataFrame, optional
-        The knowledge of x(s), in the place of the model's `initial`; the system then starts at s.
+        The distribution of x(s), instead of the model's `initial`; the system then starts at s.
         An array (n, M) holds M particles of x(0); a DataFrame has a row for each, and its t is a
         time on the clock. The t of a `Cloud` is an instant. Planned times before s count as
         measured.
     draw : int
-        Number of the system, which keys the noise: give each system a number of its own.
+        Number of the system, which keys the noise: give each system another number.
 
     Raises
     ------
@@ -125,13 +125,13 @@ class Planner:
         return tuple(self.clock.written_of(self._taken))
 
     def update(self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None) -> Estimate:
-        """Tell a measurement, and plan what is left anew.
+        """Add a measurement, and plan the remaining times again.
 
         Parameters
         ----------
         y : float or sequence of float, (m,)
-            The measurement. NaN marks a component that is missing, which a model must declare that
-            it takes. All components of a sensor that did not measure are NaN.
+            The measurement. NaN marks a missing component, if the model declares that components
+            may be missing. All components of a sensor that did not measure are NaN.
         t : int or float, optional
             The time, if it is not the next planned time. Planned times before it count as missed.
 
@@ -146,7 +146,7 @@ class Planner:
             The time or the measurement is wrong, or no particle explains the measurement. The
             planner stays as it was.
         ModelError
-            A formula failed in a simulated system. Make a new planner to go on.
+            A formula failed in a simulated system. Make a new planner to continue.
         """
         instant = self._time(t)
         estimate, measurement = self._filter.update(instant, y), None
@@ -157,7 +157,7 @@ class Planner:
         return self._on_clock(estimate)
 
     def missed(self, t: Time | None = None) -> None:
-        """Tell that nothing was measured up to t, and plan what is left anew.
+        """Note that nothing was measured up to t, and plan the remaining times again.
 
         The measurement is not lost: it may be made later.
 
@@ -175,7 +175,7 @@ class Planner:
         self._plan_anew(self._filter.update(self._time(t), nothing).t)
 
     def estimate(self, t: Time | None = None) -> Estimate:
-        """Estimate z(t) from all measurements so far.
+        """The estimate of z(t) from all measurements so far.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class Planner:
     def expected(
         self, *plans: Iterable[Time], draws: ComparedDraws = EXPECTED_DRAWS
     ) -> list[Evaluation]:
-        """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
+        """The expected MSE from now to T with each plan, on the same fresh simulated systems.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class Planner:
         return self._plan[0] // self.feasible.sensors
 
     def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
-        """Plan what is left after a time, which was measured if y is given."""
+        """Plan the remaining times after an instant, which was measured if y is given."""
         prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
         self._now = Now(prior, measured=True)
         left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)

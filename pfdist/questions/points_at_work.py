@@ -46,7 +46,7 @@ class PointsAtWork:
 
     Parameters
     ----------
-    asked : SweepJob
+    sweep : SweepJob
     path : Path
         The folder of the sweep.
     bound : BoundSettings or None
@@ -66,10 +66,10 @@ class PointsAtWork:
         self._at_work = self._finished = 0
 
     def drivers(self) -> Iterator[Driver | None]:
-        """Yield what computes each point; None while others must end first.
+        """Yield the driver of each point; None while others must end first.
 
         Points that another process computes are left out, and tried again when all others have
-        ended. Several processes may so share a sweep.
+        ended. So several processes may share a sweep.
         """
         todo = [*self._sweep.jobs]
         while todo:
@@ -100,8 +100,8 @@ class PointsAtWork:
     def begun(self) -> list[Store]:
         """The stores of points that were begun before, whose evaluations all points take.
 
-        Points on another processor are left out, and points with damaged files. The point itself
-        says what is wrong with its folder.
+        Points on another processor are left out, and points with damaged files: their own drivers
+        raise the error.
         """
         begun, finished = list[Path](), 0
         for path in (self._path / name for name in self._sweep.jobs):

@@ -1,4 +1,4 @@
-"""Pages as files; the report of a run or a sweep, once or again while a run goes on."""
+"""Pages as files; the report of a run or a sweep, once or again while a run continues."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from pfdist.common import stopping
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page
-from pfdist.errors import ArgumentError, PfdistError, one_line, shown_text
+from pfdist.errors import ArgumentError, PfdistError, reason_of
 from pfdist.questions.run_page import page_of
 from pfdist.results import Run, open_run
 from pfdist.runner.progress import Say, heard, silent
@@ -14,7 +14,7 @@ from pfdist.store import holds_run, is_held, record_pages, remove_file, write_fi
 from pfdist.store.folder import REPORT, check_page_replaceable, has_report, runs_below
 
 SECONDS = 5.0
-"""Between two reports of a run that goes on."""
+"""Between two reports of a run that continues."""
 
 
 def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> Path:
@@ -28,7 +28,7 @@ def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> 
         Folder of a run or of a sweep; it need not be finished. The report of a sweep has all its
         runs, and links to their reports.
     watch : bool
-        Write the report of a run again every few seconds while the run goes on; the page reloads
+        Write the report of a run again every few seconds while the run continues; the page reloads
         itself.
     say : callable, optional
         Receives a line if the report is to be written again.
@@ -43,13 +43,13 @@ def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> 
     StoreError
         The folder holds no run, a table cannot be read, or the file cannot be written.
     ArgumentError
-        The folder of a sweep is to be watched.
+        `watch` is given with the folder of a sweep.
     """
     path = run.path if isinstance(run, Run) else path_argument("run", run)
     if is_sweep(path):
         if watch:
             raise ArgumentError(
-                f"only the report of a run can be watched, but {path} is a sweep", argument="watch"
+                f"watch needs the folder of a run, got that of a sweep: {path}", argument="watch"
             )
         return write_sweep_report(path)
     opened = open_run(path)
@@ -107,21 +107,21 @@ def _watch(path: Path, say: Say) -> None:
         raise
     state = open_run(path).state
     if state != "finished":
-        say(f"{path} is not finished ({state}), and no process computes it: run its job on")
+        say(f"{path} is not finished ({state}), and no process computes it: resume it")
 
 
 def is_sweep(path: Path) -> bool:
-    """Whether a folder is no run but has runs in it."""
+    """Whether a folder is not a run but has runs in it."""
     if holds_run(path) or not path.is_dir():
         return False
     return next(runs_below(path, 1), path) != path
 
 
 def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
-    """Write the report of a run or a sweep whose results stand, whatever becomes of the report.
+    """Write the report of a run or a sweep; an error becomes one line.
 
-    No error of the report ends the command that has computed the results, not even a mistake in
-    pfdist. It becomes one line.
+    The results are stored already. So no error of the report ends the command that has computed
+    them, not even a mistake in pfdist.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
     say : callable
         Receives a line if there is no report.
     target : float, optional
-        As of `write_report`.
+        As for `write_report`.
     """
     path = run.path if isinstance(run, Run) else run
     try:
@@ -138,15 +138,14 @@ def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
             write_report(run, target=target)
         else:
             write_sweep_report(path)
-    except PfdistError as error:
-        heard(say, f"there is no report: {error}")
     except Exception as error:
-        text = one_line(shown_text(f"{type(error).__name__}: {error}"))
-        heard(say, f"there is no report: {text} (`pfdist report {path} --debug` shows where)")
+        is_expected = isinstance(error, PfdistError)
+        hint = "" if is_expected else f" (`pfdist report {path} --debug` shows where)"
+        heard(say, f"there is no report: {reason_of(error)}{hint}")
 
 
 def renew_report(path: Path, say: Say) -> None:
-    """Write the report of a run anew, if there is one.
+    """Write the report of a run again, if there is one.
 
     Parameters
     ----------
@@ -184,7 +183,7 @@ def remove_report(path: Path) -> None:
     """Remove the report of the run in a folder, if there is one.
 
     A run writes its report only if the folder has none. So an old report must be removed before
-    the run goes on; otherwise it would stay for ever.
+    the run resumes; otherwise it would stay for ever.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def run(
 ) -> Run:
     """Run the searches of a job and compare the found times with regular times.
 
-    The same call goes on where it was stopped.
+    The same call resumes where it was stopped.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def run(
     results : str or Path, optional
         Folder of the run; by default ``results/NAME`` of a job ``NAME.toml``.
     reuse : str, Path or iterable of these, optional
-        Folders of other runs, one each time. Every evaluation that one of them has is taken from
-        there.
+        Folders of other runs, whose evaluations are taken, not computed again. Give the option once
+        for each run.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     bound_draws : int
@@ -111,7 +111,7 @@ def run_built(
     path : Path
         The run's own folder.
     chosen : Chosen
-        Says whether figures are drawn and a report is written.
+        Whether figures are drawn and a report is written.
     show, say : callable
         Receive the progress and the messages.
     bound : BoundSettings, optional
@@ -212,7 +212,7 @@ def compute(
 
 
 def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
-    """A prover of the run's lower bound; None if no bound is wanted or known."""
+    """A prover of the run's lower bound; None if no bound is wanted or possible."""
     if settings is None:
         return None
     try:
@@ -223,7 +223,7 @@ def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
 
 
 def _is_long(session: Session, prover: Prover) -> bool:
-    """Whether a bound takes longer than somebody waits who did not ask for it; if so, say it."""
+    """Whether a bound would take too long beside other results; a message says so."""
     minutes = prover.steps * _seconds_a_step(session.built, session.store.path) / 60
     if minutes > _PATIENCE and "bound" not in open_run(session.store.path).tables:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
@@ -232,7 +232,7 @@ def _is_long(session: Session, prover: Prover) -> bool:
 
 
 def _unproved(session: Session, reason: str) -> None:
-    """Say why there is no lower bound, and keep it for every answer of the run."""
+    """Say why there is no lower bound, and keep the reason for every answer of the run."""
     if read_recorded(session.store.path)[0]["provenance"].get("unproved") != reason:
         add_to_provenance(session.store.path, {"unproved": reason})
         remove_report(session.store.path)

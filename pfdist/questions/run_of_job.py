@@ -1,4 +1,4 @@
-"""The run of a job: its folder, and a finished run about which somebody asks a question."""
+"""The run of a job: its folder, and a finished run as the subject of a question."""
 
 import contextlib
 import tempfile
@@ -43,7 +43,7 @@ def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
 
 
 def searched_by(method: str) -> dict[str, Any]:
-    """The sections of a job that takes one search, in the place of those that it lists."""
+    """The sections of a job with one search instead of those that it lists."""
     return {"search": [{"method": method}]}
 
 
@@ -63,7 +63,7 @@ def finished_run(run: Run | str | Path) -> Run:
     opened = open_run(run.path if isinstance(run, Run) else run)
     if opened.state != "finished":
         raise StoreError(
-            f"{opened.path} is not finished ({opened.state}): run its job on first, "
+            f"{opened.path} is not finished ({opened.state}): resume it first, "
             f"`pfdist run {opened.path}`"
         )
     return opened
@@ -119,14 +119,14 @@ def run_and_job(
 
 
 def _no_run(job: Job, results: str | Path | None) -> StoreError:
-    """Make the error that says where a run was sought, and which command makes it."""
+    """The error about a missing run: its possible folders, and the command that makes it."""
     origin = job.origin
     command, endings = ("run", ("", PLANNED)) if origin.names_searches else ("plan", ("",))
-    sought = dict.fromkeys(str(folder_of(job, results, ending)) for ending in endings)
+    folders = dict.fromkeys(str(folder_of(job, results, ending)) for ending in endings)
     option = "" if results is None else f" --results {results}"
     of_file = f"`pfdist {command} {job.path}{option}`"
     call = of_file if origin.is_file else f"pfdist.{command}(problem)"
-    return StoreError(f"there is no run of this job in {' or '.join(sought)}: {call} makes it")
+    return StoreError(f"there is no run of this job in {' or '.join(folders)}: {call} makes it")
 
 
 @contextlib.contextmanager
@@ -142,7 +142,7 @@ def own_store(
     say : callable
         Receives a line if nothing is stored in the run's folder.
     must_be : bool
-        Whether the folder must be fit for writing; otherwise a temporary store takes its place.
+        Whether the folder must be writable; otherwise a temporary store replaces it.
 
     Raises
     ------

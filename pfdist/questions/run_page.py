@@ -64,13 +64,13 @@ from pfdist.results.stored_run import (
 _LOOKS_BETTER = (
     "on the same draws. Picking the best of several sets makes it look slightly better than it is."
 )
-_BY_EXACT_ERRORS = "by their expected MSEs, which are known exactly."
+_BY_EXACT_ERRORS = "by their expected MSEs, which are exact."
 _GAINS_SHOWN = (
     "label", "expected_mse", "gain_of_means", "positive_fraction", "mean_relative_gain",
 )  # fmt: skip
 _GAINS = (
-    "The expected MSE is the mean over all draws, with its standard error. The next column says "
-    "how much lower it is than that of the first row. The mean gain is the mean of the relative "
+    "The expected MSE is the mean over all draws, with its standard error. The next column is how "
+    "much lower it is than that of the first row. The mean gain is the mean of the relative "
     "gains of single draws, 1 - MSE / MSE of the first row, as in the paper. Intervals in brackets "
     "are 95 % CIs."
 )
@@ -119,7 +119,7 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
     sections = _sections(subject, (*dict.fromkeys(chapters), searches, computed, tables, citation))
-    # The name that the model gives itself; in an older run, the name that the job gives.
+    # The name in the model; in an older run, the name in the job.
     model = read_recorded(run.path)[0]["provenance"].get("name_of_model")
     title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
     return Page(title, f"{question(subject)} {made(subject)}", sections, warnings, seconds)
@@ -166,7 +166,7 @@ def _warnings(subject: Subject) -> list[str]:
     heavy_tail = heavy_tail_warning(
         {row.label: row.top_percent_share for row in subject.rows.values()}
     )
-    # In a terminal the last sentence says that nothing is proved.
+    # The last line in a terminal is the warning that nothing is proved.
     return [*warnings, *filter(None, [heavy_tail and f"{heavy_tail}.", unproved(subject.run)])]
 
 
@@ -203,7 +203,7 @@ def _answer(subject: Subject, row: Row) -> Iterator[Block]:
 
 def _gain(subject: Subject, row: Row) -> str:
     reference = subject.reference_row
-    if row.measurement_times == subject.reference_times:
+    if row.measurement_times == reference.measurement_times:
         return f"The search found no better times than {subject.reference}."
     if row.gain_of_means is None or math.isinf(row.gain_of_means) or not row.gain_draws:
         return "The gain is not known, because errors are 0, infinite or unknown."
@@ -270,7 +270,7 @@ def gains(subject: Subject) -> Section | None:
 
 
 def _relative_gains(subject: Subject) -> Iterator[Text]:
-    """The paper's results of its search, and why the mean gain of the best set is no such gain."""
+    """The mean gain of the paper's search, and why that of the best set differs from its gain."""
     job, noise = subject.run.job, subject.reference_row.gain_over_itself
     model = job["model"]
     papers = {each["name"] for each in job.get("search", ()) if each["method"] == "genetic"}

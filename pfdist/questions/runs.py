@@ -43,7 +43,7 @@ def table_page(frame: pd.DataFrame) -> Page:
     rows = [_row(row, keys) for row in frame.to_dict("records")]
     lacking = [short[key] for key in reversed(keys) if frame[key].isna().any()]
     others = [short[key] for key in reversed(keys) if short[key] not in lacking]
-    # Few keys tell the runs apart in a narrow terminal, else the names of the runs do.
+    # In a narrow terminal, few keys identify the runs, or else the names of the runs do.
     is_told = 0 < len(keys) <= _FEW_KEYS and not frame.duplicated([*keys, "set"]).any()
     optional = ["run", "seconds"] if is_told else [*lacking, "seconds", *others]
     table = Table("", head, rows, optional=optional)
@@ -52,12 +52,12 @@ def table_page(frame: pd.DataFrame) -> Page:
     references = sorted(set(frame["reference"].dropna().astype(str)))
     regular = references == [REGULAR]
     other = phrase_of(EVENLY_SPACED) if regular else "the reference"
-    gain = Text(f"The gain says how far the expected MSE lies below that of {other} (95 % CI).")
+    gain = Text(f"The gain is how far the expected MSE lies below that of {other} (95 % CI).")
     return Page("", "", [Section("", [table, *([gain] if references else [])])])
 
 
 def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
-    # A row without results says how far its run is.
+    # A row without results shows the state of its run.
     state = "no other set" if row["state"] == FINISHED else str(row["state"])
     seconds = row["worker_seconds"]
     return [
@@ -71,7 +71,7 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
 
 
 def least_regret_text(judged: pd.DataFrame) -> str:
-    """Name the plan of least regret of a sweep, as `Sweep.judged` gives its table."""
+    """The plan of least regret in a sentence, from the table of `Sweep.judged`."""
     worst = least_regret(judged)
     if worst is None:
         return "No plan fits every point, so none has the least regret."
@@ -86,7 +86,7 @@ def least_regret_text(judged: pd.DataFrame) -> str:
 
 
 def lowest_text(frame: pd.DataFrame) -> str:
-    """Which values have the lowest mean of the expected MSE over the seeds, and the mean."""
+    """The values with the lowest expected MSE, as a mean over the seeds, in a sentence."""
     columns = still_varying(frame, [])
     means = averages(frame, columns, "expected_mse")
     best = min((each for each in means if math.isfinite(each.mean)),
@@ -125,7 +125,7 @@ def list_page(frame: pd.DataFrame, folder: str) -> Page:
     Parameters
     ----------
     frame : DataFrame
-        As `pfdist.list_runs` gives it.
+        The result of `pfdist.list_runs`.
     folder : str
         The listed folder.
     """
@@ -154,7 +154,7 @@ def _result(row: Mapping[Any, Any]) -> str:
 
 
 def foreseen_page(points: pd.DataFrame) -> Page:
-    """The points of a sweep and their work, as `pfdist.questions.sweep.foreseen` gives them."""
+    """The points of a sweep and their work, from `pfdist.questions.sweep.foreseen`."""
     billion = 1e9
     rows = [
         [
@@ -173,5 +173,5 @@ def foreseen_page(points: pd.DataFrame) -> Page:
         text += f", and at most {judging:.3f} billion to judge"
     table = Table("", ("point", "state", "billion steps"), rows)
     parts = parts_that_pay(left["seconds"].tolist())
-    pays = f"up to {parts} parts pay, on a core each" if parts > 1 else "one part: more do not pay"
+    pays = f"up to {parts} parts are worthwhile, on a core each" if parts > 1 else "one part"
     return Page("", "", [Section("", [table, Text(text), Text(pays)])])

@@ -1,4 +1,4 @@
-"""Realisations of a problem's model as a table."""
+"""Simulated draws of a problem's model as a table."""
 
 from typing import Annotated
 
@@ -27,14 +27,14 @@ def simulate(
     draws: Annotated[Whole, Field(ge=1, le=10_000_000)] = DRAWS,
     seed: int | None = None,
 ) -> pd.DataFrame:
-    """Simulate the model of a problem: its states, measurements and quantities of interest.
+    """Simulated draws of a problem's model: states, measurements and quantities of interest.
 
     Parameters
     ----------
     problem : Problem, Job, str or Path
         A job file, as ``jobs/plan.toml``, or the folder of a run.
     draws : int
-        The number of realisations. A larger number begins with the same realisations.
+        The number of draws. A larger number begins with the same draws.
     seed : int, optional
         By default the seed of the job; 0 for a problem.
 
@@ -43,8 +43,8 @@ def simulate(
     DataFrame
         A row for each draw and instant: draw, t (on the clock, if there is one), the states x_0,
         x_1, ..., the measurements y_0, ... that could be made at every instant, and the quantities
-        of interest z_0, ... If the model names components, columns have the names in the place of
-        the numbers, and the attribute ``labels`` has names and units. With a clock, the attribute
+        of interest z_0, ... If the model names components, columns have the names instead of the
+        numbers, and the attribute ``labels`` has names and units. With a clock, the attribute
         ``time_unit`` has its unit.
 
     Raises

@@ -91,7 +91,7 @@ class Subject:
 
     @cached_property
     def online(self) -> dict[str, Any] | None:
-        """Results of times that were chosen one after another; None if there are none."""
+        """Results of online times; None if there are none."""
         return online_draws(self.run).summary() if is_online(self.run) else None
 
     @property
@@ -101,7 +101,7 @@ class Subject:
 
     @property
     def about_others(self) -> list[Text]:
-        """Say where the figures of the other sets are."""
+        """A sentence about the figures of the other sets, if there are others."""
         others = len(self.others) - len(self.shown)
         shown = number_of(len(self.shown), "found set" if self.found_rows else "set")
         text = (
@@ -115,26 +115,19 @@ class Subject:
         return reaching(self.sets, target)
 
     @property
-    def reference_times(self) -> Sequence[float | str]:
-        """Measurement times of the reference."""
-        times: Sequence[float | str] = self.reference_row.measurement_times
-        return times
-
-    @property
     def reference(self) -> str:
         """The reference as sentences call it: ``evenly spaced times (every 3 instants)``."""
-        phrase, every = phrase_of(self.reference_row.label), self._step_of_reference
-        problem = problem_of(self.run)
-        is_even = problem.feasible.is_regular(problem.clock.measurements(self.reference_times))
-        is_moved = self.reference_row.label == EVENLY_SPACED and not is_even
+        row, every, problem = self.reference_row, self._step_of_reference, problem_of(self.run)
+        phrase, times = phrase_of(row.label), problem.clock.measurements(row.measurement_times)
+        is_moved = row.label == EVENLY_SPACED and not problem.feasible.is_regular(times)
         how = "moved to allowed instants" if is_moved else every
         return f"{phrase} ({how})" if how else phrase
 
     @property
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
-        sensors = {time_and_sensor(time)[1] for time in self.reference_times}
-        instants = (time_and_sensor(time)[0] for time in self.reference_times)
+        measurements = [*map(time_and_sensor, self.reference_row.measurement_times)]
+        instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
             return ""
@@ -220,12 +213,12 @@ def is_clear(interval: Sequence[float | None]) -> bool:
 def effect(
     gain: float, interval: Sequence[float | None], other: str, what: str = "the expected MSE"
 ) -> str:
-    """Say how far an error lies below that of other times, or that there is no clear difference.
+    """How far an error lies below that of other times, or that there is no clear difference.
 
     Parameters
     ----------
     gain, interval
-        As of `change_of`.
+        As for `change_of`.
     other : str
         The other times.
     what : str
@@ -245,7 +238,7 @@ def effect(
 
 
 def as_good_text(row: Row) -> str:
-    """Say how many evenly spaced measurements do as well as a set, or between which two it lies."""
+    """How many evenly spaced measurements do as well as a set, or between which two it lies."""
     numbers = row.evenly_spaced
     if row.evenly_spaced_between:
         worse, better = numbers

@@ -1,4 +1,4 @@
-"""A job at many points: every point is a run of its own, and all share the same workers."""
+"""A job at many points: every point is a separate run, and all share the same workers."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -86,7 +86,7 @@ class Sweep:
         return Page("", "", [answer, *table_page(frame).sections], busy)
 
     def judged(self) -> pd.DataFrame:
-        """How good the times found at each point are at every point.
+        """The regret of the times found at each point, at every point.
 
         Returns
         -------
@@ -151,10 +151,10 @@ def sweep(
         Number of draws of the lower bound that is proved at each point; 0 for no bound.
     judge : bool, optional
         Whether the times found at each point are judged at every point, too, by comparisons in the
-        folder ``judged``; by default as the sweep file says.
+        folder ``judged``; the default is judge of the sweep file.
     part : tuple of two int, optional
-        ``(k, n)`` computes every n-th point, from the k-th, and looks at no other. Neither judges
-        nor reports the sweep: that needs all points.
+        ``(k, n)`` computes every n-th point, from the k-th, and no other. The sweep is then neither
+        judged nor reported: that needs all points.
     options
         See `Options`.
 
@@ -269,7 +269,7 @@ def foreseen(
     progress: Show | bool | None = None,
     say: Say = silent,
 ) -> pd.DataFrame:
-    """The points of a sweep and about how much work each is, by the speed of a few draws.
+    """The points of a sweep and the work of each, estimated from the speed of a few draws.
 
     Parameters
     ----------
@@ -280,8 +280,8 @@ def foreseen(
     -------
     DataFrame
         A row for each point: its name, its values, the state of its run ("none" if it has not
-        begun, "other run" if another run is in the way), ``steps``, the particle-steps that the
-        whole run takes, and ``seconds``, about how long they take a worker. If the sweep judges,
+        begun, "other run" if its folder holds a different run), ``steps``, the particle-steps of
+        the whole run, and ``seconds``, about how long a worker takes for them. If the sweep judges,
         ``judging_steps`` are those that judge all found times there, if all differ.
 
     Raises
@@ -310,7 +310,7 @@ def foreseen(
 
 
 def _seconds_a_step(built: Built) -> float:
-    """Seconds of a particle-step, by filters that take a moment; an exact engine has a guess."""
+    """Seconds of a particle-step, measured on a few draws; a guess for an exact engine."""
     if built.evaluator.exact:
         return built.evaluator.seconds_a_step
     return seconds_a_step(built.evaluator, built.feasible.regular(), built.comparing)

@@ -23,7 +23,7 @@ from pfdist.common.parts import (
     Text,
     without_empty_columns,
 )
-from pfdist.errors import PfdistError, one_line, relative, shown_text
+from pfdist.errors import one_line, reason_of, relative
 from pfdist.pages.figure import Plot
 from pfdist.pages.panel import verbatim
 from pfdist.pages.plots import against
@@ -95,7 +95,7 @@ class SweepSubject:
     runs : list of Run
         Those that can be read.
     frame, judged : DataFrame
-        As `pfdist.table` gives it of these runs, and as `Sweep.judged` of the finished comparisons.
+        The table of these runs, and that of the finished comparisons, as `Sweep.judged`.
     judged_fault : str
         Why the comparisons cannot be read; empty if they can.
     """
@@ -112,7 +112,7 @@ class SweepSubject:
         try:
             self.judged = self._read_judged()
         except Exception as error:  # nor because of a comparison
-            self.judged, self.judged_fault = NOTHING_JUDGED, _reason(error)
+            self.judged, self.judged_fault = NOTHING_JUDGED, reason_of(error)
 
     @cached_property
     def keys(self) -> list[str]:
@@ -121,7 +121,7 @@ class SweepSubject:
 
     @cached_property
     def columns(self) -> list[str]:
-        """The set and the keys other than the seed, as far as they tell rows apart."""
+        """The set and the keys other than the seed, if they distinguish rows."""
         return still_varying(self.frame, [])
 
     @cached_property
@@ -157,15 +157,9 @@ def _tried(path: Path, listed: ListedRow) -> ListedRow:
         if listed.fault is None:
             runs_table([open_run(path)])
     except Exception as error:
-        fault = _reason(error).replace(relative(f"{path}/"), "")
+        fault = reason_of(error).replace(relative(f"{path}/"), "")
         return ListedRow(**vars(listed) | {"state": DAMAGED, "fault": fault})
     return listed
-
-
-def _reason(error: Exception) -> str:
-    """An error on one line; an error that pfdist does not expect has the name of its type."""
-    text = str(error) if isinstance(error, PfdistError) else f"{type(error).__name__}: {error}"
-    return one_line(shown_text(text))
 
 
 def answer(subject: SweepSubject) -> Section | None:
@@ -261,7 +255,7 @@ def _link(point: Path) -> str:
 
 
 def computed(subject: SweepSubject) -> Section:
-    """Say how many points are finished, how long all took, and with which versions."""
+    """The number of finished points, the time of all workers, and the versions."""
     seconds = float(subject.frame.drop_duplicates("path")["worker_seconds"].sum())
     facts = [
         ("points", f"{len(subject.points):,}"),
@@ -274,9 +268,9 @@ def computed(subject: SweepSubject) -> Section:
 
 
 def sweep_page(path: Path) -> Page:
-    """The report of a sweep, in a folder that is no run but has runs in it, finished or not.
+    """The report of a sweep: of the runs in a folder, finished or not.
 
-    A run that cannot be read has a warning that says why.
+    A run that cannot be read has a warning with the reason.
 
     Raises
     ------

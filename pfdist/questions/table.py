@@ -15,11 +15,10 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.dotted_keys import short_names
 from pfdist.errors import (
     ArgumentError,
-    PfdistError,
     PfdistWarning,
+    reason_of,
     relative,
     shown,
-    shown_text,
 )
 from pfdist.results import Run, open_run
 from pfdist.results.runs_table import (
@@ -63,15 +62,15 @@ _DEPTH = 2  # a folder with sweeps in it; comparisons that judge the points of s
 def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     """Put many runs into one table: what differs between them, and what they found.
 
-    The runs are read; no model is loaded, and nothing is computed anew.
+    The runs are only read: no model is loaded, and nothing is computed.
 
     Parameters
     ----------
     runs : Run, str, Path, or list of these
-        Folders of runs, finished or not. A folder that is no run but has runs or sweeps in
-        it stands for all these runs, in the order of their names; numbers in names are ordered as
-        numbers. Runs in a folder that cannot be read are left out, with a warning; a run that
-        is given itself is an error then. A run that is given twice counts once.
+        Folders of runs, finished or not. A folder with runs or sweeps in it gives all these runs,
+        in the order of their names; numbers in names are ordered as numbers. Runs in it that cannot
+        be read are left out, with a warning; if a run that is given itself cannot be read, it is an
+        error. A run that is given twice counts once.
     out : str or Path, optional
         Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.
         An earlier table of runs is replaced; another file is not.
@@ -82,12 +81,12 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
         A row for each run and each compared set other than the reference. A run without such sets
         has one row. Unknown values are NaN or None. The columns are:
 
-        - run: name of the folder, after as much of its path as tells equal names apart.
+        - run: name of the folder; equal names follow as much of the path as distinguishes them.
         - A column for each key in which the jobs of the runs differ, such as ``seed`` or
           ``problem.measurement_budget``, and ``pfdist`` if their versions differ.
         - set; state (``searching``, ``comparing`` or ``finished``); draws (compared so far).
         - expected_mse and standard_error, and the same of the reference, whose name is in
-          ``reference``. If an engine knows an expected MSE exactly, the error is 0. In a run of
+          ``reference``. If an expected MSE is exact, its error is 0. In a run of
           several numbers of measurements, the reference has as many as the set.
         - gain_of_means, mean_relative_gain and positive_fraction over the reference, each with
           ``_low`` and ``_high`` (95 %); see `pfdist.results.Gain`.
@@ -149,8 +148,7 @@ def _can_be_read(path: Path) -> bool:
     try:
         runs_table([open_run(path)])
     except Exception as error:
-        why = str(error) if isinstance(error, PfdistError) else repr(error)
-        warnings.warn(f"{path} is left out: {shown_text(why)}", PfdistWarning, stacklevel=2)
+        warnings.warn(f"{path} is left out: {reason_of(error)}", PfdistWarning, stacklevel=2)
         return False
     return True
 
@@ -163,12 +161,12 @@ def tex(frame: pd.DataFrame) -> str:
 
     The columns are the keys that differ, the set, the expected MSE with its standard error, the
     gain of means in per cent with its 95 % interval, and the times. Numbers have two significant
-    digits of their errors. If the keys do not tell the runs apart, their names come first.
+    digits of their errors. If the keys do not distinguish the runs, their names come first.
 
     Parameters
     ----------
     frame : DataFrame
-        As `pfdist.table` gives it.
+        The result of `pfdist.table`.
     """
     keys = keys_of(frame)
     names = ([] if differ_by_keys(frame, keys) else ["run"]) + keys + ["set"]
@@ -251,4 +249,4 @@ _KINDS: dict[str, tuple[Callable[[pd.DataFrame, Path], None], Callable[[Path], b
     ".parquet": (_write_parquet, partial(holds_table, name=_MARK)),
     ".tex": (_write_tex, partial(begins_with, mark=_COMMENT.encode(), most=len(_COMMENT))),
 }
-"""How a table is written, and how an earlier table is known, by each allowed ending."""
+"""The function that writes a table, and the one that recognises an earlier table, by ending."""

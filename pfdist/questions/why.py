@@ -67,13 +67,12 @@ class Why(Shown):
         instant. The standard errors are removed_error, earlier_error and later_error.
     sampling_windows : DataFrame
         A row for each set, measurement and instant to which it alone is moved (also its own
-        instant, where nothing moves): position, name, t,
-        moved_to (the instant, or on a clock its time), moved_to_instant (its number), draws, loss
-        (the expected MSE over that of the kept set, less 1), loss_error (its standard error),
-        lower_limit and upper_limit (one-sided, 95 %). The states
-        within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
-        the lower limit is above, and else "open". The instants lie between the neighbouring
-        measurements, and end on each side with the first that is outside within_5.
+        instant, where nothing moves): position, name, t, moved_to (the instant, or on a clock its
+        time), moved_to_instant (its number), draws, loss (the expected MSE over that of the kept
+        set, less 1), loss_error (its standard error), lower_limit and upper_limit (one-sided,
+        95 %). The states within_1 and within_5 are "inside" if the upper limit is at most 1 % or
+        5 %, "outside" if the lower limit is above, and otherwise "open". The instants lie between
+        the neighbouring measurements, and end on each side with the first that is outside within_5.
     figures : list of Path
         The PNG, SVG and PDF files: ``why-<set>`` and ``sampling_windows-<set>`` of each set but the
         reference, and ``filters`` if the filters have particles. Empty if no figures were wanted.
@@ -156,7 +155,7 @@ def why(
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     JobError
-        The error of the worst scenario decides: only means are explained.
+        The job asks for the least error in the worst scenario; only means can be explained.
     """
     chosen = Chosen(figures=figures, progress=progress, say=say)
     with following(chosen.progress, chosen.say) as (show, tell):
@@ -164,7 +163,10 @@ def why(
         check_one_number(opened)
         sets = opened.sets
         if built.is_worst:
-            raise JobError(f"why explains means, got criterion = 'worst' ({built.job.path})")
+            raise JobError(
+                "scenarios.criterion must be 'mean' for this question, got 'worst' "
+                f"({built.job.path})"
+            )
         with own_store(opened, built, tell, must_be=False) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))

@@ -19,10 +19,10 @@ _HEAD = (
     f"within {WIDE} %",
 )  # fmt: skip
 _MEANING = (
-    "A measurement whose loss changes little may be left out; a value below 0 means that the error "
-    "is lower without it. A measurement alone may move to the instants of its sampling window: "
-    "there the one-sided 95 % upper limit of the loss is at most so many per cent of the expected "
-    "error. The limit holds for each instant alone. Open instants need more draws."
+    "A measurement without which the error hardly rises may be left out; a value below 0 means "
+    "that the error is lower without it. A measurement alone may move to the instants of its "
+    "sampling window: there the error rises by at most so many per cent (one-sided 95 % upper "
+    "limit, for each instant alone). Open instants need more draws."
 )
 _ROUNDING = 1e-10  # per cent: rounding errors of doubles are smaller
 Frames = Mapping[str, "pd.DataFrame"]
@@ -54,7 +54,7 @@ def why_page(subject: Subject, frames: Frames) -> Page:
 
 
 def _extremes(subject: Subject, frames: Frames) -> str:
-    """Say which measurement of the plan is the most important, and which is the least."""
+    """The most and the least important measurement of the plan, in sentences."""
     plan = subject.by_error[0]
     rises = _rises(plan, frames)
     if not rises or not all(math.isfinite(rise) for _, rise, _ in rises):

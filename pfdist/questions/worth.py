@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.estimate import Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Result, Work
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
-from pfdist.results.sampling_windows import INSIDE, OPEN, OUTSIDE, RelativeLoss
+from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.particles import mean_effective_sizes
@@ -89,9 +90,8 @@ def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **othe
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
     """Yield each measurement with each change of it, and the changed set.
 
-    A measurement that moves is made by the same sensor.
-
-    Every measurement may be removed, but it moves only to instants that the job allows.
+    Every measurement may be removed. It moves only to instants that the job allows, and keeps its
+    sensor.
     """
     for t in times:
         yield t, "removed", tuple(other for other in times if other != t)
@@ -130,7 +130,7 @@ def _means(
 def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
     """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
-    The MSE is less its control, because everything that is computed from it is a mean.
+    The control is subtracted from the MSE, because only means are computed from it.
     """
     (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:
@@ -232,10 +232,8 @@ def _rows(
     if evaluator.exact:
         (errors,), _ = yield from _mse(session, work)
         mse_unmoved, *_ = errors
-        return [
-            _exact_row((error - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan)
-            for error in errors
-        ]
+        exact = (errors - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan + errors
+        return [_row(loss, 0.0, (loss, loss)) for loss in exact.tolist()]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
         mse, _ = yield from _mse(session, piece)
@@ -243,25 +241,10 @@ def _rows(
             loss.add(changed, mse[:, 0])
         _, last = piece.draws
         reporter.reach(start + share * last / draws, evaluations=last)
-    return [_row(loss) for loss in losses]
+    return [_row(loss.mean, loss.standard_error, loss.limits) for loss in losses]
 
 
-def _row(loss: RelativeLoss) -> Row:
-    low, high = loss.limits
-    return {
-        "loss": loss.mean,
-        "loss_error": loss.standard_error,
-        "lower_limit": low,
-        "upper_limit": high,
-    } | {f"within_{percent}": loss.state(percent / 100) for percent in WINDOW_PERCENTS}
-
-
-def _exact_row(loss: float) -> Row:
-    states = {
-        f"within_{percent}": INSIDE if loss <= percent / 100 else OUTSIDE
-        for percent in WINDOW_PERCENTS
-    }
-    if math.isnan(loss):
-        states = dict.fromkeys(states, OPEN)
-    exact = {"loss": loss, "loss_error": 0.0, "lower_limit": loss, "upper_limit": loss}
-    return exact | states
+def _row(loss: float, error: float, limits: Interval) -> Row:
+    row = {"loss": loss, "loss_error": error, "lower_limit": limits[0], "upper_limit": limits[1]}
+    states = {f"within_{percent}": state_of(limits, percent / 100) for percent in WINDOW_PERCENTS}
+    return row | states

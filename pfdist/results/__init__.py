@@ -1,6 +1,6 @@
-"""A run's tables as pandas DataFrames, and figures with their intervals.
+"""A run's tables as pandas DataFrames, and its results with their intervals.
 
-Reads tables alone: no Ray, no model, no kernel.
+Only tables are read: no Ray, no model, no kernel.
 """
 
 from pfdist.results.budget_curve import reaching

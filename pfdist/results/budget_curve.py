@@ -1,4 +1,4 @@
-"""Compared sets by number of measurements: expected MSE, and how many reach a target."""
+"""The budget curve: lower bounds, and the numbers of measurements that reach a target."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ BOUND_DEGREES = 19
 
 
 def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Add the columns bound, bound_error and bound_low to the table of sets.
+    """The table of sets with the columns bound, bound_error and bound_low.
 
     Parameters
     ----------
     table : DataFrame
         The table ``sets``, before these columns are added.
     proofs : mapping of str to mapping
-        As of `pfdist.results.stored_run.last_bounds`: the lower bound of each found set, by name.
-        A proof that failed has a reason, and no bound.
+        The result of `pfdist.results.stored_run.last_bounds`: the lower bound of each found set, by
+        name. A proof that failed has a reason, and no bound.
 
     Returns
     -------
@@ -59,11 +59,11 @@ def _limit(proof: Mapping[str, Any], numbers: int) -> float:
 
 
 def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
-    """The sets that have a higher MSE than the best set with fewer measurements.
+    """A better, smaller number of measurements of the same kind, by the name of the worse set.
 
-    Both sets are of one kind, regular or found. The result maps a set's name to the smaller number.
+    Kinds are regular and found. The smaller number is that of the best set with fewer measurements.
     The interval of the difference on common draws must lie above 0; a difference of two exact
-    errors has no interval. The best set was chosen on the same draws. So each interval allows for
+    errors has no interval. The best set was chosen on the same draws, so each interval allows for
     all pairs of a kind (Bonferroni, 95 % together).
 
     Parameters
@@ -100,7 +100,7 @@ def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
 
 
 def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
-    """The least number of measurements whose expected MSE is at most a target.
+    """The least number of measurements whose expected MSE is at most a target, and its interval.
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         - measurement_times.
         - larger_that_do_not: larger numbers whose interval lies above the target. More regular
           times are not always better.
-        - impossible, for found times alone: the largest number of measurements with which no
+        - impossible, only for found times: the largest number of measurements with which no
           feasible times and no filter reach the target (bound_low lies above the target); None if
-          no number is proved. Without a minimum spacing, all smaller numbers are impossible too:
+          nothing is proved. Without a minimum spacing, all smaller numbers are impossible, too:
           more measurements never harm the exact filter of the true model.
 
-        The least numbers above leave out each number that is proved impossible.
+        The least numbers leave out each number that is proved impossible.
     """
     answer = dict[str, dict[str, Any]]()
     for kind, sets in table.groupby("kind", sort=False):

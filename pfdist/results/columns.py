@@ -1,7 +1,6 @@
 """The columns of the table of sets, each declared once, and the views of its rows.
 
-Everything that is shown of a set comes from this table: answers, reports, lists and tables of runs,
-JSON and DataFrames.
+Answers, reports, lists and tables of runs, JSON and DataFrames all show this table.
 """
 
 from __future__ import annotations
@@ -59,9 +58,9 @@ class Column:
     error : str
         Column of its standard error, which pages show beside it.
     is_percent : bool
-        Pages show it in per cent.
+        Whether pages show it in per cent.
     has_interval : bool
-        The ends of its 95 % interval are the columns ``NAME_low`` and ``NAME_high``.
+        Whether the ends of its 95 % interval are the columns ``NAME_low`` and ``NAME_high``.
     """
 
     name: str
@@ -271,14 +270,14 @@ def rows_of(table: pd.DataFrame) -> list[Row]:
 
 
 def records_of(table: pd.DataFrame) -> list[Results]:
-    """The rows of a table as JSON holds them: None for numbers that are missing or infinite."""
+    """The rows of a table for JSON; numbers that are missing or infinite are None."""
     return finite([vars(row) for row in rows_of(table)])
 
 
 def sets_table(
     caption: str, rows: Iterable[Row], columns: Sequence[str], *, unit: str = "", **how: Any
 ) -> Table:
-    """A table of some results of sets for pages; columns in which all cells are empty are left out.
+    """A page's table of some results of sets; columns without a value are left out.
 
     Parameters
     ----------
@@ -297,9 +296,9 @@ def sets_table(
 
 
 def finite(value: T) -> T:
-    """The same value for JSON: lists, relative paths, and moments as texts of ISO 8601.
+    """A value for JSON: lists, relative paths, and dates as texts of ISO 8601.
 
-    A float that is not finite is None.
+    A float that is not finite becomes None.
     """
     plain: Any = relative(value) if isinstance(value, str) else value
     if isinstance(value, dict):

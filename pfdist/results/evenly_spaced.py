@@ -36,8 +36,8 @@ def doing_as_well(differences: Differences) -> tuple[list[int], bool]:
     Returns
     -------
     (list of int, bool)
-        The numbers whose error does not differ clearly. If there are none, the two numbers between
-        which the error lies, and True. An empty list if no number reaches it.
+        The numbers whose error does not differ clearly, and False. If there are none, the two
+        numbers between which the error lies, and True; or an empty list if no number reaches it.
 
     Examples
     --------
@@ -55,10 +55,10 @@ def doing_as_well(differences: Differences) -> tuple[list[int], bool]:
 
 
 def columns_of(run: StoredRun, names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """The columns about evenly spaced times, by the name of the set; none if nothing is known.
+    """The columns about evenly spaced times, by the name of the set, if there are any.
 
-    In a run of several numbers of measurements, these sets are compared with all regular times.
-    Else the table ``evenly_spaced`` has some, beside the only found set.
+    In a run of several numbers of measurements, each found set is compared with all regular times.
+    Otherwise the only found set is compared with those in the table ``evenly_spaced``.
     """
     each: Mapping[str, Differences] = {}
     if "budget" in run.job:

@@ -15,7 +15,7 @@ from pfdist.results.runs_table import RESULTS, runs_table
 from pfdist.results.stored_run import blocks_of, filter_is_wrong, found_sets, problem_of
 
 JUDGED = "judged"
-"""Folder, in that of a sweep, with a folder of comparisons for each choice of judged sets."""
+"""Subfolder of a sweep's folder, with a folder of comparisons for each choice of judged sets."""
 PLAN = ("found_at", "set")
 """Columns that identify a plan: the point at which a search found times, and the search."""
 REGRET = ("regret", "regret_low", "regret_high")
@@ -46,7 +46,7 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     Returns
     -------
     DataFrame
-        As `pfdist.table` gives it of the judges, but ``set`` is the name of the search. Further
+        The result of `pfdist.table` for the judges, but ``set`` is the name of the search. Further
         columns are ``found_at``, the point at which the times were found, and ``regret`` with
         ``regret_low`` and ``regret_high``, its 95 % interval: how far the expected MSE lies above
         that of the best times that were found at any point, as a fraction. It is NaN for times that
@@ -87,7 +87,7 @@ def least_regret(judged: pd.DataFrame) -> dict[Any, Any] | None:
     Parameters
     ----------
     judged : DataFrame
-        As `judged_table` gives it.
+        The result of `judged_table`.
 
     Returns
     -------
@@ -103,9 +103,9 @@ def least_regret(judged: pd.DataFrame) -> dict[Any, Any] | None:
 
 
 def _regrets(judge: Run, found: TimesByPoint, point: str, smaller: bool) -> dict[Times, Regret]:
-    """The regret with its interval of all times that can be compared at a point.
+    """The regret, with its interval, of all times that can be compared at a point.
 
-    With money, `smaller` says whether sets can be compared to which a measurement can be added.
+    With prices, `smaller` allows sets to which a measurement could be added.
     """
     names = {times: name for name, times in judge.sets.items()}
     results = judge.table("sets").set_index("name")
@@ -127,9 +127,9 @@ def _regrets(judge: Run, found: TimesByPoint, point: str, smaller: bool) -> dict
 def _best(
     judge: Run, found: TimesByPoint, point: str, mse: Mapping[Times, float], smaller: bool
 ) -> dict[Times, Times]:  # fmt: skip
-    """For each feasible set of times the best one: of as many times, if their number is fixed.
+    """The best set for each feasible set of times: of as many times, if their number is fixed.
 
-    The number must be one with which times were found at the point.
+    Times of the same number were found at the point.
     """
     problem = problem_of(judge)
     feasible, best = replace(problem.feasible, smaller=smaller), dict[Times, Times]()

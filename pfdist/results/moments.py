@@ -1,8 +1,9 @@
 """Moments of errors over draws, gains over a reference, and the statistics of a comparison.
 
-Everything is accumulated block by block, so that memory does not grow with the draws: moments, and
-a histogram with fixed bins, which gives the quantiles. The same blocks in the same order give the
-same bits. The gain of each draw and the gain of the means are those of the paper, section 3.
+Blocks of draws are added one after another, so memory does not grow with the draws: they give
+moments, and a histogram with fixed bins, which gives the quantiles. The same blocks in the same
+order give the same bits. The gain of each draw and the gain of means are those of the paper,
+section 3.
 
 References
 ----------
@@ -32,7 +33,7 @@ from pfdist.filters.estimate import top_percent_share
 Array = NDArray[np.float64]
 
 BLOCK = 10_000
-"""Draws that are added at a time, everywhere: other blocks would give other last digits."""
+"""Draws of a block, everywhere: blocks of another size would give other last digits."""
 
 
 @dataclass
@@ -121,7 +122,7 @@ class Pairs:
 
     @property
     def too_few(self) -> bool:
-        """Whether a mean less its control is not above 0: then no ratio is known."""
+        """Whether a mean less its control is not above 0, so that no ratio can be estimated."""
         return self.has_control and not min(self.x.mean, self.y.mean) > 0.0
 
     @property
@@ -138,9 +139,9 @@ class Pairs:
     def ratio_interval(self, confidence: float = CONFIDENCE) -> Interval:
         """Interval of mean(x) / mean(y), by Fieller's theorem with Student's t of D - 1 degrees.
 
-        It contains all ratios r for which the mean of x - r y does not differ from 0. It is exact
-        for normal means, unlike the delta method. Infinite if the mean of y may be 0; NaN with
-        fewer than two pairs, or if the moments are not finite.
+        It contains all ratios r for which the mean of x - r y does not clearly differ from 0. It is
+        exact for normal means, unlike the delta method. Infinite if the mean of y may be 0; NaN
+        with fewer than two pairs, or if the moments are not finite.
         """
         count = self.x.count
         if count < 2 or self.y.mean == 0.0 or self.too_few:
@@ -168,9 +169,9 @@ class Pairs:
 def controlled_mse(rows: Any, name: str) -> Array:
     """The error of each draw with a set, less its control if there is one; (D,).
 
-    Its mean is the expected MSE that is printed, because the expectation of a control is 0. Means,
-    their differences and ratios use these values. Relative gains, their quantiles and shares of
-    draws use the MSE itself.
+    Its mean is the printed expected MSE, because the expectation of a control is 0. Means, their
+    differences and ratios use these values. Relative gains, their quantiles and shares of draws
+    use the MSE itself.
 
     Parameters
     ----------
@@ -240,7 +241,7 @@ def relative_gain(mse: Array, reference: Array) -> Array:
 def gain_over_itself(mse: Array, again: Array) -> Moments:
     """Moments of the relative gain of a set over itself under other filter noise.
 
-    The mean is the effect of filter noise alone on a mean relative gain. The two filters are
+    The mean is the effect of filter noise on a mean relative gain. The two filters are
     exchangeable, so both gains are averaged: -(mse - again)^2 / (2 mse again). The average has the
     expectation of each gain and a far smaller error.
 
@@ -334,7 +335,7 @@ class Gain:
         return (1.0 - high, 1.0 - low)
 
     def quantile(self, share: float) -> float:
-        """Quantile of the relative gain, as `numpy.quantile` gives it up to the width of a bin."""
+        """Quantile of the relative gain: that of `numpy.quantile` up to the width of a bin."""
         rank = share * (self.relative.count - 1)
         low, high = self._sorted(math.floor(rank)), self._sorted(math.ceil(rank))
         if low == high or math.isinf(low):
@@ -359,7 +360,7 @@ class Gain:
     def columns(self) -> dict[str, Any]:
         """Columns of the table of sets: gains with the ends of their intervals, and quantiles.
 
-        They count the draws whose relative gain is a number. A gain that needs more draws is NaN.
+        Only draws count whose relative gain is a number. A gain that needs more draws is NaN.
         """
         count = self.relative.count
         gains: dict[str, tuple[float, Interval]] = dict.fromkeys(GAINS, (math.nan, UNKNOWN))
@@ -389,8 +390,8 @@ class ComparisonStatistics:
     total : int, optional
         Number of draws that will be added; `top_percent_share` needs it.
     references : mapping of str to str, optional
-        The set over which each other set gains, by name. By default the first gains nothing, and
-        all others gain over it.
+        The reference of each set that has one, by name. By default the first set is the reference
+        of all others.
 
     Attributes
     ----------

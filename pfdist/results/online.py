@@ -1,7 +1,4 @@
-"""Times that are chosen one after another, against times that were found in advance.
-
-All of them filter the same fresh draws, so the errors are compared draw by draw.
-"""
+"""Online times against the plan and the reference, all on the same fresh draws."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OnlineDraws:
-    """The draws whose times were chosen one after another, and their errors with three sets.
+    """The draws whose times were chosen online, and their errors with three sets.
 
     Parameters
     ----------
@@ -66,10 +63,10 @@ class OnlineDraws:
         dict
             draws, degenerate_draws (with the online times, the plan or the reference), expected_mse
             and standard_error of the online times, and differs_from_plan (share of draws whose
-            times are not those of the plan). The plan is the set of the first search. Under
-            ``plan`` and ``reference`` are name, expected_mse and standard_error on these draws,
-            difference (expected MSE of the online times, less that of the set) with difference_low
-            and difference_high (95 %, Student's t, of the paired differences), and the gain of the
+            times are not those of the plan). The plan is the set of the first search. ``plan`` and
+            ``reference`` each have name, expected_mse and standard_error on these draws, difference
+            (expected MSE of the online times, less that of the set) with difference_low and
+            difference_high (95 %, Student's t, of the paired differences), and the gain of the
             online times over the set, in the columns of the table ``sets``.
         """
         degenerate = self.rows.filter(regex="^degenerate").any(axis=1)
@@ -106,12 +103,12 @@ def is_online(run: StoredRun) -> bool:
 
 
 def online_draws(run: StoredRun) -> OnlineDraws:
-    """Read the draws that have both online times and errors in the comparison.
+    """The draws that have both online times and errors in the comparison.
 
     Parameters
     ----------
     run : StoredRun
-        It has rows of the tables ``online`` and ``comparison``.
+        A run with rows in the tables ``online`` and ``comparison``.
     """
     reference, plan = run.names[0], str(run.job["search"][0]["name"])
     chosen = run.table("online").rename(columns={"mse": "mse_online"})

@@ -79,11 +79,11 @@ class Pair:
         Parameters
         ----------
         confidence : float
-            Confidence of the columns ``simultaneous_low`` and ``simultaneous_high``: so high that
-            the intervals of all pairs hold together with 95 %.
+            Confidence of the columns ``simultaneous_low`` and ``simultaneous_high``, with which the
+            intervals of all pairs hold together with 95 %.
         exact : (float, float) or None
-            Both expected MSEs, if an engine computes them without draws. Then the difference and
-            the gain of means are exact, and their limits are equal.
+            Both expected MSEs, if the engine is exact. Then the difference and the gain of means
+            are exact, and their limits are equal.
         """
         apart = self.difference.estimate
         difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
@@ -120,7 +120,7 @@ def pairs_table(
     blocks : iterable of arrays of float64, (D, S) or (D, 2 S)
         Per-draw MSE of each set, then its control if there is one, block by block.
     exact : mapping of str to float
-        Expected MSEs that an engine computes without draws, by the name of the set.
+        Expected MSEs of an exact engine, by the name of the set.
     """
     pairs = {places: Pair() for places in combinations(range(len(names)), 2)}
     for block in blocks:
@@ -142,12 +142,12 @@ def pairs_table(
 def ranks_table(pairs: pd.DataFrame, errors: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
     """A row for each set, the lowest expected MSE first, with its interval of ranks.
 
-    Two sets are clearly different if the simultaneous interval of their difference does not
-    contain 0. The best rank of a set is 1 plus the number of sets that are clearly better. The
-    worst rank is the number of all sets less those that are clearly worse, and less those that are
-    exactly equal. The true rank is 1 plus the number of sets with a lower expected MSE. All
-    simultaneous intervals hold together with 95 %, so the true ranks of all sets lie within these
-    ranks with at least 95 %.
+    Two sets differ clearly if the simultaneous interval of their difference does not contain 0.
+    The best rank of a set is 1 plus the number of sets that are clearly better. The worst rank is
+    the number of all sets less those that are clearly worse, and less those that are exactly equal.
+    The true rank is 1 plus the number of sets with a lower expected MSE. All simultaneous intervals
+    hold together with 95 %, so the true ranks of all sets lie within these ranks with at least
+    95 %.
 
     Parameters
     ----------
@@ -162,8 +162,8 @@ def ranks_table(pairs: pd.DataFrame, errors: Mapping[str, tuple[float, float]]) 
         The columns of the table ``ranks``.
     """
     order = sorted(errors, key=lambda name: (math.isnan(errors[name][0]), errors[name][0]))
-    # For each set, the number of sets that are clearly better; and of those that are clearly worse
-    # or exactly equal.
+    # For each set: the number of sets that are clearly better, and the number of sets that are
+    # clearly worse or exactly equal.
     better, worse = dict.fromkeys(errors, 0), dict.fromkeys(errors, 0)
     to_best = {order[0]: (0.0, 0.0, 0.0)}
     for pair in pairs.to_dict("records"):
@@ -207,13 +207,13 @@ def pairs_of(run: StoredRun) -> pd.DataFrame:
 
     The columns are first and second (names); draws; difference (expected MSE of the first less
     that of the second) with low and high (95 %, Student's t, of the paired differences);
-    simultaneous_low and simultaneous_high (with 95 % the intervals of all pairs hold together, by
+    simultaneous_low and simultaneous_high (the intervals of all pairs hold together with 95 %, by
     Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (by which
     share of the second expected MSE the first is lower; negative if it is higher, so its sign is
     opposite to that of difference) with gain_of_means_low and gain_of_means_high (95 %, Fieller's);
-    first_wins (share of the draws in which the first has the lower MSE) with
-    first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected MSEs
-    without draws, difference and gain_of_means are exact, and all their limits are equal.
+    first_wins (share of the draws in which the first has the lower MSE) with first_wins_low and
+    first_wins_high (95 %, Wilson's). If the engine is exact, difference and gain_of_means are
+    exact, and all their limits are equal.
     """
     return pairs_table(run.names, (block for block, *_ in errors_of(run)), exact_errors(run))
 

@@ -1,10 +1,10 @@
-"""The loss by a finite number of particles: how far a filter's MSE lies above the exact filter's.
+"""The particle loss: how far a filter's MSE lies above that of the exact filter.
 
-Two figures enclose the loss. Half the squared distance between the estimates of two independent
-filters is right to order 1/P. The squared error, less the variance of particles among which the
-truth stands (`pfdist.kernels.schemes.CONDITIONAL`), is at least the loss for any number of
-particles: it counts what both filters lack, and the price of a wrong filter model. In a collapse
-both filters agree with each other, and only the second figure shows the loss.
+Two estimates enclose it. Half the squared distance between the estimates of two independent
+filters is right to order 1/P. The squared error, less the variance of particles one of which is
+the truth (`pfdist.kernels.schemes.CONDITIONAL`), is at least the loss for any number of particles:
+it includes an error that both filters share, and that of a wrong filter model. If both filters
+collapse alike, only the second estimate shows the loss.
 """
 
 import math
@@ -21,7 +21,7 @@ from pfdist.results.moments import Array, ComparisonStatistics, Moments, control
 from pfdist.results.stored_run import StoredRun, statistics_of
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
-"""Fractions of the expected MSE: with a loss by two filters and a limit below, P is enough."""
+"""Fractions of the expected MSE: P is enough if the loss by two filters and the limit are lower."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
 _NOTABLE_TOP = 0.1
 _HARDLY = 0.95  # of the error without a measurement
@@ -30,9 +30,9 @@ _QUANTILE = NormalDist().inv_cdf(0.95)
 
 @dataclass(frozen=True)
 class ParticleLoss:
-    """The loss by a finite number of particles, as a fraction of the expected MSE.
+    """The particle loss, as a fraction of the expected MSE.
 
-    If a filter is infinite, the loss and its limit are 1.
+    If an estimate is infinite, the loss and its limit are 1.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ class ParticleLoss:
 
     @property
     def is_large(self) -> bool:
-        """Whether a lower 95 % limit exceeds 5 % by two filters, or 20 % for the upper figure."""
+        """Whether a lower 95 % limit exceeds 5 % by two filters, or 20 % for the upper estimate."""
         pairs = (self.by_two_filters, _NOTABLE), (self.at_most, _NOTABLE_AT_MOST)
         return any(loss.value - _QUANTILE * loss.standard_error > most for loss, most in pairs)
 
     @property
     def is_small(self) -> bool:
-        """Whether two filters lose at most 1 %, the limit is below 5 %; no few draws carry it."""
+        """Whether the loss is at most 1 %, its limit is below 5 %, and `rare` is empty."""
         is_small = self.by_two_filters.value <= SMALL and self.limit < SMALL_AT_MOST
         return is_small and not self.rare
 
@@ -71,7 +71,7 @@ class ParticleLoss:
 
     @property
     def text(self) -> str:
-        """Both figures in words."""
+        """The loss and its limit in words."""
         return particle_loss_text(self.by_two_filters.value, self.limit)
 
     @property
@@ -98,7 +98,7 @@ class ParticleLoss:
         return " ".join(filter(None, (large, self.rare)))
 
     def columns(self) -> dict[str, Any]:
-        """The values as a summary gives them."""
+        """Columns of the table of sets."""
         return {
             "particle_loss": self.by_two_filters.value,
             "particle_loss_error": self.by_two_filters.standard_error,
@@ -111,7 +111,7 @@ class ParticleLoss:
 def particle_loss(
     particles: int, whole: Moments, squared: Array, distance: Array, variance: Array
 ) -> ParticleLoss:
-    """The loss of one set of times.
+    """The particle loss of one set of times.
 
     Parameters
     ----------
@@ -171,17 +171,17 @@ def less(whole: Moments, first: Array, other: Array) -> Estimate:
 
 
 def hardly_measured(expected_mse: float, unmeasured: float) -> str:
-    """A sentence if a set of times hardly beats no measurement, else nothing.
+    """A warning if a set of times is hardly better than no measurement, else nothing.
 
     Parameters
     ----------
     expected_mse, unmeasured : float
-        With the times, and the exact filter's without a measurement.
+        With the times, and of the exact filter without a measurement.
     """
     if not expected_mse > _HARDLY * unmeasured:
         return ""
     return (
-        "These times hardly beat no measurement at all, which has an expected MSE of "
+        "These times are hardly better than no measurement, whose expected MSE is "
         f"{unmeasured:.4g}."
     )
 
@@ -189,7 +189,7 @@ def hardly_measured(expected_mse: float, unmeasured: float) -> str:
 def particle_losses_of(
     run: StoredRun, statistics: ComparisonStatistics | None = None
 ) -> dict[str, ParticleLoss]:
-    """The loss by the number of particles with each compared set, by name.
+    """The particle loss of each compared set, by name.
 
     It is empty for exact engines, errors other than the squared norm, and several numbers of
     measurements.

@@ -110,8 +110,8 @@ class Run(StoredRun, Shown):
     def best(self) -> Row:
         """The times to measure at, and their results: a row of the table ``sets``.
 
-        It is the found set of least expected MSE; of least error in the worst scenario, if the job
-        asks for it. If no search has run, it is the best of the job's own sets.
+        It is the found set with the lowest expected MSE, or with the lowest error in the worst
+        scenario, if the job asks for it. Without a search, it is the best of the job's sets.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Run(StoredRun, Shown):
             - time_unit: that of the job's clock; None without a clock.
             - instant_weights: the weight of each instant's error in the MSE, with mean 1, or None.
             - unproved: why found sets have no lower bound, although one was asked for, and which
-              command proves one; empty if nothing is to be said.
+              command proves one; otherwise empty.
             - sets: the rows of the table ``sets``; empty before the searches have ended.
             - pairs, ranks: rows of these tables, if the job names sets; else None.
             - scenarios: rows of this table, if the job has scenarios; else None.
@@ -218,7 +218,7 @@ COMPUTED: dict[str, Callable[[StoredRun], pd.DataFrame]] = {
     "scenarios": scenarios_of,
     "error_over_time": error_over_time,
 }
-"""Tables that follow from others, by name; the docstring of each function says what they have."""
+"""Tables that follow from others, by name; the docstring of each function lists its columns."""
 _FROM = {"sets": "compared", "error_over_time": RANGE_SUMS}  # else from comparison
 TABLES = (*KEYS, *COMPUTED)
 """Names of all tables that a run may have."""
@@ -244,7 +244,7 @@ def open_run(path: str | Path) -> Run:
 
 
 def _title(run: Run) -> str:
-    """A run in a line: its folder, its state and how many draws are compared."""
+    """A run in a line: its folder, its state and the number of compared draws."""
     try:
         return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
     except StoreError:

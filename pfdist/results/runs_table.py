@@ -32,7 +32,7 @@ def differing_keys(jobs: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
     -------
     dict of str to list
         The keys are dotted, in the order of the jobs' sections. The names of searches are in
-        ``search.order`` alone. None stands for a key that a job lacks. Lists are tuples.
+        ``search.order`` alone. A key that a job lacks is None. Lists are tuples.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def differing_keys(jobs: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
     columns = {
         key: [each.get(key) for each in flat]
         for key in dict.fromkeys(key for each in flat for key in each)
-        # The key search.order says what these say.
+        # The key search.order has the same names.
         if key != _NO_SEARCH and not (key.startswith("search.") and key.endswith(".name"))
     }
     return {
@@ -86,7 +86,7 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        As `pfdist.table` gives it.
+        The result of `pfdist.table`.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def _rows(run: Run) -> Iterator[Results]:
-    """Yield the rows of a run; one if nothing is known of any set but the reference."""
+    """Yield the rows of a run; one without results if only the reference has any."""
     has_timings = "timings" in run.tables
     shared = {
         "state": run.state,
@@ -140,7 +140,7 @@ def _reference(row: Row) -> Results:
 
 
 def _differ(paths: Sequence[Path]) -> list[str]:
-    """The name of each folder, after as much of the path as tells equal names apart."""
+    """The name of each folder; equal names follow as much of the path as distinguishes them."""
     parts = [path.absolute().parts for path in paths]
     depths = [1] * len(parts)
     while True:
@@ -154,7 +154,7 @@ def _differ(paths: Sequence[Path]) -> list[str]:
 
 
 def _column(name: str, values: list[Any]) -> "pd.Series[Any]":
-    """A column whose values keep their types, also beside missing ones."""
+    """A column whose values keep their types even if some are missing."""
     if name in _NUMBERS:
         return pd.Series([math.nan if value is None else value for value in values], dtype=float)
     entries = [value for value in values if value is not None]

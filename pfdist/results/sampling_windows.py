@@ -1,4 +1,4 @@
-"""Sampling windows: the loss of a moved measurement, the instants, and which measurements matter.
+"""Sampling windows: the instants to which a measurement alone may move, and its relative loss.
 
 The functions take rows of the table ``sampling_windows``, also those of a JSON answer.
 """
@@ -35,11 +35,11 @@ class SamplingWindow:
         The measurement.
     inside : mapping of int or float to int
         These instants, sorted, and the number of each; t is among them. On a clock an instant is
-        told by its time.
+        given by its time.
     open : mapping of int or float to int
-        Instants that the draws leave open.
+        Instants that are undecided: they need more draws.
     can_be_tried : bool
-        Whether there is another instant between the neighbours that the job allows.
+        Whether the job allows another instant between the neighbouring measurements.
     sensor : str
         Name of the sensor that measures; empty without sensors. Its measurement moves in time.
     """
@@ -62,7 +62,7 @@ class SamplingWindow:
 
     @property
     def is_single(self) -> bool:
-        """Whether every other instant that was tried is known to lose more."""
+        """Whether every other instant that was tried clearly loses more."""
         return self.can_be_tried and not self.is_wide and not self.open
 
     @property
@@ -108,7 +108,7 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
 
 
 def runs_of(instants: Mapping[Time, int]) -> list[list[Time]]:
-    """The stretches of successive instants, where the number of each instant is given."""
+    """The stretches of successive instants; each instant comes with its number."""
     runs, last = list[list[Time]](), -2
     for instant, place in instants.items():
         if place != last + 1:
@@ -135,7 +135,7 @@ def spelled(instants: Mapping[Time, int]) -> str:
 
 
 def sentences(rows: Rows) -> list[str]:
-    """Say which measurements must be kept exactly, which can move, and which are undecided.
+    """Sentences: which measurements must be kept exactly, which can move, and which are undecided.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def sentences(rows: Rows) -> list[str]:
     parts = (
         (single, "Keep exactly (every other instant that was tried loses more than {} %): t = {}."),
         (wide, "Can move at a loss of at most {} %: t = {}."),
-        (undecided, "The draws leave open whether these can move within {} %: t = {}."),
+        (undecided, "Whether these can move within {} % needs more draws: t = {}."),
     )
     return [said.format(STRICT, _listed(group)) for group, said in parts if group]
 
@@ -199,15 +199,16 @@ class RelativeLoss:
         """One-sided 95 % lower limit and one-sided 95 % upper limit, Fieller's."""
         return self.pairs.ratio_interval(_TWO_SIDED) if self._is_known else UNKNOWN
 
-    def state(self, level: float) -> str:
-        """Whether the loss is at most a level, by its one-sided limits."""
-        low, high = self.limits
-        if high <= level:
-            return INSIDE
-        return OUTSIDE if low > level else OPEN
-
     @property
     def _is_known(self) -> bool:
         rise, kept_mse = self.pairs.x, self.pairs.y
         moments = (rise.mean, rise.squares, kept_mse.mean, kept_mse.squares)
         return all(map(math.isfinite, moments)) and kept_mse.mean > 0.0
+
+
+def state_of(limits: Interval, level: float) -> str:
+    """Whether a loss is at most a level, by its one-sided limits; an unknown loss is open."""
+    low, high = limits
+    if high <= level:
+        return INSIDE
+    return OUTSIDE if low > level else OPEN

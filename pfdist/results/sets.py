@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pfdist.common.clock import Time
-from pfdist.common.estimate import CLEAR_ERRORS, Estimate
+from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.common.measurement_times import REGULAR
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.problem_section import ProblemSection
@@ -46,15 +46,15 @@ _TOO_FEW = (
     "The mean of mse - control is not above 0: there are too few draws to know a gain or the "
     "size of the error."
 )
-_ERRS_MORE = "the search's filter errs more than the job's own"
+_ERRS_MORE = "the search's filter has a larger error than the job's"
 
 
 def sets_of(run: StoredRun) -> pd.DataFrame:
     """A row for each compared set, the reference first, with all results of the set.
 
-    The times are known once the searches have ended, and results of draws once the comparison has
-    begun. Fractions are not in per cent. An exact engine knows expected_mse, so its standard_error
-    is 0, and gain_of_means has an interval of one point.
+    The table has times once the searches have ended, and results of draws once the comparison has
+    begun. Fractions are not in per cent. With an exact engine, expected_mse has the standard_error
+    0, and gain_of_means has an interval of one point.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
@@ -75,7 +75,7 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
 
 
 def _given(run: StoredRun) -> Iterable[Results]:
-    """Everything that is known of each set before the comparison."""
+    """The results of each set before the comparison."""
     problem = problem_of(run)
     for entry in run.table("compared").to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
@@ -141,7 +141,7 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
 
 
 def _exact(name: str, value: float) -> Results:
-    """A value that is known exactly, with its interval of one point."""
+    """An exact value, with its interval of one point."""
     return {name: value, f"{name}_low": value, f"{name}_high": value}
 
 
@@ -154,7 +154,9 @@ def _add_results(
         row["degenerate_draws"] = statistics.degenerate_draws[name]
         if "expected_mse" not in row:
             mse = statistics.mse[name].estimate
-            row.update(_estimated(mse))
+            low, high = mse.interval()
+            row |= {"expected_mse": mse.value, "standard_error": mse.standard_error}
+            row |= {"expected_mse_low": low, "expected_mse_high": high}
             row["top_percent_share"] = statistics.top_percent_share(name)
             if statistics.has_control and not mse.value > 0.0:
                 row["warnings"].append(_TOO_FEW)
@@ -179,16 +181,6 @@ def _add_results(
             rows[name]["bound_gap_at_most"] = proof["gap_at_most"]
 
 
-def _estimated(mse: Estimate) -> Results:
-    low, high = mse.interval()
-    return {
-        "expected_mse": mse.value,
-        "standard_error": mse.standard_error,
-        "expected_mse_low": low,
-        "expected_mse_high": high,
-    }
-
-
 def _add_typical_errors(run: StoredRun, rows: dict[str, Results]) -> None:
     """Add the root of each set's expected MSE, by component of z."""
     angles = angles_of(run)
@@ -201,7 +193,7 @@ def _add_typical_errors(run: StoredRun, rows: dict[str, Results]) -> None:
 
 
 def _root(error: float, is_angle: bool) -> float:
-    """The root of a mean squared error, or the circular deviation where it is a mean of 1 - cos."""
+    """The root of a mean squared error, or the circular deviation for a mean of 1 - cos."""
     if is_angle:
         return math.sqrt(-2.0 * math.log1p(-error)) if error < 1.0 else math.inf
     return math.sqrt(max(0.0, error))
@@ -225,7 +217,7 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
 
 
 def _add_search_errors(run: StoredRun, rows: dict[str, Results]) -> None:
-    """Add how far the estimate of the search that found a set is off, and why."""
+    """Add the error of the estimate of the search that found a set, and its cause."""
     is_worst = run.job.get("scenarios", {}).get("criterion") == "worst"
     worst = worst_of(run) if is_worst else {}
     for name, row in rows.items():
@@ -254,7 +246,7 @@ def _search_errors(run: StoredRun, search: str, result: Results) -> Results:
 def cause_of_excess(
     result: Mapping[str, Any], own: Mapping[str, Any], run: str, evaluations: int = 1
 ) -> str:
-    """The reason why a search's estimate differs from the error on fresh draws.
+    """Why a search's estimate differs from the error on fresh draws.
 
     A search chooses the set with the smallest of many estimates, so the estimate is too low. The
     draws explain a difference up to the likely minimum of as many normal variates.
@@ -264,7 +256,7 @@ def cause_of_excess(
     result : mapping
         With search_mse, search_standard_error, expected_mse and standard_error.
     own : mapping
-        How the search estimates otherwise than the comparison.
+        Settings in which the search estimates otherwise than the comparison.
     run : str
         The run's folder.
     evaluations : int
@@ -285,10 +277,10 @@ def cause_of_excess(
 
 
 def largest_of(count: int) -> float:
-    """A bound that the largest of some standard normal variates rarely exceeds.
+    """A bound that the largest of so many standard normal variates rarely exceeds.
 
-    The largest exceeds it at most as often as a single variate exceeds `CLEAR_ERRORS`, by Boole's
-    inequality.
+    It exceeds the bound at most as often as a single variate exceeds `CLEAR_ERRORS` (Boole's
+    inequality).
 
     Examples
     --------
@@ -338,8 +330,8 @@ def _gain_over_itself(run: StoredRun) -> Results:
 def best_first(sets: pd.DataFrame) -> list[str]:
     """Names of the found sets, or of all sets of a run without a search, the best first.
 
-    If the worst scenario decides, the errors are those of each set's worst scenario. Sets whose
-    error is unknown or infinite come last. The run has one number of measurements.
+    If the job asks for the least error in the worst scenario, sets are ordered by this error. Sets
+    whose error is unknown or infinite come last. The run has one number of measurements.
     """
     found_sets = sets[sets["kind"] == FOUND]
     chosen = found_sets if len(found_sets) else sets

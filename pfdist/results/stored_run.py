@@ -45,7 +45,7 @@ class StoredRun:
         return tuple(name for name in KEYS if self._store.has(name))
 
     def table(self, name: str, draws: int | None = None) -> pd.DataFrame:
-        """A table of the run that files hold; of the first draws alone, if `draws` is given."""
+        """A table that the run has in files; only its first draws, if `draws` is given."""
         if not self._store.has(name):
             has = ", ".join(self.tables) or "none yet"
             raise StoreError(f"the run {self.path} has no table {name!r}; it has: {has}")
@@ -71,7 +71,7 @@ class StoredRun:
 
     @cached_property
     def references(self) -> dict[str, str]:
-        """The reference of each compared set that is no reference, by name.
+        """The reference of each compared set that is not itself a reference, by name.
 
         In a run of several numbers of measurements it has as many measurements as the set.
         """
@@ -103,7 +103,7 @@ class StoredRun:
 
     @cached_property
     def _distrusts(self) -> dict[str, str]:
-        """Reason for each search that was run again, by its name."""
+        """Why a search was run again, by the name of the search."""
         rows = self.table("compared")
         rows = rows[rows["distrust"].notna()]
         names = [key_of(str(name), self.job).origin for name in rows["name"]]
@@ -111,7 +111,7 @@ class StoredRun:
 
 
 def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Content of run.json, and the job of job.toml, which is validated as every job is.
+    """The content of run.json, and the validated job of job.toml.
 
     Raises
     ------
@@ -130,14 +130,15 @@ def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def job_of(run: StoredRun) -> Job | None:
-    """The job, with its models, from which this process made the run; None of an opened run."""
+    """The job, with its models, from which this process made the run; None for an opened run."""
     return run._made_from
 
 
 def angles_of(run: StoredRun) -> list[bool]:
     """Whether each component of z is an angle.
 
-    Empty if errors have no unit of z: by the model's own error, or by weights or scales.
+    Empty if errors are not in the unit of z, because the model defines its own error, or because
+    errors are weighted or scaled.
     """
     is_scaled = problem_of(run).weights or run.job.get("scenarios", {}).get("scales")
     return [] if is_scaled else [*run._about["provenance"].get("angles", ())]
@@ -168,7 +169,7 @@ def check_one_number(run: StoredRun) -> None:
     """Raise a `StoreError` if the run has times of several numbers of measurements."""
     if "budget" in run.job:
         raise StoreError(
-            f"{run.path} has times of several numbers of measurements: give a run of one"
+            f"{run.path} has times of several numbers of measurements: give a run of one number"
         )
 
 
@@ -189,9 +190,10 @@ def distrust_of(run: StoredRun, search: str) -> str | None:
 
 
 def own_estimation(run: StoredRun, search: str) -> dict[str, Any]:
-    """How a search estimates otherwise than the comparison: particles, resampling, estimator.
+    """Settings in which a search estimates otherwise than the comparison.
 
-    If a search was run again by the squared error, this is the estimation of the second time.
+    They are particles, resampling and estimator. For a search that was run again by the squared
+    error, they are those of the second time.
     """
     compared = {**run.job["filter"], "estimator": SQUARED_ERROR.name}
     own = run._about["estimations"].get(search, {})
@@ -215,9 +217,9 @@ def evaluations_of(run: StoredRun) -> int:
 
 
 def unproved(run: StoredRun) -> str:
-    """Why found sets have no lower bound, although one was asked for; else empty.
+    """Why found sets have no lower bound, although one was asked for, and which command proves one.
 
-    It names the command that proves one.
+    Empty if there is a lower bound, or if none was asked for.
     """
     proofs = last_bounds(run)
     noted = read_recorded(run.path)[0]["provenance"].get("unproved")
@@ -233,7 +235,7 @@ def unproved(run: StoredRun) -> str:
 
 
 def killed_of(run: StoredRun) -> dict[str, int]:
-    """How many evaluated sets of each phase degenerate draws have killed, if they killed any."""
+    """The number of evaluated sets with an infinite error by degenerate draws, by phase."""
     rows, policy = run.table("evaluations"), run.job["evaluation"]["degenerate_draws"]
     searches = {each["name"]: each["evaluation"] for each in run.job.get("search", ())}
     kills = [n for n, own in searches.items() if own.get("degenerate_draws", policy) == "kill"]
@@ -242,14 +244,14 @@ def killed_of(run: StoredRun) -> dict[str, int]:
 
 
 def blocks_of(run: StoredRun) -> Iterator[pa.Table]:
-    """The comparison in tables of as many draws each, so that memory does not grow."""
+    """The comparison in tables of `BLOCK` draws each, so that memory does not grow."""
     return run._store.blocks("comparison", BLOCK)
 
 
 def errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.Table]]:
     """Per-draw MSE of each set, (D, S), and then its control, (D, 2 S), if there is one.
 
-    The second array says which draws are degenerate, (D, S); then follow the rows of the block.
+    The second array marks degenerate draws, (D, S). The third item has the rows of the block.
     """
     starts = ("mse", "control") if run.job["comparison"].get("control") else ("mse",)
     columns = [f"{start}_{name}" for start in starts for name in run.sets]
@@ -270,7 +272,7 @@ def statistics_of(run: StoredRun) -> ComparisonStatistics:
 
 
 def last_bounds(run: StoredRun) -> dict[str, dict[str, Any]]:
-    """The proof of most compared draws, then most particle-steps, by the set's name."""
+    """The proof with most compared draws, then most particle-steps, by the name of the set."""
     if not run._store.has("bound"):
         return {}
     rows = run.table("bound").sort_values(["compared_draws", "steps"], kind="stable")
@@ -283,7 +285,7 @@ def last_bounds(run: StoredRun) -> dict[str, dict[str, Any]]:
 
 
 def exact_errors(run: StoredRun) -> dict[str, float]:
-    """The expected MSE of each compared set by name, where the engine is exact; else nothing."""
+    """The expected MSE of each compared set by name if the engine is exact; otherwise empty."""
     rows = run.table("compared")
     if "exact_mse" not in rows:
         return {}

@@ -1,4 +1,4 @@
-"""Results of many runs by the values of their keys: replicates averaged, with 95 % intervals."""
+"""Results of many runs by the values of their keys: means of replicates, with 95 % intervals."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,15 +22,15 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Average:
-    """The mean of the runs that differ in their seeds alone.
+    """The mean over the runs that differ only in their seeds.
 
     Parameters
     ----------
     point : tuple
-        Values of the columns that the runs share; None if they have none.
+        Values of the columns that the runs share; None if a run lacks the key.
     mean, low, high : float
-        The mean with its 95 % interval: by Student's t over two or more seeds, and by the run's
-        own error if no value of the table has more than one seed. NaN is unknown.
+        The mean with its 95 % interval: by Student's t over two or more seeds, and by the error of
+        the run if the table has no replicates. NaN is unknown.
     replicates : tuple of float
         The value of each seed.
     """
@@ -43,7 +43,7 @@ class Average:
 
 
 def columns_of(frame: pd.DataFrame) -> list[str]:
-    """The columns that tell the rows of a table of runs apart: the set, and all keys but seed.
+    """The columns that distinguish the rows of a table of runs: the set, and all keys but seed.
 
     Columns that have the same value in all rows are left out.
     """
@@ -53,7 +53,7 @@ def columns_of(frame: pd.DataFrame) -> list[str]:
 
 
 def values_of(frame: pd.DataFrame, name: str) -> list[Any]:
-    """The different values of a column, in the order that people expect; None comes last."""
+    """The different values of a column in natural order; None comes last."""
     values = dict.fromkeys(map(plain, frame[name].tolist()))
     return sorted(values, key=_order)
 
@@ -73,9 +73,9 @@ def is_numeric(values: Sequence[Any]) -> bool:
 
 
 def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """The columns that tell rows apart whose values of some columns are the same.
+    """The columns that distinguish rows with the same values of some columns.
 
-    A key that changes together with these columns tells no more rows apart, and is left out.
+    A key that changes together with these columns is left out, as it distinguishes no more rows.
 
     Parameters
     ----------
@@ -97,9 +97,10 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
     Parameters
     ----------
     frame : DataFrame
-        A table of runs, as `pfdist.table` gives it.
+        A table of runs, the result of `pfdist.table`.
     names : sequence of str
-        Columns of the table. Beside the seed, they must tell all rows apart whose results differ.
+        Columns of the table. Together with the seed, they distinguish all rows with different
+        results.
     value : str
         A column with numbers. Rows without a number are left out.
 
@@ -118,7 +119,7 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
 
 
 def formatted_point(names: Sequence[str], values: Values, keys: Sequence[str]) -> str:
-    """Values of columns as text; all keys of the table say which short names are clear.
+    """Values of columns as text, with the shortest names that are clear among all keys.
 
     Examples
     --------
@@ -143,7 +144,7 @@ def _average(
 
 
 def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
-    """The 95 % interval that a row holds of a result."""
+    """The 95 % interval of a result in a row."""
     error = row.get(_ERRORS.get(value, ""), math.nan)
     if not is_missing(error):
         return Estimate(row[value], error).interval()

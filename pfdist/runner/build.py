@@ -169,7 +169,7 @@ def evaluator_of(job: Job, model: StateSpaceModel, filter_model: StateSpaceModel
     except ModelError as error:
         if error.argument != "parameters":
             raise
-        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
+        raise ModelError(f"scenarios.parameters: {error}") from error
 
 
 def _check_sensors(job: Job, model: StateSpaceModel) -> None:
@@ -319,7 +319,7 @@ def _with_learned(
             return truth, truth
         return truth, learned(believed, prior, scenarios.motion)
     except ModelError as error:
-        raise ModelError(f"scenarios.parameters: {error}", argument="scenarios") from error
+        raise ModelError(f"scenarios.parameters: {error}") from error
 
 
 def _given_models(

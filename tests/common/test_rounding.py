@@ -91,4 +91,4 @@ def test_a_number_without_an_error_has_five_digits() -> None:
     assert [rounded(number) for number in numbers] == [
         "31.200", "0", "1.0000e-09", "1.0000e+108", "-0.00012345", "infinite", "-infinite",
     ]  # fmt: skip
-    assert (rounded(2.5, sign=True), rounded(123.4, 2)) == ("+2.5000", "120")
+    assert rounded(123.4, 2) == "120"

@@ -42,7 +42,7 @@ def test_its_help_fits_a_terminal_says_whether_it_goes_on_and_ends_with_examples
     words = " ".join(text.split())
     assert words.startswith(COMMANDS[name].sentence)
     assert f"usage: pfdist {name} " in words
-    assert ("the same command resumes" in words) is COMMANDS[name].goes_on
+    assert ("the same command resumes" in words) is COMMANDS[name].resumes
     examples = COMMANDS[name].examples
     assert examples
     assert all(f"pfdist {name}" in line for line in examples)

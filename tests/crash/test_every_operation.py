@@ -118,7 +118,7 @@ def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
         assert committed is None or sum(counted) == needed - committed, where
         assert not list(path.glob("parts/**/*.parquet")), where
         assert not list(verify_run(path)), where
-        expected = ("is ready: ", "ended without a word: ")
+        expected = ("is ready: ", "ended without a message: ")
         assert not [line for line in said if not any(map(line.count, expected))], where
         shutil.rmtree(path)
     record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")

@@ -240,10 +240,10 @@ def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
     job, options = Path(words[1]), [*words[4:], "--pool", pool, "--no-report"]
     with running(job, run, *options) as driver:
         assert driver.wait() == -signal.SIGSEGV
-        assert not any("ended without a word" in line for line in driver.said)
+        assert not any("ended without a message" in line for line in driver.said)
     with running(job, run, *options) as driver:
         assert driver.wait() == 0, driver.said[-3:]
-        (said,) = (line for line in driver.said if "ended without a word" in line)
+        (said,) = (line for line in driver.said if "ended without a message" in line)
         assert "--pool processes isolates the model" in said
     assert hashes(run) == finish(job, tmp_path / "whole", *options)
     record_property("faults", f"{FAILS}: 1")

@@ -101,7 +101,7 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
         assert not (run / "tables" / table).exists()  # it was in the midst of the phase
     with running(job, run, "--pool", "threads") as driver:
         assert driver.wait() == 0, driver.said[-3:]
-        said = [line for line in driver.said if "ended without a word" in line]
+        said = [line for line in driver.said if "ended without a message" in line]
     assert len(said) == (len(phases) if pool != "ray" else 0)
     assert hashes(run) == never_killed
     assert not list(run.rglob(".*.tmp"))

@@ -114,7 +114,7 @@ def test_processes_that_start_one_sweep_together_share_its_points(
         running(small_job.path, sweep, *options, word="sweep") as second,
     ):
         assert [first.wait(), second.wait()] == [0, 0], (first.said[-3:], second.said[-3:])
-    assert not [line for line in first.said + second.said if "without a word" in line]
+    assert not [line for line in first.said + second.said if "without a message" in line]
     # The last to end has left out nothing.
     assert {name: hashes(sweep / name) for name in whole} == whole
     record_property("faults", f"{PROMISE}: 1")

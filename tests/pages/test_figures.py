@@ -378,8 +378,8 @@ def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:
 def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
     profile = pd.DataFrame({"name": ["regular"] * 3 + ["found"] * 3, "t": [0, 1, 2] * 2})
     profile["measured"] = [True, False, True, False, True, False]
-    profile = profile.assign(error=[1.0, 5.0, 2.0, 3.0, 1.0, 2.0], standard_error=0.1)
-    axes = error_profile(profile, draws=2000, ax=_axes())
+    profile = profile.assign(error=[1.0, 5.0, 2.0, 3.0, 1.0, 2.0], standard_error=0.1, draws=2000)
+    axes = error_profile(profile, ax=_axes())
     assert "2,000 draws" in axes.get_legend().get_title().get_text()
     lines = {line.get_label(): line for line in axes.get_lines()}
     regular, found = lines["regular, mean 2.667"], lines["found, mean 2"]

@@ -210,7 +210,7 @@ def test_the_command_prints_the_file_and_watches_until_the_run_is_finished(
     assert main(["report", str(folder), "--watch"]) == 0
     out, err = capsys.readouterr()
     assert out == f"{file}\n"
-    assert "is not finished (comparing), and no process computes it: run its job on" in err
+    assert "is not finished (comparing), and no process computes it: resume it" in err
     monkeypatch.setattr("pfdist.questions.report.is_held", lambda path: True)
     monkeypatch.setattr("pfdist.questions.report.stopping.sleep", go_on)
     assert main(["report", str(folder), "--watch"]) == 0
@@ -321,7 +321,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     subject = Subject(run)
     costs = {name: found.search_mse for name, found in subject.found_rows.items()}
     assert subject.by_error == sorted(costs, key=lambda name: costs[name])
-    assert "the best of 4 sets by their expected MSEs, which are known exactly" in _text(run)
+    assert "the best of 4 sets by their expected MSEs, which are exact" in _text(run)
 
 
 def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) -> None:

@@ -184,8 +184,8 @@ def test_unknown_and_infinite_results_are_no_points() -> None:
     [
         (lambda: plots.against(study(), "particle"), "key must be one of seed, problem"),
         (lambda: plots.against(study(), BUDGET, "mse"), "value must be one of draws, ex"),
-        (lambda: plots.against(study(seeds=[1]).iloc[:, 4:]), "lacks the column run"),
-        (lambda: plots.against(MIXED.drop(columns=[BUDGET, PARTICLES])), "differ in none but the"),
+        (lambda: plots.against(study(seeds=[1]).iloc[:, 4:]), "without the column run"),
+        (lambda: plots.against(MIXED.drop(columns=[BUDGET, PARTICLES])), "only their seeds differ"),
         (lambda: plots.against(MANY, BUDGET), r"at most 20 lines, got 22 .* select rows"),
     ],
 )

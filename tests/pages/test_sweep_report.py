@@ -247,7 +247,7 @@ def test_the_command_line_writes_it_and_no_report_means_none(
     assert main(["report", str(folder)]) == 0
     assert capsys.readouterr().out.strip() == str(folder / "report.html")
     assert see(folder).links == []
-    with pytest.raises(ArgumentError, match="only the report of a run can be watched"):
+    with pytest.raises(ArgumentError, match="watch needs the folder of a run"):
         pfdist.report(folder, watch=True)
 
 

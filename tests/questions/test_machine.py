@@ -79,12 +79,12 @@ READ_ONLY = _failing(doctor.tempfile, "TemporaryDirectory", errno.EROFS)
 NO_FLUSH = _failing(os, "fsync", errno.EINVAL)
 NO_LOCK = _failing(lock.fcntl, "flock", errno.ENOLCK)
 FAULTS: list[tuple[Fault, str, str]] = [
-    (_little_memory, "memory", "1.02 GB, and a run wants 1.50: fewer workers need less"),
-    (_limited_memory, "memory", "1.00 GB, and a run wants"),
-    (_little_shared_memory, "shared memory", "0.07 GB, and Ray wants .*--shm-size"),
-    (_old_ray, "Ray", r"2\.9\.3: .*2\.52 mends it"),
+    (_little_memory, "memory", "1.02 GB, and a run needs 1.50: fewer workers need less"),
+    (_limited_memory, "memory", "1.00 GB, and a run needs"),
+    (_little_shared_memory, "shared memory", "0.07 GB, and Ray needs .*--shm-size"),
+    (_old_ray, "Ray", r"2\.9\.3: .*fixed in 2\.52"),
     (NO_PORT, "ports", "Too many open files"),
-    (READ_ONLY, "results folder", "written: Read-only file system; runs must lie elsewhere"),
+    (READ_ONLY, "results folder", "written: Read-only file system; runs need another folder"),
     (NO_FLUSH, "results folder", r"cannot be flushed \(fsync\): Invalid argument"),
     (NO_LOCK, "results folder", r"cannot be locked \(flock\): No locks available"),
 ]

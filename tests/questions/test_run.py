@@ -355,7 +355,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
     assert "The search estimated an error of" in " ".join(text.split())
     assert f"tables: {tmp_path / 'run' / 'tables'}" in text
     assert "figures" not in text  # there is no such folder yet
-    with pytest.raises(PfdistError, match=r"run is not finished \(comparing\): run its job on fi"):
+    with pytest.raises(PfdistError, match=r"run is not finished \(comparing\): resume it fi"):
         pfdist.why(tmp_path / "run" / "job.toml", figures=False)
 
 

@@ -427,7 +427,7 @@ def test_other_questions_are_refused(tmp_path: Path) -> None:
     worst = problem("worst", engine="kalman")
     few = ["comparison.draws=48"]
     pfdist.plan(worst, tmp_path / "run", changes=few, bound_draws=0, figures=False)
-    with pytest.raises(JobError, match="why explains means, got criterion = 'worst'"):
+    with pytest.raises(JobError, match=r"scenarios.criterion must be 'mean' .*got 'worst'"):
         pfdist.why(worst, results=tmp_path / "run", changes=few, figures=False)
 
 

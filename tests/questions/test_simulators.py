@@ -145,7 +145,7 @@ def test_a_simulator_that_crashes_is_a_failed_task(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("pass", r"the functions can be traced: \S+ ns a particle-step in place of \S+ ns; write"),
+        ("pass", r"the functions can be traced: \S+ ns a particle-step instead of \S+ ns; write"),
         ("x = x[:1, :]", r"ns a particle-step on arrays; the functions cannot be traced"),
     ],
 )

@@ -91,7 +91,9 @@ def test_a_large_loss_must_be_clear() -> None:
 
 
 def test_times_that_hardly_beat_no_measurement_are_named() -> None:
-    assert hardly_measured(0.96, 1.0).startswith("These times hardly beat no measurement at all")
+    assert hardly_measured(0.96, 1.0).startswith(
+        "These times are hardly better than no measurement"
+    )
     assert hardly_measured(0.94, 1.0) == ""
 
 

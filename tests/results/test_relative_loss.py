@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.results.sampling_windows import RelativeLoss
+from pfdist.results.sampling_windows import RelativeLoss, state_of
 
 
 def _loss(changed: NDArray[np.float64], kept: NDArray[np.float64], blocks: int = 1) -> RelativeLoss:
@@ -38,13 +38,14 @@ def test_equal_sets_lose_nothing_without_error() -> None:
     _, kept = _pairs(50, 0.0, seed=2)
     loss = _loss(kept, kept)
     assert (loss.mean, loss.standard_error, loss.limits) == (0.0, 0.0, (0.0, 0.0))
-    assert loss.state(0.01) == "inside"
+    assert state_of(loss.limits, 0.01) == "inside"
 
 
 def test_a_state_follows_from_the_limits() -> None:
     loss = _loss(*_pairs(5000, 0.02, seed=3))
     low, high = loss.limits
-    states = [loss.state(level) for level in (high + 1e-9, high, high - 1e-9, low, low - 1e-9)]
+    levels = (high + 1e-9, high, high - 1e-9, low, low - 1e-9)
+    states = [state_of(loss.limits, level) for level in levels]
     assert states == ["inside", "inside", "open", "open", "outside"]
 
 
@@ -61,7 +62,7 @@ def test_a_loss_that_is_unknown_is_open(case: str) -> None:
     assert math.isnan(loss.mean) or case == "one draw"
     assert math.isnan(loss.standard_error)
     assert all(map(math.isnan, loss.limits))
-    assert loss.state(0.01) == loss.state(0.05) == "open"
+    assert state_of(loss.limits, 0.01) == state_of(loss.limits, 0.05) == "open"
 
 
 @pytest.mark.statistics

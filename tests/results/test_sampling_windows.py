@@ -34,7 +34,7 @@ def test_the_summary_names_what_must_be_kept_what_can_move_and_what_is_open() ->
     assert sentences(rows) == [
         "Keep exactly (every other instant that was tried loses more than 1 %): t = 1, 12.",
         "Can move at a loss of at most 1 %: t = 4.",
-        "The draws leave open whether these can move within 1 %: t = 9.",
+        "Whether these can move within 1 % needs more draws: t = 9.",
     ]
 
 

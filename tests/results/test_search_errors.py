@@ -9,7 +9,7 @@ from pfdist.results.sets import cause_of_excess, largest_of
 
 CHOSE = "its draws chose the set"
 UNDERESTIMATES = "the search's filter underestimates its error"
-ERRS_MORE = "the search's filter errs more than the job's own"
+ERRS_MORE = "the search's filter has a larger error than the job's"
 UNEXPLAINED = "unexplained: {} standard errors; `pfdist verify results/x` checks the files"
 VARIANCE = {"particles": 100, "estimator": "filter_variance"}
 
