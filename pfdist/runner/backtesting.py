@@ -225,7 +225,10 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
         problem = {"times": [*clock.times], "measurement_budget": 1}
         problem |= {"time_unit": clock.unit or None, "sensors": [*clock.sensors] or None}
         given = {name: value for name, value in problem.items() if value is not None}
-        others: dict[str, Any] = {"search": [], "budget": None, "online": None, "comparison": {}}
+        # A job must have a search or a set: those of the job are on another clock.
+        comparison = {"sets": {"first": [*clock.written_of((0,))]}}
+        others: dict[str, Any] = {"search": [], "budget": None, "online": None}
+        others["comparison"] = comparison
         job = job.with_changes(sections={"problem": given, **others})
     truth, believed = models_of(job)
     models = [
