@@ -75,7 +75,7 @@ def second_moments(model: StateSpaceModel) -> Array:
         later = variance * p.a ** _INSTANTS[: HORIZON + 1 - t]
         moments[t, t:] = moments[t:, t] = later
         variance = p.a**2 * variance + _deviation(t, p.sd) ** 2
-    return moments + p.noise**2 * np.eye(HORIZON + 1)
+    return np.asarray(moments + p.noise**2 * np.eye(HORIZON + 1))
 
 
 def errors(y: Array) -> dict[str, Array]:

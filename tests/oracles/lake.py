@@ -15,12 +15,7 @@ name = "lake.py:model"
 horizon = 47
 measurement_budget = 4
 [filter]
-particles = 60
-[evaluation]
-draws = 30
-[[search]]
-method = "random"
-evaluations = 3
+engine = "kalman"
 [comparison]
 draws = 60
 [execution]
