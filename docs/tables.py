@@ -357,8 +357,8 @@ def backtest() -> str:
             each.replace("_", " ") for each in verdicts), *(f"{each:.1f}" for each in shares),
             *wrong])  # fmt: skip
     sizes = table["replicates"].unique()
-    head = ["measurements", "true ratio", "verdict", *(f"{size} replicates, %" for size in sizes)]
-    return _table([*head, "wrong with 20, %", "wrong with 100, %"], rows)
+    head = ["measurements", "true ratio", "verdict", *(f"% of {size}" for size in sizes)]
+    return _table([*head, "wrong, % of 20", "wrong, % of 100"], rows)
 
 
 def guided() -> str:

@@ -519,10 +519,12 @@ def _variances(values: Array, is_angle: Sequence[bool]) -> Array:
         centre = np.angle(np.exp(1j * known).mean()) if angle else known.mean()
         apart = known - centre
         apart = np.angle(np.exp(1j * apart)) if angle else apart
-        variances[k] = np.mean(apart**2)
-        if not variances[k] > 0.0:
+        with np.errstate(over="ignore"):
+            variances[k] = np.mean(apart**2)
+        if not 0.0 < variances[k] < np.inf:
+            rule = "must differ from each other, by less than 1e150"
             raise MeasurementsError(
-                f"judged values of component {k} must differ from each other, got {centre:.4g} only"
+                f"judged values of component {k} {rule}, got {known.min():.4g} to {known.max():.4g}"
             )
     return variances
 

@@ -77,35 +77,44 @@ def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
     assert found.files == ()
 
 
-def test_a_foreseen_gain_is_that_of_the_exact_errors(problem: pfdist.Problem) -> None:
-    found = judged(problem, days(40), plan_each=True)
-    rows = found.table[found.table["replicate"] == "d0"].set_index("set")
-    for name, times in GRIDS.items():
-        shown = rows.loc[name, "foreseen"] / rows.loc["plan", "foreseen"]
-        assert shown == pytest.approx(1 / (1 - found.promises[name].foreseen), rel=0.15), times
-    assert found.plan == ()
+def test_a_foreseen_gain_is_that_of_the_exact_errors(planned: Path) -> None:
+    found = judged(planned, days(40))
+    sets = {"plan": tuple(map(int, found.plan)), **GRIDS}
+    used = {t for times in sets.values() for t in times}
+    instants = [t for t in range(HORIZON + 1) if t not in used]
+    exact = {
+        name: np.mean(estimates(np.zeros(HORIZON + 1), times)[1][instants] + 0.01)
+        for name, times in sets.items()
+    }
+    for name in GRIDS:
+        promise, gain = found.promises[name], 1 - exact["plan"] / exact[name]
+        error = (promise.foreseen_interval[1] - promise.foreseen_interval[0]) / 2 / 1.96
+        assert abs(promise.foreseen - gain) < 4 * error
+        assert 0.05 < promise.foreseen < 0.3
+        assert error < 0.005
     assert found.wrong == []
     assert found.means["covered"].between(0.85, 0.95).all()
 
 
-def test_a_wrong_model_is_found_and_a_promise_is_kept(problem: pfdist.Problem) -> None:
+def test_a_wrong_model_is_found_and_a_promise_is_kept(planned: Path) -> None:
     """Errors three times as large as foreseen; the gain is large and measured by each day."""
     data = days(60)
     data["y0"] *= np.sqrt(3)
     late = {"late": [44, 45, 46, 47]}
     with pytest.warns(PfdistWarning, match="The model is wrong: the real error differs from"):
-        found = judged(problem, data, plan_each=True, times=late)
+        found = judged(planned, data, times=late)
     assert found.wrong == [*found.sets]
     assert found.promises["late"].verdict == KEPT
     assert found.promises["late"].ratio == pytest.approx(3.0, rel=0.5)
     assert found.improbable > 0.02
 
 
-def test_times_that_are_as_good_have_no_promise(problem: pfdist.Problem) -> None:
-    data, first = days(3), judged(problem, days(3), plan_each=True)
-    assert first.promises["centred"].verdict == NOT_DECIDED
-    with_half = judged(problem, data, plan_each=True, times={"half": range(0, 48, 2)})
-    assert with_half.promises["half"].verdict == NOTHING_FORESEEN
+def test_better_times_than_the_plan_have_no_promise(planned: Path) -> None:
+    """A set of half of all instants is better than the plan."""
+    found = judged(planned, days(3), times={"half": range(0, 48, 2)})
+    assert found.promises["centred"].verdict == NOT_DECIDED
+    assert found.promises["half"].verdict == NOTHING_FORESEEN
+    assert found.promises["half"].foreseen < 0.0
 
 
 def test_files_are_written_and_replaced_and_nothing_else(planned: Path, tmp_path: Path) -> None:
@@ -152,7 +161,7 @@ def test_no_file_of_others_is_overwritten(planned: Path, tmp_path: Path) -> None
         other.unlink()
 
 
-@pytest.mark.parametrize("pool", ["threads", "processes"])
+@pytest.mark.parametrize("pool", ["threads", pytest.param("processes", marks=pytest.mark.slow)])
 def test_every_pool_gives_the_same_bytes(pool: str, planned: Path, tmp_path: Path) -> None:
     data = tmp_path / "days.csv"
     days(4).to_csv(data, index=False)
@@ -232,14 +241,20 @@ def test_replicates_that_cannot_be_judged_are_named(planned: Path) -> None:
         judged(planned, data.assign(train=1))
 
 
-def test_known_quantities_are_judged_in_place_of_measurements(problem: pfdist.Problem) -> None:
+def test_known_quantities_are_judged_in_place_of_measurements(
+    planned: Path, problem: pfdist.Problem
+) -> None:
     draws = pfdist.simulate(problem, draws=4, seed=5)
     data = draws.rename(columns={"draw": "day", "y_turbidity": "y0", "z_turbidity": "z0"})
-    found = judged(problem, data[["day", "t", "y0", "z0"]], plan_each=True)
-    measured = judged(problem, data[["day", "t", "y0"]], plan_each=True)
+    found = judged(planned, data[["day", "t", "y0", "z0"]])
+    y, z = (data[name].to_numpy().reshape(4, -1) for name in ("y0", "z0"))
+    used = {t for times in ([*map(int, found.plan)], *GRIDS.values()) for t in times}
+    instants = [t for t in range(HORIZON + 1) if t not in used]
+    mean, _ = estimates(y[2], GRIDS["centred"])
+    expected = np.mean((z[2] - mean)[instants] ** 2) / z[:, instants].var()
+    row = found.table.query("replicate == '2' and set == 'centred'").iloc[0]
+    assert row["real"] == pytest.approx(expected, rel=1e-9)
     assert found.noise == 0.0
-    assert (found.means["foreseen"] < measured.means["foreseen"]).all()
-    assert found.judged == measured.judged
 
 
 def test_a_plan_for_each_is_made_among_its_own_measurements(problem: pfdist.Problem) -> None:
@@ -271,6 +286,7 @@ def test_replicates_have_clocks_of_their_own() -> None:
     assert np.isfinite(found.table[["real", "foreseen"]].to_numpy()).all()
 
 
+@pytest.mark.slow
 def test_a_batched_model_is_judged_with_the_same_errors(problem: pfdist.Problem) -> None:
     model = replace(lake.lake(), linear_gaussian=False)
     given = {"horizon": HORIZON, "measurement_budget": 4, "particles": 50}
@@ -294,8 +310,8 @@ def test_wrong_options_and_tables_are_one_line(planned: Path, problem: pfdist.Pr
         with pytest.raises(error, match=said):
             judged(planned, data, **options)
     for table, said in (
-        (data.assign(y0=1.0), "judged values of component 0 must differ from each other, got 1"),
-        (data.assign(y0=data["y0"] * 1e200), "replicate 'd0': errors must be finite, got"),
+        (data.assign(y0=1.0), "component 0 must differ from each other, .*, got 1 to 1"),
+        (data.assign(y0=data["y0"] * 1e200), "must differ from each other, by less than 1e150"),
         (data[data["t"] < 20], r"no replicate can be judged \(d0: no measurement within 0\.5 of"),
     ):
         with pytest.raises(MeasurementsError, match=said):
