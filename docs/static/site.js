@@ -1,8 +1,22 @@
 // What the keyboard and a screen reader need: regions that scroll take the focus, landmarks have names.
 window.addEventListener("load", () => {
-  for (const region of document.querySelectorAll("pre, .table-wrapper, .math")) {
-    if (region.scrollWidth > region.clientWidth) region.tabIndex = 0;
+  for (const table of document.querySelectorAll("table.docutils")) {  // on narrow screens, rows become blocks
+    const heads = [...table.querySelectorAll("thead th")].map((head) => head.textContent.trim());
+    if (heads.length < 3 || !["meaning", "what it shows", "guide"].includes(heads.at(-1))) continue;
+    table.classList.add("stacks");
+    for (const row of table.querySelectorAll("tbody tr")) {
+      [...row.cells].forEach((cell, column) => cell.setAttribute("data-head", heads[column]));
+    }
   }
+  const measure = () => {
+    for (const region of document.querySelectorAll("pre, .table-wrapper, .math")) {
+      const scrolls = region.scrollWidth > region.clientWidth;
+      if (scrolls) region.tabIndex = 0;
+      if (region.matches(".table-wrapper")) region.classList.toggle("scrolls", scrolls);
+    }
+  };
+  measure();
+  window.addEventListener("resize", measure);
   for (const caption of document.querySelectorAll("p.caption[role=heading]")) {
     caption.setAttribute("aria-level", "2");
   }
