@@ -1,11 +1,13 @@
 // What the keyboard and a screen reader need: regions that scroll take the focus, landmarks have names.
 window.addEventListener("load", () => {
-  for (const table of document.querySelectorAll("table.docutils")) {  // on narrow screens, rows become blocks
+  for (const table of document.querySelectorAll("table.docutils")) {  // on narrow screens, rows of text become blocks
     const heads = [...table.querySelectorAll("thead th")].map((head) => head.textContent.trim());
-    if (heads.length < 3 || !["meaning", "what it shows", "guide"].includes(heads.at(-1))) continue;
+    const rows = [...table.querySelectorAll("tbody tr")];
+    if (heads.length < 3 || !rows.some((row) => /[a-z ]{20}/.test(row.cells[row.cells.length - 1]?.textContent))) continue;
     table.classList.add("stacks");
-    for (const row of table.querySelectorAll("tbody tr")) {
-      [...row.cells].forEach((cell, column) => cell.setAttribute("data-head", heads[column]));
+    table.classList.toggle("meaning", heads.at(-1) === "meaning");
+    for (const row of rows) {
+      [...row.cells].forEach((cell, column) => cell.setAttribute(cell.textContent.trim() ? "data-head" : "data-empty", heads[column]));
     }
   }
   const measure = () => {
