@@ -23,7 +23,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.words import FLAGS
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import with_error
-from pfdist.common.section import Section
+from pfdist.common.section import Section, keys_of
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import ESTIMATORS, Estimator
@@ -33,7 +33,7 @@ from pfdist.pools.kinds import POOLS
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
-from pfdist.problem.problem_section import ProblemSection, SensorSection
+from pfdist.problem.problem_section import ClockSection, ProblemSection, SensorSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.problem.sections import (
@@ -71,6 +71,7 @@ _SECTIONS: Mapping[str, type[Section]] = {
     "[model]": Model,
     "[model.filter]": FilterModel,
     "[problem]": ProblemSection,
+    "[problem.clock]": ClockSection,
     "[problem.sensors.NAME]": SensorSection,
     "[filter]": Filter,
     "[evaluation]": EvaluationSection,
@@ -141,7 +142,7 @@ def keys() -> str:
     seed = {"seed": Job.model_fields["seed"]}
     tables = [_table_of_keys("Above all sections", seed, Job)]
     for head, section in _SECTIONS.items():
-        tables.append(_table_of_keys(f"`{head}`", section.model_fields, section))
+        tables.append(_table_of_keys(f"`{head}`", keys_of(section), section))
     return "\n\n".join(tables)
 
 

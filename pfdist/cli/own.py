@@ -77,17 +77,22 @@ def sweep(
     )  # fmt: skip
 
 
-def status(run: str) -> "Run":
+def status(run: str, *, export: str | None = None) -> "Run":
     """Show how far a run is and what it has found.
 
     Parameters
     ----------
     run : str
         Folder of a run.
+    export : str, optional
+        Also write the plan into this file, for a spreadsheet (``.csv``) or a diary (``.ics``).
     """
     from pfdist.results import open_run
 
-    return open_run(run)
+    opened = open_run(run)
+    if export is not None:
+        opened.export(export)
+    return opened
 
 
 def plot(run: str) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Measurements of many systems, the replicates, read from one long table."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.common.clock import Clock
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
@@ -87,9 +88,8 @@ class Replicate:
             away = [abs(self.clock.times[each // sensors] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {self.clock.sensors[sensor]}" if self.clock.sensors else ""
-                raise MeasurementsError(
-                    f"no measurement{name} within {within:.4g} of t = {time:.4g}"
-                )
+                at = formatted_time(time, self.clock.unit) if self.clock.calendar else f"{time:.4g}"
+                raise MeasurementsError(f"no measurement{name} within {within:.4g} of t = {at}")
             chosen.append(free[int(np.argmin(away))])
         return tuple(sorted(chosen))
 
@@ -121,7 +121,7 @@ def read_replicates(
     """
     where = "data" if isinstance(source, pd.DataFrame) else source
     try:
-        table, column = _table(source, column, model, [*parameters])
+        table, column = _table(source, column, model, [*parameters], clock.readers(between=True))
         groups = table.groupby(column, sort=False)
         return [_replicate(str(name), rows, model, clock, column) for name, rows in groups]
     except OSError as error:
@@ -131,7 +131,11 @@ def read_replicates(
 
 
 def _table(
-    source: Path | pd.DataFrame, column: str, model: StateSpaceModel, parameters: list[str]
+    source: Path | pd.DataFrame,
+    column: str,
+    model: StateSpaceModel,
+    parameters: list[str],
+    readers: Mapping[str, Callable[[str], float]],
 ) -> tuple[pd.DataFrame, str]:
     """The checked table, and the name of the column of replicates."""
     sensors = ["sensor"] if model.sensors else []
@@ -158,7 +162,7 @@ def _table(
         return [name]
 
     names = {"sensor": [*model.sensors]} if sensors else {}
-    columns = read_user_table(source, check, names=names)
+    columns = read_user_table(source, check, names=names, readers=readers)
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
     return pd.DataFrame(columns), column or next(iter(columns))

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.calendar import unit_of_spans
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError, TaskError
 from pfdist.filters.draws import Draws
@@ -223,9 +224,12 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     if replicate.has_own_clock:
         clock = replicate.clock
         problem = {"times": [*clock.times], "measurement_budget": 1}
-        problem |= {"time_unit": clock.unit or None, "sensors": [*clock.sensors] or None}
+        unit, sensors = unit_of_spans(clock.unit), [*clock.sensors]
+        problem |= {"time_unit": unit or None, "sensors": sensors or None}
         given = {name: value for name, value in problem.items() if value is not None}
-        others: dict[str, Any] = {"search": [], "budget": None, "online": None, "comparison": {}}
+        compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
+        others: dict[str, Any] = {"search": [], "budget": None, "online": None}
+        others["comparison"] = compared
         job = job.with_changes(sections={"problem": given, **others})
     truth, believed = models_of(job)
     models = [

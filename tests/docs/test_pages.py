@@ -174,12 +174,19 @@ def test_the_scenarios_of_the_page_are_those_of_the_job() -> None:
 
 
 def test_the_page_about_jobs_shows_a_clock_and_sets_that_a_job_may_have(tmp_path: Path) -> None:
-    (_, clock), (_, sets) = _blocks(DOCS / "job-file.md", "toml")
+    (_, clock), (_, dates), (_, sets) = _blocks(DOCS / "job-file.md", "toml")
     file = tmp_path / "job.toml"
     file.write_text(f"seed = 1\n{sets}\n[problem]\nhorizon = 60\nmeasurement_budget = 4\n")
     assert set(pfdist.load_job(file).comparison.sets) == {"clinic", "paper", "regular"}
     file.write_text(f"seed = 1\n{clock}")
     assert pfdist.load_job(file).problem.clock.unit == "h"
+    file.write_text(f"seed = 1\n{dates}")
+    problem = pfdist.load_job(file).problem
+    assert problem.clock.unit == "min since 2026-04-01T08:00 Europe/Brussels"
+    assert problem.clock.horizon * 30 == problem.horizon == 20160  # the page says so
+    allowed = problem.clock.written_of(problem.feasible.allowed)
+    assert (allowed[0], allowed[-1]) == ("2026-04-01T08:00", "2026-04-15T08:00")
+    assert "2026-04-06T12:00" not in allowed  # Easter Monday
 
 
 def test_what_is_not_explained_has_the_numbers_of_the_table_above() -> None:
