@@ -343,6 +343,25 @@ def simulators() -> str:
     return _table(head, rows)
 
 
+def backtest() -> str:
+    """Give the table of the verdicts of backtests, from their benchmark."""
+    table = pd.read_csv(BENCHMARKS / "backtest.csv", comment="#")
+    table = table[table["grid"] == "centred"]
+    rows = []
+    for name, case in table.groupby("case", sort=False):
+        ratio, by_size = round(float(case["ratio"].iloc[0]), 3), case.set_index("replicates")
+        right = {"kept": ratio >= 0.5, "not_kept": ratio <= 0.5}  # at 0.5, neither is
+        verdicts = [verdict for verdict, is_right in right.items() if is_right]
+        shares = 100 * by_size[verdicts].sum(axis=1)
+        wrong = (f"{100 * by_size['wrong'][size]:.1f}" for size in (20, 100))
+        rows.append([str(name), f"{ratio:.2f}".replace("-0.00", "0.00"), " or ".join(
+            each.replace("_", " ") for each in verdicts), *(f"{each:.1f}" for each in shares),
+            *wrong])  # fmt: skip
+    sizes = table["replicates"].unique()
+    head = ["measurements", "true ratio", "verdict", *(f"% of {size}" for size in sizes)]
+    return _table([*head, "wrong, % of 20", "wrong, % of 100"], rows)
+
+
 def guided() -> str:
     """Give the table of plain and guided filters, from their benchmark."""
     cases = pd.read_csv(BENCHMARKS / "guided.csv", comment="#").groupby("system", sort=False)
@@ -544,8 +563,9 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, wall, simulators, guided, size, seconds_of_plan, ways, driver,
-        searches, robust, engines, estimators, schemes, commands, figures, panels, pools, densities,
+        gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
+        ways, driver, searches, robust, engines, estimators, schemes, commands, figures, panels,
+        pools, densities,
     )
 }  # fmt: skip
 

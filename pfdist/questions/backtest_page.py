@@ -75,7 +75,9 @@ def _headline(answer: Backtest) -> str:
 
 
 def _sentence(other: str, promised: Promise) -> str:
-    found = f"the error is {change_of(promised.found, promised.found_interval)}"
+    change = change_of(promised.found, [each if math.isfinite(each) else None
+                                        for each in promised.found_interval])  # fmt: skip
+    found = f"the error is {change.replace('few draws', 'few replicates')}"
     foreseen = _foreseen(promised.foreseen, promised.foreseen_interval)
     verdict = promised.verdict
     if verdict == NOTHING_FORESEEN:
