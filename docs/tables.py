@@ -228,7 +228,7 @@ def gallery() -> str:
     """Give the table of the gallery, which ``python docs/gallery.py`` computes."""
     rows = [
         [
-            f"[{row.job}](#{row.job})",
+            f"`{row.job}`",
             with_error(row.regular, row.regular_error),
             with_error(row.found, row.found_error),
             f"{100 * row.gain:.0f} % ({100 * row.gain_low:.0f} to {100 * row.gain_high:.0f})",

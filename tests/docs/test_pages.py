@@ -1,6 +1,7 @@
 """Everything that the README and the manual tell a reader to type can be typed, and runs."""
 
 import ast
+import inspect
 import re
 import runpy
 import shlex
@@ -22,6 +23,7 @@ from pfdist import load_model
 from pfdist.cli.main import main
 from pfdist.cli.program import line_of
 from pfdist.filters.simulation import simulate
+from pfdist.models.loader import installed_models
 from pfdist.problem.online_section import Online
 
 ROOT = Path(__file__).parents[2]
@@ -32,7 +34,9 @@ NAMED_ALONE = re.compile(r"[a-z-]+")  # `pfdist plan`: the page speaks of the co
 VALUES = {"COMMAND": "run", "SHELL": "bash", "TIMES": "0:60:3", "NUMBERS": "5:41"}  # for words
 VALUES |= {"[RUN": "RUN", "...]": "RUN"}
 A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
-SLOW_PAGES = ("compare", "densities", "guided", "questions", "robust", "sensors")
+SLOW_PAGES = (
+    "choose-model", "compare", "cookbook", "densities", "guided", "questions", "robust", "sensors",
+)  # fmt: skip
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
 
@@ -218,6 +222,7 @@ def test_the_model_with_angles_is_checked_as_its_page_shows(
     [
         ("models.md", "tank.py"),
         pytest.param("simulators.md", "growth.py", marks=pytest.mark.recipes),
+        pytest.param("cookbook.md", "decay_jax.py", marks=pytest.mark.recipes),
     ],
 )
 def test_a_model_of_a_page_is_a_model(page: str, file: str, tmp_path: Path) -> None:
@@ -225,6 +230,31 @@ def test_a_model_of_a_page_is_a_model(page: str, file: str, tmp_path: Path) -> N
     (tmp_path / file).write_text(code, encoding="utf-8")
     model = load_model(f"{tmp_path / file}:model")
     assert np.isfinite(simulate(model, 20, range(10), 0).z).all()
+
+
+def test_the_models_to_start_from_are_those_that_ship() -> None:
+    named = set(re.findall(r"`(\w+)`", (DOCS / "choose-model.md").read_text(encoding="utf-8")))
+    assert set(installed_models()) <= named
+
+
+def test_the_cookbook_has_thirteen_recipes() -> None:
+    text = (DOCS / "cookbook.md").read_text(encoding="utf-8")
+    recipes = text.split("\n## ")[1:]
+    assert len(recipes) == 13
+    assert all("Guide" in recipe for recipe in recipes[:-1])
+
+
+def test_each_name_of_the_library_has_an_example_that_could_run() -> None:
+    """The examples are Python, and their arguments are those of the functions."""
+    rows = re.findall(r"^\| \[`(\w+)`\]\(\S+\) \| `(.+?)` \|", (DOCS / "api.md").read_text(), re.M)
+    assert {name for name, _ in rows} == set(pfdist.__all__)
+    for _, example in rows:
+        for call in ast.walk(ast.parse(example)):
+            name = ast.unparse(call.func) if isinstance(call, ast.Call) else ""
+            if isinstance(call, ast.Call) and re.fullmatch(r"pfdist(\.\w+)+", name):
+                function = eval(name, {"pfdist": pfdist})
+                keywords = {word.arg: None for word in call.keywords if word.arg}
+                inspect.signature(function).bind_partial(*call.args, **keywords)
 
 
 def test_the_readme_is_short() -> None:
