@@ -376,16 +376,21 @@ _Plans = Times | Mapping[str, Times | None]
 def _plans(
     built: Built, replicates: Sequence[Replicate], pool: Pool, show: Show
 ) -> dict[str, Times | None]:
-    """The plan of each replicate on its own clock; None if it has too few measurements."""
+    """The plan of each replicate on its own clock; None if it is not judged.
+
+    It is not judged if the model was fitted to it, or if it has too few measurements.
+    """
     feasible, job = built.feasible, built.job
     if feasible.measurement_budget is None:
         raise JobError("plan_each needs problem.measurement_budget, got a total price")
     if built.evaluator.scenarios:
         raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
     planning = first_planning(planning_of(job, built.evaluator.cheapest_estimator))
-    works, plans = dict[str, PlanWork](), dict[str, Times | None]()
+    works = dict[str, PlanWork]()
+    plans: dict[str, Times | None] = dict.fromkeys(each.name for each in replicates)
     for each in replicates:
-        plans[each.name] = None
+        if each.is_training:
+            continue
         measured = {*each.measured(built.evaluator.model)}
         on = each.clock if each.has_own_clock or feasible.clock else None
         possible = range(len(each.y) * feasible.sensors)

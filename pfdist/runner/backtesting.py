@@ -30,6 +30,7 @@ from pfdist.runner.planning import Now, Planning, Replanner
 W = TypeVar("W")
 V = TypeVar("V")
 Array = NDArray[np.float64]
+_SECONDS = 60.0  # of a task at most: how fast a model is, is not known
 INTERVAL = (0.05, 0.95)
 """Quantiles between which a right model has 90 % of all values."""
 
@@ -268,7 +269,7 @@ def outcomes(
 
     Raises `TaskError` if one fails.
     """
-    tasks = [Task(str(place), function, work) for place, work in enumerate(works)]
+    tasks = [Task(str(place), function, work, _SECONDS) for place, work in enumerate(works)]
     for outcome in pool.run(iter(tasks)):
         if outcome.error is not None:
             reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
