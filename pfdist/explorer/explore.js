@@ -1,45 +1,43 @@
 // The page and the widget: times are moved by hand, and the error follows.
 //
 // All texts reach the page as text, never as markup. `connection` has start({open, message, lost})
-// and send(message); messages are those of pfdist.explorer.session.reply.
+// and send(message); messages are those of pfdist.explorer.session.reply. A measurement is a number
+// m = t * S + sensor, as everywhere in the program.
 
 const SVG = "http://www.w3.org/2000/svg";
-const LEFT = 46, RIGHT = 14, CHART = 230, LANE = 24, HEAD = 18;
+const LEFT = 46, RIGHT = 14, CHART = 230, LANE = 24, HEAD = 18, ROW = LANE + HEAD; // pixels
 const SETS = { even: "Evenly spaced", plan: "Plan", yours: "Yours" };
 const REST = 300, SLOW = 1000, QUIET = 900, AGAIN = 1000; // milliseconds
+const JUDGE = "Judge on fresh draws";
 
-function make(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
+function filled(element, attributes, children) {
   for (const [key, value] of Object.entries(attributes)) {
     if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
-    else if (value !== null) element.setAttribute(key, value);
+    else element.setAttribute(key, value);
   }
   element.append(...children);
   return element;
 }
-
-function draw(tag, attributes = {}, ...children) {
-  const element = document.createElementNS(SVG, tag);
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  element.append(...children);
-  return element;
-}
+const make = (tag, attributes = {}, ...children) =>
+  filled(document.createElement(tag), attributes, children);
+const draw = (tag, attributes = {}, ...children) =>
+  filled(document.createElementNS(SVG, tag), attributes, children);
+const button = (text, onclick) => make("button", { type: "button", onclick }, text);
 
 function ticks(low, high, count) {
-  if (!(high > low)) return [low];
   const power = 10 ** Math.floor(Math.log10((high - low) / count));
   const step = [1, 2, 5, 10].map((factor) => factor * power)
     .find((each) => (high - low) / each <= count);
-  const first = Math.ceil(low / step - 1e-9);
-  const number = Math.floor(high / step + 1e-9) - first + 1;
-  return Array.from({ length: number }, (_, k) => Number(((first + k) * step).toPrecision(12)));
+  const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
+  return Array.from({ length: last - first + 1 }, (_, k) =>
+    Number(((first + k) * step).toPrecision(12)));
 }
 
 export function mount(element, connection) {
   const view = Math.random().toString(36).slice(2);
-  const kept = new Map(); // name -> times
-  const asked = new Map(); // id -> what its answer is for
-  let facts = null, answer = null, judged = [], online = false, serial = 0, component = 0;
+  const kept = new Map(); // the times of each name
+  const asked = new Map(); // what to do with the answer to each message
+  let facts = null, answer = null, online = false, serial = 0, component = 0;
   let own = [], selected = null, held = null; // own: objects with a measurement and its handle
   let pending = null, waiting = null, rest = 0, slow = 0, quiet = 0;
 
@@ -47,48 +45,37 @@ export function mount(element, connection) {
 
   const title = make("h1"), about = make("p", { class: "about" });
   const banner = make("p", { class: "banner", role: "status" });
-  const chart = draw("svg", { class: "chart", role: "img" });
-  const choice = make("select", { onchange: () => { component = Number(choice.value); paint(); } });
-  const choosing = make("label", { class: "component" }, "Component ", choice);
+  const chart = draw("svg", { role: "img", height: CHART });
+  const choice = make("select", { onchange() { component = Number(choice.value); paint(); } });
+  const choosing = make("label", {}, "Component ", choice);
   const legend = make("p", { class: "legend" });
   const lanes = draw("svg", { class: "lanes", role: "group", "aria-label": "Measurement times" });
-  const tools = make("div", { class: "tools" });
-  const remove = make("button", { type: "button", onclick: () => drop(selected) }, "Remove");
-  const readout = make("dl", { class: "readout" }), mark = make("p", { class: "mark" });
+  const tools = make("div", { class: "tools" }), remove = button("Remove", () => drop(selected));
+  const readout = make("dl"), mark = make("p", { class: "mark" });
   const broken = make("ul", { class: "broken" });
-  const live = make("p", { class: "live", role: "status", "aria-live": "polite" });
-  const judging = make("button", { type: "button", class: "main", onclick: judge },
-    "Judge on fresh draws");
-  const fresh = make("div", { class: "judged" });
+  const live = make("p", { class: "live", role: "status" });
+  const judging = button(JUDGE, judge), judged = make("div", { class: "judged" });
   const name = make("input", { value: "mine", maxlength: 64, spellcheck: "false" });
-  const sets = make("ul", { class: "kept" }), command = make("pre", { tabindex: "0" });
   const trouble = make("p", { class: "trouble", role: "alert" });
-  const taking = make("div", { class: "tools" },
-    make("label", {}, "Name ", name),
-    make("button", { type: "button", onclick: keep }, "Name and keep"),
-    make("button", { type: "button", onclick: copy }, "Copy command"),
-    make("button", { type: "button", onclick: download }, "Download job"));
+  const sets = make("ul", { class: "kept" }), command = make("pre", { tabindex: 0 });
   const root = make("div", { class: "pfdist-explorer" }, title, about, banner,
-    make("figure", {}, make("figcaption", {}, legend, choosing), chart, lanes), tools,
-    make("div", { class: "answer" }, make("div", {}, readout, mark), broken), judging, fresh,
-    taking, trouble, sets, command, live);
-  element.append(root);
+    make("figure", {}, make("figcaption", {}, legend, choosing), chart, lanes), tools, readout,
+    mark, broken, judging, judged, make("div", { class: "tools" }, make("label", {}, "Name ", name),
+      button("Name and keep", keep), button("Copy command", copy), button("Download job", save)),
+    trouble, sets, command, live);
+  judging.className = "main";
   command.hidden = true;
+  element.append(root);
 
   // --- messages ----------------------------------------------------------------------------------
 
   function ask(message, then) {
     const id = `${view}-${++serial}`;
-    asked.set(id, then);
+    asked.set(id, (found) => {
+      trouble.textContent = found.error ?? "";
+      then(found);
+    });
     connection.send({ ...message, id });
-    return id;
-  }
-
-  function heard(message) {
-    const then = asked.get(message?.id);
-    if (!then) return; // of another view, or from before the connection was lost
-    asked.delete(message.id);
-    then(message);
   }
 
   function want(draws) { // only the newest move is sent, after the answer to the last
@@ -101,39 +88,33 @@ export function mount(element, connection) {
     if (pending || !waiting || !online) return;
     pending = waiting;
     waiting = null;
-    clearTimeout(slow);
-    slow = setTimeout(() => tell("Computing…"), SLOW);
+    slow = setTimeout(() => { banner.textContent = "Computing…"; }, SLOW);
     ask(pending, (found) => {
       pending = null;
       clearTimeout(slow);
-      tell("");
-      if (found.error) trouble.textContent = found.error;
-      else show(found);
+      banner.textContent = "";
+      if (!found.error) show(found);
       pump();
     });
   }
 
-  function tell(text) { if (banner.textContent !== text) banner.textContent = text; }
-
   connection.start({
-    message: heard,
+    message(found) {
+      const then = asked.get(found?.id); // else of another view, or from before a loss
+      asked.delete(found?.id);
+      then?.(found);
+    },
     open() {
       online = true;
-      tell("");
-      ask({ ask: "state" }, (found) => {
-        if (found.error) tell(found.error);
-        else begin(found);
-      });
+      ask({ ask: "state" }, (found) => { if (!found.error) begin(found); });
     },
     lost() {
       online = false;
       asked.clear();
-      waiting = waiting ?? pending;
       pending = null;
-      judging.disabled = false;
-      judging.textContent = "Judge on fresh draws";
+      ready();
       clearTimeout(slow);
-      tell("Connection lost. Is the command still running? Trying again…");
+      banner.textContent = "Connection lost. Is the command still running? Trying again…";
     },
   });
 
@@ -141,331 +122,289 @@ export function mount(element, connection) {
 
   const many = () => Math.max(1, facts.sensors.length);
   const instant = (m) => Math.floor(m / many());
+  const time = (m) => facts.times[instant(m)];
   const times = () => own.map((each) => each.m).sort((a, b) => a - b);
   const others = (except) => own.filter((each) => each !== except).map((each) => each.m);
+  const locked = (each) => facts.required.includes(each.m);
 
   function allowed(m, beside) {
-    if (facts.forbidden.has(m)) return false;
-    const sensor = m % many(), apart = facts.sensors_after[sensor];
-    return beside.every((other) => {
+    const apart = facts.sensors_after[m % many()];
+    return !facts.forbidden.has(m) && beside.every((other) => {
       const [low, high] = m < other ? [m, other] : [other, m];
       if (low === high || (facts.after && high < facts.after[low])) return false;
-      return !apart || other % many() !== sensor || instant(high) >= apart[instant(low)];
+      return !apart || (high - low) % many() || instant(high) >= apart[instant(low)];
     });
   }
 
-  function free(sensor, beside) {
-    const every = facts.times.map((_, t) => t * many() + sensor);
-    return every.filter((m) => allowed(m, beside));
-  }
-
-  function nearest(sensor, time, beside) {
-    const far = (m) => Math.abs(facts.times[instant(m)] - time);
-    return free(sensor, beside).reduce((a, b) => (a !== null && far(a) <= far(b) ? a : b), null);
-  }
+  const free = (sensor, beside) =>
+    facts.times.map((_, t) => t * many() + sensor).filter((m) => allowed(m, beside));
+  const least = (list, key) => list.reduce((a, b) => (key(b) < key(a) ? b : a), list[0]);
+  const nearest = (sensor, to, beside) =>
+    least(free(sensor, beside), (m) => Math.abs(time(m) - to));
 
   // --- moving ------------------------------------------------------------------------------------
 
+  function changed() { place(); want(0); }
+
   function move(each, m) {
-    if (m === null || m === undefined || each.m === m || locked(each)) return;
+    if (m === undefined || each.m === m || locked(each)) return;
     each.m = m;
     changed();
   }
 
-  function locked(each) { return facts.required.includes(each.m); }
-
   function add(m) {
-    if (m === null || m === undefined) return;
-    const each = { m };
-    own.push(each);
+    if (m === undefined) return;
+    own.push({ m });
     changed();
-    select(each);
-    each.handle.focus();
+    own.at(-1).handle.focus();
   }
 
   function addToGap(sensor) { // as far from the others as possible
-    const at = others().map(instant);
-    const far = (m) => Math.min(Infinity, ...at.map((t) =>
-      Math.abs(facts.times[t] - facts.times[instant(m)])));
-    const [first, ...more] = free(sensor, others());
-    add(more.reduce((a, b) => (far(b) > far(a) ? b : a), first));
+    const at = others().map(time);
+    add(least(free(sensor, others()), (m) =>
+      -Math.min(Number.MAX_VALUE, ...at.map((other) => Math.abs(other - time(m))))));
   }
 
   function drop(each) {
-    if (!each || locked(each) || !own.includes(each)) return;
-    const next = own.filter((other) => other !== each)
-      .sort((a, b) => Math.abs(a.m - each.m) - Math.abs(b.m - each.m))[0];
+    if (!own.includes(each) || locked(each)) return;
     own = own.filter((other) => other !== each);
     each.handle.remove();
-    selected = null;
     changed();
-    if (next) next.handle.focus();
+    least(own, (other) => Math.abs(other.m - each.m))?.handle.focus();
   }
 
   function use(chosen) {
-    own.forEach((each) => each.handle?.remove());
     own = chosen.map((m) => ({ m }));
-    selected = null;
-    changed();
+    layout();
+    want(0);
   }
 
-  function changed() { place(); want(0); }
-
   function select(each) {
-    selected = each;
-    own.forEach((other) => other.handle.classList.toggle("selected", other === each));
-    remove.disabled = !each || locked(each);
+    selected = own.includes(each) ? each : null;
+    own.forEach((other) => other.handle.classList.toggle("selected", other === selected));
+    remove.disabled = !selected || locked(selected);
   }
 
   function key(event, each) {
-    const size = facts.times.length, sensor = each.m % many(), beside = others(each);
-    const forward = (from) => free(sensor, beside).find((m) => m >= from);
-    const back = (from) => free(sensor, beside).reverse().find((m) => m <= from);
-    const step = many(), page = many() * Math.max(2, Math.round(size / 10));
-    const keys = {
-      ArrowRight: () => forward(each.m + step), ArrowUp: () => forward(each.m + step),
-      ArrowLeft: () => back(each.m - step), ArrowDown: () => back(each.m - step),
-      PageUp: () => forward(each.m + page), PageDown: () => back(each.m - page),
-      Home: () => forward(0), End: () => back(size * many()),
-    };
+    const all = free(each.m % many(), others(each)), step = many();
+    const page = step * Math.max(2, Math.round(facts.times.length / 10));
+    const by = { ArrowRight: step, ArrowUp: step, ArrowLeft: -step, ArrowDown: -step,
+      PageUp: page, PageDown: -page, Home: -Infinity, End: Infinity }[event.key];
     if (event.key === "Delete" || event.key === "Backspace") drop(each);
-    else if (event.key in keys) move(each, keys[event.key]());
+    else if (Math.abs(by) === Infinity) move(each, all.at(by < 0 ? 0 : -1));
+    else if (by > 0) move(each, all.find((m) => m >= each.m + by));
+    else if (by < 0) move(each, all.reverse().find((m) => m <= each.m + by));
     else return;
     event.preventDefault();
   }
 
-  // --- pictures ----------------------------------------------------------------------------------
-
-  const width = () => Math.max(240, root.clientWidth - 2);
-  function x(t) {
-    const [first, last] = [facts.times[0], facts.times.at(-1)];
-    return LEFT + (facts.times[t] - first) / (last - first) * (width() - LEFT - RIGHT);
-  }
-  function timeAt(event) {
-    const box = lanes.getBoundingClientRect(), [first, last] = [facts.times[0], facts.times.at(-1)];
-    return first + (event.clientX - box.left - LEFT) / (width() - LEFT - RIGHT) * (last - first);
-  }
-  function written(m) {
-    const sensor = facts.sensors[m % many()];
-    const time = `${facts.labels[instant(m)]} ${facts.unit}`.trim();
-    const price = facts.prices ? `, price ${facts.prices[m]}` : "";
-    return `${sensor ? `${sensor}, ` : ""}${time}${price}`;
-  }
-  const shown = () => Object.keys(SETS).filter((set) => set === "yours" || facts[set]);
-
-  function layout() { // the strips, without the handles
-    lanes.replaceChildren();
-    const rows = shown().flatMap((set) => (facts.sensors.length ? facts.sensors : [""])
-      .map((sensor, number) => ({ set, sensor, number })));
-    const height = rows.length * (LANE + HEAD) + 4, highest = Math.max(...(facts.prices ?? [1]));
-    lanes.setAttribute("viewBox", `0 0 ${width()} ${height}`);
-    lanes.setAttribute("height", height);
-    rows.forEach(({ set, sensor, number }, row) => {
-      const top = row * (LANE + HEAD) + HEAD, mine = set === "yours";
-      const head = draw("text", { x: LEFT, y: top - 5 });
-      head.textContent = SETS[set] + (sensor ? `: ${sensor}` : "");
-      const strip = draw("rect", { class: mine ? "strip mine" : "strip", x: LEFT - 8, y: top,
-        width: width() - LEFT - RIGHT + 16, height: LANE, rx: 4 });
-      lanes.append(head, strip);
-      const half = (t) => [(x(Math.max(0, t - 1)) + x(t)) / 2,
-        (x(t) + x(Math.min(facts.times.length - 1, t + 1))) / 2];
-      facts.times.forEach((_, t) => {
-        const m = t * many() + number, [from, to] = half(t), box = { x: from, width: to - from };
-        if (facts.prices && mine) {
-          const high = LANE * 0.8 * facts.prices[m] / highest;
-          lanes.append(draw("rect", { class: "price", ...box, y: top + LANE - high, height: high }));
-        }
-        if (facts.forbidden.has(m)) {
-          lanes.append(draw("rect", { class: "forbidden", ...box, y: top, height: LANE }));
-        }
-      });
-      if (mine) {
-        strip.addEventListener("click", (event) => add(nearest(number, timeAt(event), others())));
-        return;
-      }
-      for (const m of facts[set].filter((each) => each % many() === number)) {
-        const inside = set === "plan" ? facts.windows[m] : null, at = x(instant(m));
-        if (inside) {
-          const ends = [x(Math.min(...inside)), x(Math.max(...inside))];
-          lanes.append(draw("rect", { class: "window", x: ends[0] - 2, y: top + LANE / 2 - 2,
-            width: ends[1] - ends[0] + 4, height: 4, rx: 2 }));
-        }
-        lanes.append(draw("circle", { class: set, cx: at, cy: top + LANE / 2, r: 5 }));
-      }
-    });
-    own.forEach((each) => { each.handle = null; });
-    place();
-  }
-
-  function place() { // the handles
-    const fixed = shown().length - 1, number = own.length;
-    times().forEach((m, position) => {
-      const each = own.find((other) => other.m === m);
-      if (!each.handle) each.handle = handle(each);
-      const row = fixed * many() + m % many(), t = instant(m);
-      const at = { "aria-label": `Measurement ${position + 1} of ${number}`, "aria-valuenow": t,
-        "aria-valuetext": written(m), "aria-disabled": String(locked(each)),
-        transform: `translate(${x(t)} ${row * (LANE + HEAD) + HEAD + LANE / 2})` };
-      for (const [key, value] of Object.entries(at)) each.handle.setAttribute(key, value);
-    });
-    select(own.includes(selected) ? selected : null);
-    const line = own.map((each) => x(instant(each.m)));
-    chart.querySelectorAll(".at").forEach((each, k) => each.setAttribute("x1", line[k] ?? 0));
-  }
-
-  function handle(each) {
-    const made = draw("g", { class: "handle", role: "slider", tabindex: 0, "aria-valuemin": 0,
-      "aria-valuemax": facts.times.length - 1 },
-    draw("circle", { class: "reach", r: 14 }), draw("circle", { class: "yours", r: 8 }));
-    made.addEventListener("pointerdown", (event) => {
-      event.preventDefault(); // selects no text
-      made.focus();
-      held = each;
-      lanes.setPointerCapture(event.pointerId);
-    });
-    made.addEventListener("dblclick", () => drop(each));
-    made.addEventListener("focus", () => select(each));
-    made.addEventListener("keydown", (event) => key(event, each));
-    lanes.append(made);
-    return made;
-  }
-
   lanes.addEventListener("pointermove", (event) => {
-    if (held) move(held, nearest(held.m % many(), timeAt(event), others(held)));
+    if (!held) return;
+    lanes.setPointerCapture(event.pointerId); // not before: a double click belongs to the handle
+    move(held, nearest(held.m % many(), timeAt(event), others(held)));
   });
   for (const end of ["pointerup", "pointercancel"]) {
     lanes.addEventListener(end, () => { held = null; });
   }
 
+  // --- pictures ----------------------------------------------------------------------------------
+
+  const width = () => Math.max(240, root.clientWidth
+    - 2 * parseFloat(getComputedStyle(root).paddingLeft));
+  const span = () => [facts.times[0], facts.times.at(-1)];
+  const wide = () => (width() - LEFT - RIGHT) / (span()[1] - span()[0]); // pixels a unit of time
+  const x = (t) => LEFT + (facts.times[t] - span()[0]) * wide();
+  const timeAt = (event) =>
+    span()[0] + (event.clientX - lanes.getBoundingClientRect().left - LEFT) / wide();
+  const shown = () => Object.keys(SETS).filter((set) => set === "yours" || facts[set]);
+  const label = (at, text) => draw("text", at, String(text));
+
+  function written(m) {
+    const parts = [facts.sensors[m % many()], `${facts.labels[instant(m)]} ${facts.unit}`.trim(),
+      facts.prices && `price ${facts.prices[m]}`];
+    return parts.filter((each) => each).join(", ");
+  }
+
+  function layout() { // the strips, and new handles
+    const lists = facts.sensors.length ? facts.sensors : [""];
+    const height = shown().length * lists.length * ROW + 4;
+    lanes.replaceChildren();
+    filled(lanes, { viewBox: `0 0 ${width()} ${height}`, height }, []);
+    shown().forEach((set, row) => lists.forEach((sensor, number) =>
+      lane(set, sensor, number, (row * lists.length + number) * ROW + HEAD)));
+    own.forEach((each) => { each.handle = handle(each); });
+    place();
+  }
+
+  function lane(set, sensor, number, y) {
+    const mine = set === "yours", middle = y + LANE / 2, last = facts.times.length - 1;
+    const strip = draw("rect", { class: `strip ${set}`, x: LEFT - 8, y, height: LANE, rx: 4,
+      width: width() - LEFT - RIGHT + 16 });
+    lanes.append(label({ x: LEFT, y: y - 5 }, SETS[set] + (sensor && `: ${sensor}`)), strip);
+    facts.times.forEach((_, t) => {
+      const m = t * many() + number, from = (x(Math.max(0, t - 1)) + x(t)) / 2;
+      const box = { x: from, width: (x(t) + x(Math.min(last, t + 1))) / 2 - from };
+      const high = facts.prices ? LANE * 0.8 * facts.prices[m] / Math.max(...facts.prices) : 0;
+      if (facts.prices && mine) {
+        lanes.append(draw("rect", { class: "price", ...box, y: y + LANE - high, height: high }));
+      }
+      if (facts.forbidden.has(m)) {
+        lanes.append(draw("rect", { class: "forbidden", ...box, y, height: LANE }));
+      }
+    });
+    if (mine) {
+      strip.addEventListener("click", (event) => add(nearest(number, timeAt(event), others())));
+      return;
+    }
+    for (const m of facts[set].filter((each) => each % many() === number)) {
+      const inside = (set === "plan" && facts.windows[m]) || [];
+      if (inside.length > 1) {
+        const [from, to] = [Math.min(...inside), Math.max(...inside)].map(x);
+        lanes.append(draw("rect", { class: "window", x: from, y: middle - 2, width: to - from,
+          height: 4, rx: 2 }));
+      }
+      lanes.append(draw("circle", { class: set, cx: x(instant(m)), cy: middle, r: radius() - 2 }));
+    }
+  }
+
+  const radius = () => Math.max(5, Math.min(8, 0.4 * width() / (own.length + 1)));
+
+  function handle(each) {
+    const made = draw("g", { class: "handle", role: "slider", tabindex: 0, "aria-valuemin": 0,
+      "aria-valuemax": facts.times.length - 1,
+      onpointerdown(event) {
+        event.preventDefault(); // selects no text
+        made.focus();
+        held = each;
+      },
+      ondblclick: () => drop(each),
+      onfocus: () => select(each),
+      onkeydown: (event) => key(event, each) },
+    draw("circle", { class: "reach", r: 14 }), draw("circle", { class: "yours", r: radius() }));
+    lanes.append(made);
+    return made;
+  }
+
+  function place() { // the handles, each with its place among all
+    const rows = (shown().length - 1) * many();
+    [...own].sort((a, b) => a.m - b.m).forEach((each, position) => {
+      const y = (rows + each.m % many()) * ROW + HEAD + LANE / 2;
+      each.handle ??= handle(each);
+      filled(each.handle, { "aria-label": `Measurement ${position + 1} of ${own.length}`,
+        "aria-valuenow": instant(each.m), "aria-valuetext": written(each.m),
+        "aria-disabled": locked(each), transform: `translate(${x(instant(each.m))} ${y})` }, []);
+    });
+    select(selected);
+  }
+
   function paint() { // the error over time
-    if (!facts || !answer) return;
-    const curves = Object.fromEntries(shown().map((set) => [set, answer.curves[set][component]]));
-    const unit = facts.components[component].unit, bottom = CHART - 26;
-    const top = Math.max(1e-300, ...Object.values(curves).flat().filter((v) => v !== null));
-    const y = (value) => bottom - value / (1.08 * top) * (bottom - 22);
-    chart.replaceChildren();
-    chart.setAttribute("viewBox", `0 0 ${width()} ${CHART}`);
-    chart.setAttribute("height", CHART);
-    for (const value of ticks(0, 1.08 * top, 4)) {
-      const text = draw("text", { x: LEFT - 12, y: y(value) + 4, "text-anchor": "end" });
-      text.textContent = value;
+    const { unit } = facts.components[component], bottom = CHART - 26;
+    const curves = shown().map((set) => [set, answer.curves[set][component]]);
+    const top = 1.08 * Math.max(1e-300, ...curves.flatMap(([, curve]) => curve));
+    const y = (value) => bottom - value / top * (bottom - 22);
+    chart.replaceChildren(label({ x: 4, y: 12 }, "typical error" + (unit && ` [${unit}]`)
+      + " over t" + (facts.unit && ` [${facts.unit}]`)));
+    filled(chart, { viewBox: `0 0 ${width()} ${CHART}`,
+      "aria-label": `Typical error over time. ${summary()}` }, []);
+    for (const value of ticks(0, top, 4)) {
       chart.append(draw("line", { class: "grid", x1: LEFT - 8, x2: width() - RIGHT + 8,
-        y1: y(value), y2: y(value) }), text);
+        y1: y(value), y2: y(value) }),
+      label({ x: LEFT - 12, y: y(value) + 4, "text-anchor": "end" }, value));
     }
-    const span = [facts.times[0], facts.times.at(-1)];
-    for (const value of ticks(...span, width() / 90)) {
-      const t = facts.times.reduce((a, time, b) =>
-        (Math.abs(time - value) < Math.abs(facts.times[a] - value) ? b : a), 0);
-      const text = draw("text", { x: x(t), y: CHART - 8, "text-anchor": "middle" });
-      text.textContent = facts.labels[t];
+    for (const value of ticks(...span(), width() / 90)) {
+      const t = least([...facts.times.keys()], (each) => Math.abs(facts.times[each] - value));
       chart.append(draw("line", { class: "grid", x1: x(t), x2: x(t), y1: bottom, y2: bottom + 5 }),
-        text);
+        label({ x: x(t), y: CHART - 8, "text-anchor": "middle" }, facts.labels[t]));
     }
-    const head = draw("text", { x: 4, y: 12 });
-    head.textContent = `typical error${unit ? ` [${unit}]` : ""} at t`
-      + `${facts.unit ? ` [${facts.unit}]` : ""}`;
-    chart.append(head);
-    for (const [set, curve] of Object.entries(curves)) {
-      const path = curve.map((value, t) => (value === null ? ""
-        : `${t && curve[t - 1] !== null ? "L" : "M"}${x(t).toFixed(1)} ${y(value).toFixed(1)}`));
-      chart.append(draw("path", { class: set, d: path.join("") }));
+    for (const [set, curve] of curves) {
+      const points = curve.map((value, t) => value !== null && `${x(t)} ${y(value)}`);
+      const d = points.map((at, t) => (at ? (points[t - 1] ? "L" : "M") + at : "")).join("");
+      chart.append(draw("path", { class: set, d }));
     }
-    chart.setAttribute("aria-label", `Typical error over time. ${summary()}`);
   }
 
   // --- answers -----------------------------------------------------------------------------------
 
   function begin(found) {
-    const again = facts !== null;
+    const start = facts ? times() : found.plan ?? found.even;
     facts = { ...found, forbidden: new Set(found.forbidden) };
-    judged = found.judged;
     title.textContent = `When to measure: ${found.model}`;
-    about.textContent = `${found.budget}. Drag your times, click on an empty place to add one, `
-      + "double-click or press Delete to remove one; arrow keys move the time in focus."
-      + (found.run ? ` Plan of ${found.run}.` : "");
+    about.textContent = `${found.budget}. Drag your times. Click on an empty place to add one; `
+      + "double-click or press Delete to remove one. Arrow keys move the time in focus."
+      + (found.run && ` The plan is that of ${found.run}.`);
     choosing.hidden = found.components.length < 2;
     choice.replaceChildren(...found.components.map((each, number) =>
-      make("option", { value: number }, each.name || "z")));
-    legend.replaceChildren(...shown().map((set) =>
-      make("span", { class: `key ${set}` }, SETS[set])));
-    if (found.forbidden.length) legend.append(make("span", { class: "key shade" }, "forbidden"));
+      make("option", { value: number }, each.name || `z${number}`)));
+    const keys = shown().map((set) => [set, SETS[set]]);
+    if (found.forbidden.length) keys.push(["shade", "forbidden"]);
+    if (found.prices) keys.push(["money", "price"]);
     if (Object.keys(found.windows).length) {
-      legend.append(make("span", { class: "key window" },
-        `may move alone (at most ${found.window_percent} % worse)`));
+      keys.push(["bar", `alone it may move so far, at most ${found.window_percent} % worse`]);
     }
-    const lists = facts.sensors.length ? facts.sensors : [""];
-    tools.replaceChildren(...lists.map((sensor, number) => make("button",
-      { type: "button", onclick: () => addToGap(number) }, `Add ${sensor || "a time"}`)), remove,
-    ...shown().filter((set) => set !== "yours").map((set) => make("button",
-      { type: "button", onclick: () => use(facts[set]) }, `Start from ${SETS[set].toLowerCase()}`)));
-    list();
-    if (!again) own = found.start.map((m) => ({ m }));
-    layout();
-    want(0);
+    legend.replaceChildren(...keys.map(([each, text]) => make("span", { class: `key ${each}` },
+      text)));
+    const lists = found.sensors.length ? found.sensors : ["a time"];
+    tools.replaceChildren(...lists.map((each, number) =>
+      button(`Add ${each}`, () => addToGap(number))), remove, ...shown().slice(0, -1).map((set) =>
+      button(`Start from ${SETS[set].toLowerCase()}`, () => use(facts[set]))));
+    list(found.judged);
+    use(start);
   }
 
   function show(found) {
     answer = found;
-    trouble.textContent = "";
     paint();
     readout.replaceChildren(...found.facts.map(([head, text]) =>
       make("div", {}, make("dt", {}, head), make("dd", {}, text))));
-    mark.textContent = found.draws ? `${found.mark} (${found.draws.toLocaleString("en")} draws)`
-      : found.mark;
-    const sentences = found.broken.map((each) => `Broken constraint: ${each}`);
-    broken.replaceChildren(...[...sentences, ...found.warnings].map((each) => make("li", {}, each)));
+    mark.textContent = found.mark;
+    broken.replaceChildren(...sentences().map((each) => make("li", {}, each)));
     clearTimeout(quiet);
     quiet = setTimeout(() => { live.textContent = summary(); }, QUIET);
-    if (waiting || found.finer === null) return;
-    rest = setTimeout(() => { if (!waiting && !pending && !held) want(found.finer); }, REST);
+    rest = setTimeout(() => { if (found.finer && !waiting) want(found.finer); }, REST);
   }
+
+  const sentences = () =>
+    [...answer.broken.map((each) => `Broken constraint: ${each}`), ...answer.warnings];
 
   function summary() {
-    const [typical, , against] = answer.facts;
-    const gain = against && against[0].startsWith("against") ? `, ${against.join(": ")}` : "";
-    return `Your times: typical error ${typical[1]}${gain}; ${answer.mark}. `
-      + answer.broken.map((each) => `Broken constraint: ${each}.`).join(" ");
+    const read = answer.facts.slice(0, 3).map((fact) => fact.join(": "));
+    return `Your times: ${[...read, answer.mark, ...sentences()].join(". ")}.`;
   }
 
-  function nameOf(chosen) {
-    const same = [...kept].find(([, each]) => each.join() === chosen.join());
-    return same ? same[0] : name.value;
+  function ready() {
+    judging.disabled = false;
+    judging.textContent = JUDGE;
   }
 
   function judge() {
-    const chosen = times();
+    const chosen = times(), same = [...kept].find(([, each]) => String(each) === String(chosen));
     judging.disabled = true;
     judging.textContent = "Judging…";
-    ask({ ask: "judge", name: nameOf(chosen), times: chosen }, (found) => {
-      judging.disabled = false;
-      judging.textContent = "Judge on fresh draws";
-      trouble.textContent = found.error ?? "";
+    ask({ ask: "judge", name: same?.[0] ?? name.value, times: chosen }, (found) => {
+      ready();
       if (found.error) return;
-      judged = found.judged;
-      list();
-      want(answer?.draws ?? 0);
+      list(found.judged);
+      want(answer.draws);
     });
   }
 
-  function list() {
-    fresh.hidden = !judged.length;
-    const rows = judged.map((each) => make("tr", {},
+  function list(rows) {
+    judged.hidden = !rows.length;
+    const head = ["set", "expected MSE against evenly spaced", "times"];
+    judged.replaceChildren(make("table", {}, make("caption", {}, "Judged on fresh draws. "
+      + (rows.length > 1 ? `The ${rows.length} intervals hold together with 95 %. ` : "")
+      + "The best of several sets is judged once more, because picking it flatters it."),
+    make("thead", {}, make("tr", {}, ...head.map((each) => make("th", { scope: "col" }, each)))),
+    make("tbody", {}, ...rows.map((each) => make("tr", {},
       make("th", { scope: "row" }, each.name + (each.again ? " (judged once more)" : "")),
-      make("td", {}, each.text), make("td", {}, each.draws ? each.draws.toLocaleString("en") : ""),
-      make("td", {}, each.written)));
-    fresh.replaceChildren(make("table", {},
-      make("caption", {}, "On fresh draws, the expected MSE against evenly spaced times. "
-        + (judged.length > 1 ? `The ${judged.length} intervals hold together with 95 %. ` : "")
-        + "The best of several sets is judged once more, because picking it flatters it."),
-      make("thead", {}, make("tr", {}, ...["set", "expected MSE", "draws", "times"].map((head) =>
-        make("th", { scope: "col" }, head)))), make("tbody", {}, ...rows)));
+      make("td", {}, each.text + (each.draws && `, ${each.draws.toLocaleString("en")} draws`)),
+      make("td", {}, each.written))))));
   }
 
   // --- to take away ------------------------------------------------------------------------------
 
   function take(chosen, then) {
     ask({ ask: "take", sets: Object.fromEntries(chosen) }, (found) => {
-      trouble.textContent = found.error ?? "";
       if (found.error) return;
       command.hidden = false;
       command.textContent = found.command;
@@ -478,22 +417,24 @@ export function mount(element, connection) {
     take([...kept, named], () => {
       kept.set(...named);
       sets.replaceChildren(...[...kept].map(([each, chosen]) => make("li", {},
-        make("button", { type: "button", onclick: () => use(chosen) }, `Use ${each}`),
-        ` ${chosen.map((m) => facts.labels[instant(m)]).join(", ")}`)));
+        button(`Use ${each}`, () => use(chosen)), ` ${chosen.map(written).join("; ")}`)));
     });
   }
 
   const chosen = () => (kept.size ? [...kept] : [[name.value, times()]]);
   function copy() { take(chosen(), (found) => navigator.clipboard?.writeText(found.command)); }
-  function download() {
+  function save() {
     take(chosen(), (found) => {
-      const address = URL.createObjectURL(new Blob([found.job], { type: "application/toml" }));
-      make("a", { href: address, download: "explored.toml" }).click();
-      setTimeout(() => URL.revokeObjectURL(address), AGAIN);
+      const href = URL.createObjectURL(new Blob([found.job], { type: "application/toml" }));
+      make("a", { href, download: "explored.toml" }).click();
+      setTimeout(() => URL.revokeObjectURL(href), AGAIN);
     });
   }
 
-  const resized = new ResizeObserver(() => { if (facts) { layout(); paint(); } });
+  const resized = new ResizeObserver(() => {
+    if (facts) layout();
+    if (answer) paint();
+  });
   resized.observe(root);
   return () => resized.disconnect();
 }
@@ -502,22 +443,24 @@ export function mount(element, connection) {
 
 function socket() { // of the local page
   let open;
-  const connect = (on) => {
+  function start(on) {
     open = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
     open.onopen = on.open;
     open.onmessage = (event) => on.message(JSON.parse(event.data));
-    open.onclose = () => { on.lost(); setTimeout(() => connect(on), AGAIN); };
-  };
-  return { start: connect, send: (message) => open.send(JSON.stringify(message)) };
+    open.onclose = () => { on.lost(); setTimeout(() => start(on), AGAIN); };
+  }
+  return { start, send: (message) => open.send(JSON.stringify(message)) };
 }
 
 export default { // of a notebook
   render({ model, el }) {
     let heard;
-    const stop = mount(el, {
-      start(on) { heard = on.message; model.on("msg:custom", heard); queueMicrotask(on.open); },
-      send: (message) => model.send(message),
-    });
+    const send = (message) => model.send(message);
+    const stop = mount(el, { send, start(on) {
+      heard = on.message;
+      model.on("msg:custom", heard);
+      queueMicrotask(on.open);
+    } });
     return () => { model.off("msg:custom", heard); stop(); };
   },
 };
