@@ -112,7 +112,7 @@ export function mount(element, connection) {
       online = false;
       asked.clear();
       pending = null;
-      ready();
+      busy(false);
       clearTimeout(slow);
       banner.textContent = "Connection lost. Is the command still running? Trying again…";
     },
@@ -219,11 +219,8 @@ export function mount(element, connection) {
   const shown = () => Object.keys(SETS).filter((set) => set === "yours" || facts[set]);
   const label = (at, text) => draw("text", at, String(text));
 
-  function written(m) {
-    const parts = [facts.sensors[m % many()], `${facts.labels[instant(m)]} ${facts.unit}`.trim(),
-      facts.prices && `price ${facts.prices[m]}`];
-    return parts.filter((each) => each).join(", ");
-  }
+  const written = (m) => [facts.labels[instant(m)], facts.unit, facts.sensors[m % many()]]
+    .filter((each) => each).join(" ");
 
   function layout() { // the strips, and new handles
     const lists = facts.sensors.length ? facts.sensors : [""];
@@ -291,7 +288,8 @@ export function mount(element, connection) {
       const y = (rows + each.m % many()) * ROW + HEAD + LANE / 2;
       each.handle ??= handle(each);
       filled(each.handle, { "aria-label": `Measurement ${position + 1} of ${own.length}`,
-        "aria-valuenow": instant(each.m), "aria-valuetext": written(each.m),
+        "aria-valuenow": instant(each.m), "aria-valuetext": written(each.m)
+          + (facts.prices ? `, price ${facts.prices[each.m]}` : ""),
         "aria-disabled": locked(each), transform: `translate(${x(instant(each.m))} ${y})` }, []);
     });
     select(selected);
@@ -313,8 +311,11 @@ export function mount(element, connection) {
     }
     for (const value of ticks(...span(), width() / 90)) {
       const t = least([...facts.times.keys()], (each) => Math.abs(facts.times[each] - value));
-      chart.append(draw("line", { class: "grid", x1: x(t), x2: x(t), y1: bottom, y2: bottom + 5 }),
-        label({ x: x(t), y: CHART - 8, "text-anchor": "middle" }, facts.labels[t]));
+      const isNumber = facts.labels[t] === String(facts.times[t]); // else a date
+      const at = isNumber ? LEFT + (value - span()[0]) * wide() : x(t);
+      chart.append(draw("line", { class: "grid", x1: at, x2: at, y1: bottom, y2: bottom + 5 }),
+        label({ x: at, y: CHART - 8, "text-anchor": "middle" },
+          isNumber ? value : facts.labels[t]));
     }
     for (const [set, curve] of curves) {
       const points = curve.map((value, t) => value !== null && `${x(t)} ${y(value)}`);
@@ -371,17 +372,16 @@ export function mount(element, connection) {
     return `Your times: ${[...read, answer.mark, ...sentences()].join(". ")}.`;
   }
 
-  function ready() {
-    judging.disabled = false;
-    judging.textContent = JUDGE;
+  function busy(is) {
+    judging.disabled = is;
+    judging.textContent = is ? "Judging…" : JUDGE;
   }
 
   function judge() {
     const chosen = times(), same = [...kept].find(([, each]) => String(each) === String(chosen));
-    judging.disabled = true;
-    judging.textContent = "Judging…";
+    busy(true);
     ask({ ask: "judge", name: same?.[0] ?? name.value, times: chosen }, (found) => {
-      ready();
+      busy(false);
       if (found.error) return;
       list(found.judged);
       want(answer.draws);
@@ -417,24 +417,21 @@ export function mount(element, connection) {
     take([...kept, named], () => {
       kept.set(...named);
       sets.replaceChildren(...[...kept].map(([each, chosen]) => make("li", {},
-        button(`Use ${each}`, () => use(chosen)), ` ${chosen.map(written).join("; ")}`)));
+        button(`Use ${each}`, () => use(chosen)), ` ${chosen.map(written).join(", ")}`)));
     });
   }
 
-  const chosen = () => (kept.size ? [...kept] : [[name.value, times()]]);
-  function copy() { take(chosen(), (found) => navigator.clipboard?.writeText(found.command)); }
+  const all = () => (kept.size ? [...kept] : [[name.value, times()]]);
+  const copy = () => take(all(), (found) => navigator.clipboard?.writeText(found.command));
   function save() {
-    take(chosen(), (found) => {
+    take(all(), (found) => {
       const href = URL.createObjectURL(new Blob([found.job], { type: "application/toml" }));
       make("a", { href, download: "explored.toml" }).click();
       setTimeout(() => URL.revokeObjectURL(href), AGAIN);
     });
   }
 
-  const resized = new ResizeObserver(() => {
-    if (facts) layout();
-    if (answer) paint();
-  });
+  const resized = new ResizeObserver(() => { if (answer) { layout(); paint(); } });
   resized.observe(root);
   return () => resized.disconnect();
 }

@@ -9,6 +9,7 @@ help it.
 import asyncio
 import contextlib
 import json
+import os
 import secrets
 import socket
 import webbrowser
@@ -25,7 +26,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pfdist.common import stopping
-from pfdist.errors import ArgumentError, PoolError
+from pfdist.errors import ArgumentError
 from pfdist.explorer.session import Session, reply
 from pfdist.problem.problem import JobSource
 from pfdist.results import Run
@@ -47,8 +48,8 @@ _HEADERS = {
 _FILES = {"": "text/html", "explore.js": "text/javascript", "explore.css": "text/css"}
 
 
-def app_of(session: Session, token: str, port: int) -> Starlette:
-    """The application that serves the page, its script and its style, and answers its messages.
+def server_of(session: Session, token: str, port: int) -> uvicorn.Server:
+    """The server of the page, its script and its style, which answers the messages of pages.
 
     Parameters
     ----------
@@ -81,13 +82,23 @@ def app_of(session: Session, token: str, port: int) -> Starlette:
                 tasks.add(task := asyncio.create_task(send(await page.receive_text())))
                 task.add_done_callback(tasks.discard)
 
-    return Starlette(
+    app = Starlette(
         routes=[
             *(Route(f"/{token}/{name}", served(name)) for name in _FILES),
             WebSocketRoute(f"/{token}/socket", answer),
         ],
         middleware=[Middleware(_Own, port=port)],
     )
+    settings = uvicorn.Config(
+        app,
+        ws="websockets-sansio",
+        ws_max_size=MOST_BYTES,
+        log_level="critical",  # a line a request would show the token
+        timeout_graceful_shutdown=1,
+        server_header=False,
+        lifespan="off",
+    )
+    return uvicorn.Server(settings)
 
 
 def _read(text: str) -> Any:
@@ -153,19 +164,10 @@ def page_of(
     with _listening(port) as listening:
         port, token = listening.getsockname()[1], token or secrets.token_urlsafe()
         address = f"http://{ADDRESS}:{port}/{token}/"
-        settings = uvicorn.Config(
-            app_of(session, token, port),
-            ws="websockets-sansio",
-            ws_max_size=MOST_BYTES,
-            log_level="critical",  # a line a request would show the token
-            timeout_graceful_shutdown=1,
-            server_header=False,
-            lifespan="off",
-        )
         yield address
         if browser:
             webbrowser.open(address)
-        asyncio.run(_serve(uvicorn.Server(settings), listening))
+        asyncio.run(_serve(server_of(session, token, port), listening))
     stopping.check()
 
 
@@ -185,6 +187,5 @@ def _listening(port: int) -> socket.socket:
     try:
         return socket.create_server((ADDRESS, port))
     except OSError as error:
-        raise PoolError(
-            f"port {port} cannot be used: {error.strerror}; got --port {port}"
-        ) from error
+        why = f"{port} cannot be used: {os.strerror(error.errno or 0)}"
+        raise ArgumentError(why, argument="port") from error

@@ -161,7 +161,7 @@ class Session:
         MeasurementTimesError
             A time is no possible measurement.
         """
-        chosen, most = self._checked(times), FINER * self.first_draws
+        chosen, most = self._checked(times), max(FIRST_DRAWS, FINER * self.first_draws)
         draws = min(draws or self.first_draws, most)
         sets = {YOURS: chosen, EVEN: self.even} | ({PLAN: self.plan} if self.plan else {})
         found = {name: self.played.errors(each, draws) for name, each in sets.items()}
@@ -227,7 +227,9 @@ class Session:
         """
         chosen = self._checked(times)
         if chosen == self.even:
-            raise JobError("judge needs other times than the evenly spaced times, got these times")
+            raise JobError(
+                "these are the evenly spaced times, with which sets are compared: move a time first"
+            )
         self._judge(name, chosen)
         first = [each for each in self._judged if not each.again]
         best = max(first, key=lambda each: each.change.gain)
