@@ -38,7 +38,7 @@ export function mount(element, connection) {
   const kept = new Map(); // the times of each name
   const asked = new Map(); // what to do with the answer to each message
   let facts = null, answer = null, online = false, serial = 0, component = 0;
-  let own = [], selected = null, held = null; // own: objects with a measurement and its handle
+  let own = [], selected = null, held = null, drawn = 0; // own: objects with a measurement and its handle
   let pending = null, waiting = null, rest = 0, slow = 0, quiet = 0;
 
   // --- the elements ------------------------------------------------------------------------------
@@ -225,6 +225,7 @@ export function mount(element, connection) {
   function layout() { // the strips, and new handles
     const lists = facts.sensors.length ? facts.sensors : [""];
     const height = shown().length * lists.length * ROW + 4;
+    drawn = width();
     lanes.replaceChildren();
     filled(lanes, { viewBox: `0 0 ${width()} ${height}`, height }, []);
     shown().forEach((set, row) => lists.forEach((sensor, number) =>
@@ -422,7 +423,7 @@ export function mount(element, connection) {
   }
 
   const all = () => (kept.size ? [...kept] : [[name.value, times()]]);
-  const copy = () => take(all(), (found) => navigator.clipboard?.writeText(found.command));
+  function copy() { take(all(), (found) => navigator.clipboard?.writeText(found.command)); }
   function save() {
     take(all(), (found) => {
       const href = URL.createObjectURL(new Blob([found.job], { type: "application/toml" }));
@@ -431,7 +432,9 @@ export function mount(element, connection) {
     });
   }
 
-  const resized = new ResizeObserver(() => { if (answer) { layout(); paint(); } });
+  const resized = new ResizeObserver(() => {
+    if (answer && drawn !== width()) { layout(); paint(); } // not as texts grow: focus would go
+  });
   resized.observe(root);
   return () => resized.disconnect();
 }

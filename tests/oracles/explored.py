@@ -21,9 +21,9 @@ def job_of(*changes: str) -> Job:
 
 
 @contextlib.contextmanager
-def served(session: Any) -> Iterator[str]:
+def served(session: Any, port: int = 0) -> Iterator[str]:
     """The address of the page of a session, as long as it is served."""
-    listening = socket.create_server((ADDRESS, 0))
+    listening = socket.create_server((ADDRESS, port))
     port = listening.getsockname()[1]
     server = server_of(session, TOKEN, port)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
