@@ -4,7 +4,6 @@
 // and send(message); messages are those of pfdist.explorer.session.reply. A measurement is a number
 // m = t * S + sensor, as everywhere in the program.
 
-const SVG = "http://www.w3.org/2000/svg";
 const LEFT = 46, RIGHT = 14, CHART = 230, LANE = 24, HEAD = 18, ROW = LANE + HEAD; // pixels
 const SETS = { even: "Evenly spaced", plan: "Plan", yours: "Yours" };
 const REST = 300, SLOW = 1000, QUIET = 900, AGAIN = 1000; // milliseconds
@@ -21,7 +20,7 @@ function filled(element, attributes, children) {
 const make = (tag, attributes = {}, ...children) =>
   filled(document.createElement(tag), attributes, children);
 const draw = (tag, attributes = {}, ...children) =>
-  filled(document.createElementNS(SVG, tag), attributes, children);
+  filled(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
 const button = (text, onclick) => make("button", { type: "button", onclick }, text);
 
 function ticks(low, high, count) {
@@ -37,8 +36,8 @@ export function mount(element, connection) {
   const view = Math.random().toString(36).slice(2);
   const kept = new Map(); // the times of each name
   const asked = new Map(); // what to do with the answer to each message
-  let facts = null, answer = null, online = false, serial = 0, component = 0;
-  let own = [], selected = null, held = null, drawn = 0; // own: objects with a measurement and its handle
+  let facts = null, answer = null, online = false, serial = 0, component = 0, drawn = 0;
+  let own = [], selected = null, held = null; // own: objects with a measurement and its handle
   let pending = null, waiting = null, rest = 0, slow = 0, quiet = 0;
 
   // --- the elements ------------------------------------------------------------------------------
@@ -46,7 +45,7 @@ export function mount(element, connection) {
   const title = make("h1"), about = make("p", { class: "about" });
   const banner = make("p", { class: "banner", role: "status" });
   const chart = draw("svg", { role: "img", height: CHART });
-  const choice = make("select", { onchange() { component = Number(choice.value); paint(); } });
+  const choice = make("select", { onchange() { component = +choice.value; paint(); } });
   const choosing = make("label", {}, "Component ", choice);
   const legend = make("p", { class: "legend" });
   const lanes = draw("svg", { class: "lanes", role: "group", "aria-label": "Measurement times" });
@@ -57,14 +56,13 @@ export function mount(element, connection) {
   const judging = button(JUDGE, judge), judged = make("div", { class: "judged" });
   const name = make("input", { value: "mine", maxlength: 64, spellcheck: "false" });
   const trouble = make("p", { class: "trouble", role: "alert" });
-  const sets = make("ul", { class: "kept" }), command = make("pre", { tabindex: 0 });
+  const sets = make("ul", { class: "kept" }), command = make("pre", { tabindex: 0, hidden: "" });
   const root = make("div", { class: "pfdist-explorer" }, title, about, banner,
     make("figure", {}, make("figcaption", {}, legend, choosing), chart, lanes), tools, readout,
     mark, broken, judging, judged, make("div", { class: "tools" }, make("label", {}, "Name ", name),
       button("Name and keep", keep), button("Copy command", copy), button("Download job", save)),
     trouble, sets, command, live);
   judging.className = "main";
-  command.hidden = true;
   element.append(root);
 
   // --- messages ----------------------------------------------------------------------------------
@@ -120,7 +118,7 @@ export function mount(element, connection) {
 
   // --- constraints -------------------------------------------------------------------------------
 
-  const many = () => Math.max(1, facts.sensors.length);
+  const many = () => facts.sensors.length; // 1 without sensors
   const instant = (m) => Math.floor(m / many());
   const time = (m) => facts.times[instant(m)];
   const times = () => own.map((each) => each.m).sort((a, b) => a - b);
@@ -203,9 +201,7 @@ export function mount(element, connection) {
     lanes.setPointerCapture(event.pointerId); // not before: a double click belongs to the handle
     move(held, nearest(held.m % many(), timeAt(event), others(held)));
   });
-  for (const end of ["pointerup", "pointercancel"]) {
-    lanes.addEventListener(end, () => { held = null; });
-  }
+  lanes.onpointerup = lanes.onpointercancel = () => { held = null; };
 
   // --- pictures ----------------------------------------------------------------------------------
 
@@ -223,13 +219,12 @@ export function mount(element, connection) {
     .filter((each) => each).join(" ");
 
   function layout() { // the strips, and new handles
-    const lists = facts.sensors.length ? facts.sensors : [""];
-    const height = shown().length * lists.length * ROW + 4;
+    const height = shown().length * many() * ROW + 4;
     drawn = width();
     lanes.replaceChildren();
     filled(lanes, { viewBox: `0 0 ${width()} ${height}`, height }, []);
-    shown().forEach((set, row) => lists.forEach((sensor, number) =>
-      lane(set, sensor, number, (row * lists.length + number) * ROW + HEAD)));
+    shown().forEach((set, row) => facts.sensors.forEach((sensor, number) =>
+      lane(set, sensor, number, (row * many() + number) * ROW + HEAD)));
     own.forEach((each) => { each.handle = handle(each); });
     place();
   }
@@ -306,17 +301,17 @@ export function mount(element, connection) {
     filled(chart, { viewBox: `0 0 ${width()} ${CHART}`,
       "aria-label": `Typical error over time. ${summary()}` }, []);
     for (const value of ticks(0, top, 4)) {
-      chart.append(draw("line", { class: "grid", x1: LEFT - 8, x2: width() - RIGHT + 8,
-        y1: y(value), y2: y(value) }),
-      label({ x: LEFT - 12, y: y(value) + 4, "text-anchor": "end" }, value));
+      const [x1, x2, y1] = [LEFT - 8, width() - RIGHT + 8, y(value)];
+      chart.append(draw("line", { class: "grid", x1, x2, y1, y2: y1 }),
+        label({ x: LEFT - 12, y: y1 + 4, "text-anchor": "end" }, value));
     }
     for (const value of ticks(...span(), width() / 90)) {
       const t = least([...facts.times.keys()], (each) => Math.abs(facts.times[each] - value));
       const isNumber = facts.labels[t] === String(facts.times[t]); // else a date
       const at = isNumber ? LEFT + (value - span()[0]) * wide() : x(t);
+      const text = isNumber ? value : facts.labels[t];
       chart.append(draw("line", { class: "grid", x1: at, x2: at, y1: bottom, y2: bottom + 5 }),
-        label({ x: at, y: CHART - 8, "text-anchor": "middle" },
-          isNumber ? value : facts.labels[t]));
+        label({ x: at, y: CHART - 8, "text-anchor": "middle" }, text));
     }
     for (const [set, curve] of curves) {
       const points = curve.map((value, t) => value !== null && `${x(t)} ${y(value)}`);
@@ -340,14 +335,13 @@ export function mount(element, connection) {
     const keys = shown().map((set) => [set, SETS[set]]);
     if (found.forbidden.length) keys.push(["shade", "forbidden"]);
     if (found.prices) keys.push(["money", "price"]);
-    if (Object.keys(found.windows).length) {
-      keys.push(["bar", `alone it may move so far, at most ${found.window_percent} % worse`]);
-    }
-    legend.replaceChildren(...keys.map(([each, text]) => make("span", { class: `key ${each}` },
-      text)));
-    const lists = found.sensors.length ? found.sensors : ["a time"];
-    tools.replaceChildren(...lists.map((each, number) =>
-      button(`Add ${each}`, () => addToGap(number))), remove, ...shown().slice(0, -1).map((set) =>
+    const alone = `alone it may move so far, at most ${found.window_percent} % worse`;
+    if (Object.keys(found.windows).length) keys.push(["bar", alone]);
+    const named = ([kind, text]) => make("span", { class: `key ${kind}` }, text);
+    legend.replaceChildren(...keys.map(named));
+    tools.replaceChildren(...found.sensors.map((each, number) =>
+      button(`Add ${each || "a time"}`, () => addToGap(number))), remove,
+    ...shown().slice(0, -1).map((set) =>
       button(`Start from ${SETS[set].toLowerCase()}`, () => use(facts[set]))));
     list(found.judged);
     use(start);
@@ -362,7 +356,7 @@ export function mount(element, connection) {
     broken.replaceChildren(...sentences().map((each) => make("li", {}, each)));
     clearTimeout(quiet);
     quiet = setTimeout(() => { live.textContent = summary(); }, QUIET);
-    rest = setTimeout(() => { if (found.finer && !waiting) want(found.finer); }, REST);
+    if (found.finer) rest = setTimeout(() => { if (!waiting) want(found.finer); }, REST);
   }
 
   const sentences = () =>
@@ -391,15 +385,16 @@ export function mount(element, connection) {
 
   function list(rows) {
     judged.hidden = !rows.length;
-    const head = ["set", "expected MSE against evenly spaced", "times"];
-    judged.replaceChildren(make("table", {}, make("caption", {}, "Judged on fresh draws. "
-      + (rows.length > 1 ? `The ${rows.length} intervals hold together with 95 %. ` : "")
-      + "The best of several sets is judged once more, because picking it flatters it."),
-    make("thead", {}, make("tr", {}, ...head.map((each) => make("th", { scope: "col" }, each)))),
+    const cell = (text, kind = "td", rest = {}) => make(kind, rest, text);
+    const together = rows.length > 1 && `The ${rows.length} intervals hold together with 95 %. `;
+    judged.replaceChildren(make("table", {}, make("caption", {}, "Judged on fresh draws. ",
+      together || "", "The best of several sets is judged once more: picking it flatters it."),
+    make("thead", {}, make("tr", {}, ...["set", "expected MSE against evenly spaced", "times"]
+      .map((each) => cell(each, "th", { scope: "col" })))),
     make("tbody", {}, ...rows.map((each) => make("tr", {},
-      make("th", { scope: "row" }, each.name + (each.again ? " (judged once more)" : "")),
-      make("td", {}, each.text + (each.draws && `, ${each.draws.toLocaleString("en")} draws`)),
-      make("td", {}, each.written))))));
+      cell(each.name + (each.again ? " (judged once more)" : ""), "th", { scope: "row" }),
+      cell(each.text + (each.draws && `, ${each.draws.toLocaleString("en")} draws`)),
+      cell(each.written))))));
   }
 
   // --- to take away ------------------------------------------------------------------------------
@@ -426,14 +421,14 @@ export function mount(element, connection) {
   function copy() { take(all(), (found) => navigator.clipboard?.writeText(found.command)); }
   function save() {
     take(all(), (found) => {
-      const href = URL.createObjectURL(new Blob([found.job], { type: "application/toml" }));
+      const href = URL.createObjectURL(new Blob([found.job]));
       make("a", { href, download: "explored.toml" }).click();
       setTimeout(() => URL.revokeObjectURL(href), AGAIN);
     });
   }
 
   const resized = new ResizeObserver(() => {
-    if (answer && drawn !== width()) { layout(); paint(); } // not as texts grow: focus would go
+    if (answer && drawn !== width()) { layout(); paint(); } // not if texts grow: focus would go
   });
   resized.observe(root);
   return () => resized.disconnect();
@@ -455,8 +450,7 @@ function socket() { // of the local page
 export default { // of a notebook
   render({ model, el }) {
     let heard;
-    const send = (message) => model.send(message);
-    const stop = mount(el, { send, start(on) {
+    const stop = mount(el, { send: (message) => model.send(message), start(on) {
       heard = on.message;
       model.on("msg:custom", heard);
       queueMicrotask(on.open);

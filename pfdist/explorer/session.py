@@ -106,7 +106,7 @@ class Session:
             "times": [float(each) for each in clock.times],
             "labels": [formatted_time(instants.written(t)) for t in range(clock.horizon + 1)],
             "unit": clock.unit,
-            "sensors": list(clock.sensors),
+            "sensors": clock.sensors or ("",),
             "forbidden": sets.forbidden,
             "required": sets.required,
             "after": None if sets.spacing.is_free else sets.spacing.successors,
