@@ -102,7 +102,7 @@ class Session:
         spaced = [None if each.spacing is None else each.spacing.successors for each in sets.limits]
         return {
             "model": self.job.model.name,
-            "run": str(self.run.path) if self.run else "",
+            "run": str(self._source or self.run.path) if self.run else "",
             "times": [float(each) for each in clock.times],
             "labels": [formatted_time(instants.written(t)) for t in range(clock.horizon + 1)],
             "unit": clock.unit,
