@@ -14,13 +14,13 @@ import pfdist
 FOLDER = Path(__file__).parent
 JOBS = {  # labels with units: some models leave them to their docstrings
     "plan": ("typical error of x", "instant"),
-    "tumour": ("typical error of the position", "time [0.25 s]"),
+    "tumour": ("typical error\nof the position", "time [0.25 s]"),
     "xray_tumour": ("typical error [mm]", "time [0.25 s]"),
-    "lorenz63": ("typical error of (x, y, z)", "time [0.1]"),
-    "lotka_volterra": ("typical error of logarithms", "time"),
+    "lorenz63": ("typical error\nof (x, y, z)", "time [0.1]"),
+    "lotka_volterra": ("typical error\nof logarithms", "time"),
     "constant_velocity": ("typical error [km]", "time [min]"),
-    "pharmacokinetics": ("typical error of the logarithm", "time [h]"),
-    "epidemic": ("typical error of prevalence [%]", "time [d]"),
+    "pharmacokinetics": ("typical error\nof the logarithm", "time [h]"),
+    "epidemic": ("typical error\nof prevalence [%]", "time [d]"),
 }
 DRAWS = 4000
 

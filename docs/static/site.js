@@ -3,11 +3,15 @@ window.addEventListener("load", () => {
   for (const table of document.querySelectorAll("table.docutils")) {  // on narrow screens, rows of text become blocks
     const heads = [...table.querySelectorAll("thead th")].map((head) => head.textContent.trim());
     const rows = [...table.querySelectorAll("tbody tr")];
-    if (heads.length < 3 || !rows.some((row) => /[a-z ]{20}/.test(row.cells[row.cells.length - 1]?.textContent))) continue;
+    const isText = (cell) => cell.cellIndex > 0 && /[a-z ]{20}/.test(cell.textContent);
+    if (heads.length < 3 || !rows.some((row) => [...row.cells].some(isText))) continue;
     table.classList.add("stacks");
     table.classList.toggle("meaning", heads.at(-1) === "meaning");
     for (const row of rows) {
-      [...row.cells].forEach((cell, column) => cell.setAttribute(cell.textContent.trim() ? "data-head" : "data-empty", heads[column]));
+      for (const cell of row.cells) {
+        const isEmpty = !cell.textContent.trim() && !cell.querySelector("img");
+        cell.setAttribute(isEmpty ? "data-empty" : "data-head", heads[cell.cellIndex]);
+      }
     }
   }
   const measure = () => {

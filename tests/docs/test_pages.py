@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import json
 import re
 import runpy
 import shlex
@@ -428,6 +429,15 @@ def test_in_the_notebook_a_model_is_written_planned_compared_and_plotted_without
     assert any("six_hours" in table and "first_wins" in table for table in tables)
     assert not list(tmp_path.glob("*.py")) + list(tmp_path.glob("*.toml"))
     assert (tmp_path / "results" / "tank" / "tables").is_dir()
+
+
+def test_the_page_of_the_notebook_has_its_code_and_its_outputs() -> None:
+    cells = json.loads((DOCS / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = ["".join(cell["source"]).rstrip(";") for cell in cells if cell["cell_type"] == "code"]
+    assert [text.strip() for _, text in _blocks(DOCS / "notebook.md", "python")] == code
+    page = (DOCS / "notebook.md").read_text(encoding="utf-8")
+    assert page.count("](figures/notebook-") == 4
+    assert page.count("<table") >= 4
 
 
 def test_a_figure_of_a_benchmark_is_drawn_from_the_tables_that_lie_in_the_folder(

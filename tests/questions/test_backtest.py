@@ -55,7 +55,7 @@ def judged(job: Any, data: Any, **options: Any) -> Any:
 
 
 def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
-    """By Kalman's recursion by hand, over the variance of all judged values."""
+    """Real errors of Kalman's recursion by hand, over the variance of all judged values."""
     data = days(5)
     found = judged(planned, data, times={"mine": [1, 2, 3, 40]})
     plan = tuple(map(int, found.plan))
