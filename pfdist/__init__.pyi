@@ -2,6 +2,7 @@ from . import densities as densities
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
+from .explorer.widget import explore as explore
 from .filters.cloud import Cloud as Cloud
 from .filters.estimate import Evaluation as Evaluation
 from .filters.filter import Filter as Filter

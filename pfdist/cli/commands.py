@@ -146,6 +146,16 @@ COMMANDS = {
             "pfdist why results/plan": "Name the run by its folder",
         },
     ),
+    "explore": Command(
+        "pfdist.cli.own:explore",
+        "Move the measurements by hand in a local page, and see the error at once.",
+        {
+            "pfdist explore jobs/plan.toml": "Open the page of a job, with the plan if it has one",
+            "pfdist explore results/plan --no-browser": (
+                "Only print the address of the page of a run"
+            ),
+        },
+    ),
     "evaluate": Command(
         "pfdist.questions.evaluate:evaluated",
         "Estimate the expected MSE of a set of measurement times, or of several.",

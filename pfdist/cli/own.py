@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from pfdist.errors import ArgumentError, ModelError, PoolError, StoreError
+from pfdist.errors import ArgumentError, ModelError, PfdistError, PoolError, StoreError
 from pfdist.questions.options import Options, with_options
 from pfdist.runner.progress import silent
 
@@ -75,6 +75,30 @@ def sweep(
         job, over or {}, results=results, changes=changes, bound_draws=bound_draws, judge=judge,
         part=part, **options,
     )  # fmt: skip
+
+
+def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
+    """Move the measurements by hand in a local page, and see the error at once.
+
+    The page answers this machine alone, at an address that is printed, and ends with the command:
+    press Ctrl-C. Needs pip install 'pfdist[explore]'.
+
+    Parameters
+    ----------
+    job : str
+        A job file, or the folder of a run, whose plan is shown, too.
+    port : int
+        Port of the page; 0 for any that is free.
+    browser : bool
+        Whether the page is opened in the browser.
+    """
+    try:
+        from pfdist.explorer.server import page_of
+    except ModuleNotFoundError as error:
+        raise PfdistError(
+            f"explore needs {error.name}, which is not installed: pip install 'pfdist[explore]'"
+        ) from error
+    yield from page_of(job, port=port, browser=browser)
 
 
 def status(run: str, *, export: str | None = None) -> "Run":

@@ -4,13 +4,14 @@ import hashlib
 import json
 from typing import Any
 
-CHOOSING = ("search", "probe", "shortlist", "online", "particles", "proposal")
+CHOOSING = ("search", "probe", "shortlist", "online", "particles", "proposal", "explore")
 """Purposes of draws that decide between sets, numbers of particles, or proposals.
 
 Errors on such draws are never reported as proof.
 """
 PROVING = (
-    "comparison", "budget", "bound", "why", "evaluate", "filter", "simulate", "backtest", "fit"
+    "comparison", "budget", "bound", "why", "evaluate", "filter", "simulate", "backtest", "fit",
+    "judge",
 )  # fmt: skip
 """Purposes of draws that choose no set.
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping
 from datetime import datetime
+from shlex import quote
 from typing import Any
 
 from pfdist.common.calendar import calendar_of, unit_of_spans
@@ -192,6 +193,13 @@ def computed(subject: Subject) -> Section:
             Code(job_toml(_sendable(job)), "The job, with all its defaults"),
         ],
     )
+
+
+def by_hand(subject: Subject) -> Section:
+    """The command with which a reader moves the times by hand."""
+    text = "This command opens a page where you drag the measurements and see the error at once."
+    command = f"pfdist explore {quote(subject.run.path.name)}"
+    return Section("How to move the times by hand", [Text(text), Code(command)])
 
 
 def tables(subject: Subject) -> Section:

@@ -27,7 +27,7 @@ from pfdist.common.percent import (
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line, relative
 from pfdist.problem.set_key import phrase_of
-from pfdist.questions.about_run import citation, computed, made, problem, question, tables
+from pfdist.questions.about_run import by_hand, citation, computed, made, problem, question, tables
 from pfdist.questions.bound_page import proof
 from pfdist.questions.budget_page import budget
 from pfdist.questions.compared_page import (
@@ -118,7 +118,8 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
         draws = number_of(run.draws_compared, "draw")
         unfinished = f"This run is not finished: {draws} are compared so far, and all results may "
         warnings.insert(0, f"{unfinished}change.")
-    sections = _sections(subject, (*dict.fromkeys(chapters), searches, computed, tables, citation))
+    last = (searches, *([by_hand] if "budget" not in run.job else []), computed, tables, citation)
+    sections = _sections(subject, (*dict.fromkeys(chapters), *last))
     # The name in the model; in an older run, the name in the job.
     model = read_recorded(run.path)[0]["provenance"].get("name_of_model")
     title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"

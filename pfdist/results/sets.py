@@ -189,10 +189,10 @@ def _add_typical_errors(run: StoredRun, rows: dict[str, Results]) -> None:
     shares = _shares(run, angles) if len(angles) > 1 else {name: [1.0] for name in rows}
     for name, row in rows.items():
         errors = [share * row["expected_mse"] for share in shares.get(name, ())]
-        row["typical_error"] = [*map(_root, errors, angles)] if errors else None
+        row["typical_error"] = [*map(typical_error, errors, angles)] if errors else None
 
 
-def _root(error: float, is_angle: bool) -> float:
+def typical_error(error: float, is_angle: bool) -> float:
     """The root of a mean squared error, or the circular deviation for a mean of 1 - cos."""
     if is_angle:
         return math.sqrt(-2.0 * math.log1p(-error)) if error < 1.0 else math.inf

@@ -1,0 +1,185 @@
+"""Sets of times filtered on common draws: errors that are kept, and what follows from them."""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.component_names import Component
+from pfdist.common.estimate import CONFIDENCE
+from pfdist.common.measurement_times import Times
+from pfdist.common.rounding import rounded
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import BLOCK
+from pfdist.questions.subject import change_of
+from pfdist.results.moments import Pairs
+from pfdist.results.sets import typical_error
+from pfdist.runner.build import Built
+
+MOST_BYTES = 256 * 2**20  # of errors that are kept; the sets that were used last stay
+_TIMED = 4  # times that the speed is measured; other programs may disturb some of them
+Array = NDArray[np.float64]
+
+
+class Errors(NamedTuple):
+    """The errors of a set on the first D draws of a stream."""
+
+    mse: NDArray[Any]  # (D,); empty with an exact engine
+    degenerate: NDArray[Any]  # (D,): bool
+    at: NDArray[Any]  # (D, T+1, q): of each component of z; of an exact engine, (1, T+1, 1)
+
+
+class Filtered:
+    """Sets that filter the same draws under the same noise; several threads may ask.
+
+    Parameters
+    ----------
+    built : Built
+        The job; its own filter computes.
+    stream : int
+        The stream of the draws and of the filter noise.
+    """
+
+    def __init__(self, built: Built, stream: int) -> None:
+        self._built, self._stream = built, stream
+        self._evaluator = built.evaluator
+        self.exact = built.evaluator.exact
+        self._known, self._lock = OrderedDict[Times, Errors](), threading.Lock()
+
+    @property
+    def components(self) -> list[Component]:
+        """The components of z; an exact engine gives only the sum of their errors."""
+        components = [*self._evaluator.model.named("z")]
+        is_sum = self.exact and len(components) > 1
+        return [Component("", "all components")] if is_sum else components
+
+    def seconds_a_draw(self, times: Times) -> float:
+        """Measured seconds of a draw; they decide how many draws are filtered, nothing else."""
+        seconds = []
+        for _ in range(_TIMED):
+            start = time.perf_counter()
+            self._computed(times, 0, BLOCK)
+            seconds.append(time.perf_counter() - start)
+        return min(seconds) / BLOCK
+
+    def errors(self, times: Times, draws: int) -> Errors:
+        """The errors of a set on the first draws; those that are known are not computed again."""
+        with self._lock:
+            known = self._known.get(times)
+        done = 0 if known is None else known.mse.size
+        if known is None or (done < draws and not self.exact):
+            more = self._computed(times, done, draws)
+            both = None if known is None else zip(known, more, strict=True)
+            known = more if both is None else Errors(*map(np.concatenate, both))
+        with self._lock:
+            self._known[times] = known
+            self._known.move_to_end(times)
+            while sum(each.at.nbytes for each in self._known.values()) > MOST_BYTES:
+                self._known.popitem(last=False)
+        return Errors(*(each[:draws] for each in known))
+
+    def _computed(self, times: Times, first: int, end: int) -> Errors:
+        evaluator = self._evaluator
+        if self.exact:
+            return self._exact(times)
+        given = [times], self._stream, self._stream, (first, end), self._built.comparing
+        result = evaluator.filtered(evaluator.work(*given, trajectories=True))
+        apart = result.estimates[0] - result.z
+        at = np.where(evaluator.model.is_angle, 1.0 - np.cos(apart), apart**2)
+        return Errors(result.mse[:, 0], result.degenerate[:, 0], at)
+
+    def _exact(self, times: Times) -> Errors:
+        """The exact error at each instant, without the instant's weight."""
+        evaluators = self._evaluator.of_scenarios if self._built.is_worst else (self._evaluator,)
+        at = max((each.expected_errors([times])[0] for each in evaluators), key=np.mean)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            at = at / np.array(self._evaluator.weights or 1.0)
+        return Errors(np.empty(0), np.empty(0, np.bool_), at[None, :, None])
+
+    def evaluations(self, sets: Sequence[Times], draws: int) -> list[Evaluation]:
+        """The evaluations of sets on the first draws, of which nothing is kept."""
+        if self.exact:
+            return [self.evaluation(times, self._exact(times)) for times in sets]
+        given = sets, self._stream, self._stream, (0, draws), self._built.comparing
+        result = self._evaluator.filtered(self._evaluator.work(*given))
+        found = zip(result.mse.T, result.degenerate.T, strict=True)
+        return [
+            self.evaluation(times, Errors(*each, np.empty(0)))
+            for times, each in zip(sets, found, strict=True)
+        ]
+
+    def evaluation(self, times: Times, errors: Errors) -> Evaluation:
+        """The evaluation of a set from its errors on these draws."""
+        return Evaluation(
+            times,
+            errors.mse,
+            exact=float(self._built.exact_errors([times])[0]) if self.exact else None,
+            scenarios=self._evaluator.scenarios_of(self._stream, range(errors.mse.size)),
+            is_worst=self._built.is_worst and not self.exact,
+            degenerate=errors.degenerate,
+        )
+
+    def curves(self, evaluation: Evaluation, errors: Errors) -> Array:
+        """The typical error at each instant, (T+1, q), in the unit of z."""
+        return self._typical(self._mean(evaluation, errors))
+
+    def typical(self, evaluation: Evaluation, errors: Errors) -> str:
+        """The typical error of each component of z over all instants, in words."""
+        mean = self._mean(evaluation, errors)
+        known = np.nan_to_num(mean)  # an instant of weight 0 has no exact error
+        typical = self._typical(np.average(known, axis=0, weights=self._evaluator.weights))
+        parts, angles = self.components, self._evaluator.model.is_angle
+        names = [each.name or f"z{each.suffix}" for each in parts] if len(parts) > 1 else [""]
+        return ", ".join(
+            f"{name} {rounded(error, 3)} {each.unit or 'rad' * is_angle}".strip()
+            for name, each, error, is_angle in zip(names, parts, typical, angles, strict=False)
+        )
+
+    def _mean(self, evaluation: Evaluation, errors: Errors) -> Array:
+        """The mean error at each instant, (T+1, q); the draws of the worst scenario may decide."""
+        own = evaluation.scenarios == evaluation.worst_scenario if evaluation.is_worst else ...
+        mean: Array = errors.at[own].mean(axis=0)
+        return mean
+
+    def _typical(self, errors: Array) -> Array:
+        angles = False if self.exact else self._evaluator.model.is_angle
+        typical: Array = np.vectorize(typical_error)(errors, angles)
+        return typical
+
+
+class Change(NamedTuple):
+    """The gain of a set over another on the same draws.
+
+    If the worst scenario decides, its draws count. If it is another for each set, the gain has no
+    interval.
+    """
+
+    gain: float  # by which share of the other expected MSE that of the set is lower
+    errors: Pairs
+    draws: int  # 0: exact
+
+    @classmethod
+    def of(cls, evaluation: Evaluation, other: Evaluation) -> "Change":
+        """The gain of an evaluation over another."""
+        gain, errors = 1.0 - evaluation.expected_mse / other.expected_mse, Pairs()
+        draws = evaluation.draws
+        if evaluation.is_worst and evaluation.worst_scenario == other.worst_scenario:
+            evaluation, other = evaluation.worst, other.worst
+        if not evaluation.is_worst:
+            errors.add(evaluation.mse, other.mse)
+        return cls(gain, errors, draws)
+
+    def interval(self, confidence: float = CONFIDENCE) -> tuple[float | None, float | None]:
+        """The interval of the gain, by Fieller's theorem; None where it is unknown."""
+        if not self.draws:
+            return self.gain, self.gain
+        low, high = self.errors.ratio_interval(confidence)
+        return (1.0 - high, 1.0 - low) if np.isfinite(high - low) else (None, None)
+
+    def text(self, confidence: float = CONFIDENCE) -> str:
+        """The gain in words, with its interval."""
+        return change_of(self.gain, self.interval(confidence))

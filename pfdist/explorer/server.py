@@ -1,0 +1,191 @@
+"""The local page: it answers this machine alone, and ends with the command.
+
+Whoever knows the address may ask. So the address has a random token, and only requests that this
+page makes itself are answered: with its own Host and, where the browser names one, its own Origin.
+A page of the web cannot know the token, and another name of this machine (DNS rebinding) does not
+help it.
+"""
+
+import asyncio
+import contextlib
+import json
+import os
+import secrets
+import socket
+import webbrowser
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any
+
+import uvicorn
+import websockets  # noqa: F401  uvicorn needs it
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.responses import Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from pfdist.common import stopping
+from pfdist.errors import ArgumentError
+from pfdist.explorer.session import Session, reply
+from pfdist.problem.problem import JobSource
+from pfdist.results import Run
+
+_MOST_PORT = 65_535
+ADDRESS = "127.0.0.1"
+MOST_BYTES = 2**21  # of a message; a set of all possible times is smaller
+_HEADERS = {
+    # Nothing is loaded but the page's own script and style, and nothing is asked but its server.
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "cache-control": "no-store",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",  # the address has the token
+    "x-content-type-options": "nosniff",
+}
+_FILES = {"": "text/html", "explore.js": "text/javascript", "explore.css": "text/css"}
+
+
+def server_of(session: Session, token: str, port: int) -> uvicorn.Server:
+    """The server of the page, its script and its style, which answers the messages of pages.
+
+    Parameters
+    ----------
+    session : Session
+    token : str
+        The first part of every path.
+    port : int
+        The port of the Host and the Origin of all requests.
+    """
+
+    def served(name: str) -> Any:
+        async def send(_: Any) -> Response:
+            text = (files("pfdist.explorer") / (name or "explore.html")).read_text("utf-8")
+            return Response(text, media_type=_FILES[name], headers=_HEADERS)
+
+        return send
+
+    async def answer(page: WebSocket) -> None:
+        await page.accept()
+        tasks = set[asyncio.Task[None]]()
+
+        async def send(text: str) -> None:
+            # In a thread: the server stays responsive, and another page need not wait.
+            found = await asyncio.to_thread(reply, session, _read(text))
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page was closed
+                await page.send_text(json.dumps(found))
+
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:
+                tasks.add(task := asyncio.create_task(send(await page.receive_text())))
+                task.add_done_callback(tasks.discard)
+
+    app = Starlette(
+        routes=[
+            *(Route(f"/{token}/{name}", served(name)) for name in _FILES),
+            WebSocketRoute(f"/{token}/socket", answer),
+        ],
+        middleware=[Middleware(_Own, port=port)],
+    )
+    settings = uvicorn.Config(
+        app,
+        ws="websockets-sansio",
+        ws_max_size=MOST_BYTES,
+        log_level="critical",  # a line a request would show the token
+        timeout_graceful_shutdown=1,
+        server_header=False,
+        lifespan="off",
+    )
+    return uvicorn.Server(settings)
+
+
+def _read(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+class _Own:
+    """Answer requests with the server's own Host, and no other Origin; a WebSocket has an Origin.
+
+    Routes compare the token.
+    """
+
+    def __init__(self, app: Any, port: int) -> None:
+        self._app = app
+        self._hosts = {f"{name}:{port}".encode() for name in (ADDRESS, "localhost")}
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] == "lifespan" or self._is_own(scope):
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})  # not accepted: answered with 403
+        else:
+            await send({"type": "http.response.start", "status": 403, "headers": []})
+            await send({"type": "http.response.body", "body": b"Not this page's own request.\n"})
+
+    def _is_own(self, scope: Any) -> bool:
+        given = [*scope["headers"]]
+        hosts = [value for name, value in given if name == b"host"]
+        origins = [value for name, value in given if name == b"origin"]
+        if len(hosts) != 1 or hosts[0] not in self._hosts:
+            return False
+        needs_origin = scope["type"] == "websocket"
+        return origins == [b"http://" + hosts[0]] or not (origins or needs_origin)
+
+
+def page_of(
+    job: JobSource | Run, *, port: int = 0, browser: bool = True, token: str = ""
+) -> Iterator[str]:
+    """Yield the page's address, then serve the page until Ctrl-C.
+
+    Parameters
+    ----------
+    job : Problem, Job, str, Path or Run
+        See `Session`.
+    port : int
+        Port of the page; 0: any that is free.
+    browser : bool
+        Whether a browser is opened.
+    token : str
+        Of the address; by default random.
+
+    Raises
+    ------
+    PfdistError
+        The job is not possible, or the port is in use.
+    """
+    if not 0 <= port <= _MOST_PORT:
+        raise ArgumentError(f"port must be 0 to {_MOST_PORT:,}, got {port}", argument="port")
+    session = Session(job)
+    with _listening(port) as listening:
+        port, token = listening.getsockname()[1], token or secrets.token_urlsafe()
+        address = f"http://{ADDRESS}:{port}/{token}/"
+        yield address
+        if browser:
+            webbrowser.open(address)
+        asyncio.run(_serve(server_of(session, token, port), listening))
+    stopping.check()
+
+
+async def _serve(server: Any, listening: socket.socket) -> None:
+    """Serve until a signal was received; see `pfdist.common.stopping`."""
+    serving = asyncio.create_task(server.serve(sockets=[listening]))
+    while not serving.done():
+        try:
+            stopping.check()
+        except KeyboardInterrupt:
+            server.should_exit = True
+        await asyncio.wait({serving}, timeout=0.1)
+    await serving
+
+
+def _listening(port: int) -> socket.socket:
+    try:
+        return socket.create_server((ADDRESS, port))
+    except OSError as error:
+        why = f"{port} cannot be used: {os.strerror(error.errno or 0)}"
+        raise ArgumentError(why, argument="port") from error

@@ -1,0 +1,358 @@
+"""One exploration: a problem whose measurement times a user changes by hand, and the answers.
+
+A user who moves times looks at many sets on the same draws, and keeps the best of them. So these
+draws flatter the set, and no error on them is a proof. `Session.judge` compares a set with the
+reference on draws that are new at each judgement, and all intervals hold together.
+
+References
+----------
+Dunn, "Multiple comparisons among means", 1961 (Bonferroni's simultaneous intervals).
+"""
+
+import math
+import shlex
+import threading
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pfdist.common.estimate import CONFIDENCE
+from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.measurement_times import Times, validated
+from pfdist.common.percent import percent
+from pfdist.common.rounding import rounded, with_error
+from pfdist.common.streams import stream_of
+from pfdist.errors import JobError, PfdistError, StoreError, one_line
+from pfdist.explorer.filtered import Change, Filtered
+from pfdist.filters.estimate import Evaluation
+from pfdist.filters.work import BLOCK
+from pfdist.problem.job import job_toml
+from pfdist.problem.problem import JobSource, as_job
+from pfdist.questions.run_of_job import run_and_job
+from pfdist.results import Run, finite
+from pfdist.results.sampling_windows import STRICT, windows_of
+from pfdist.runner.build import Built, build
+from pfdist.runner.progress import Say, silent
+from pfdist.store import holds_run
+
+FIRST_DRAWS = 480
+"""Draws of the first answer, if the filter is fast enough for `FIRST_SECONDS`."""
+FIRST_SECONDS = 0.08
+FINER = 16  # times the draws of the first answer: on so many draws the answer is final
+FINER_SECONDS = 0.3  # of further draws: an answer to a new move waits no longer
+JUDGING_SECONDS = 2.0
+YOURS, EVEN, PLAN = "yours", "even", "plan"
+ON_THESE_DRAWS = "on these draws"
+
+
+class Judgement(NamedTuple):
+    """A set against the evenly spaced times, on draws that no other judgement has."""
+
+    name: str
+    times: Times
+    change: Change
+    again: bool  # whether it was judged once more, as the best of several sets
+
+
+class Session:
+    """A problem and the answers about its sets of measurement times; several threads may ask.
+
+    Parameters
+    ----------
+    source : Problem, Job, str, Path or Run
+        A problem, a job, a job file, a run or the folder of a run. If the job has a finished run,
+        its plan is shown, too.
+    say : callable, optional
+        Receives a line for each model file before the file is run.
+
+    Raises
+    ------
+    PfdistError
+        The job or a model is not possible, or the run is not finished.
+    """
+
+    def __init__(self, source: JobSource | Run, say: Say = silent) -> None:
+        self.run, self.built = _opened(source, say)
+        self._source = source if isinstance(source, str | Path) else None
+        self.job, self.feasible = self.built.job, self.built.feasible
+        self._clock = self.job.problem.clock
+        self.built.evaluator.compile(self.built.comparing)
+        self.played = Filtered(self.built, stream_of("explore", self.job.seed))
+        self._lock = threading.Lock()
+        self._judged, self._judgements = list[Judgement](), 0
+        self.best = self.run.best if self.run and self.job.budget is None else None
+        self.plan = self._clock.measurements(self.best.measurement_times) if self.best else None
+        self.even = self.feasible.regular()
+        self.seconds_a_draw = self.played.seconds_a_draw(self.even)
+        self.first_draws = min(FIRST_DRAWS, self._draws_in(FIRST_SECONDS))
+
+    def _draws_in(self, seconds: float) -> int:
+        return BLOCK * max(1, int(seconds / self.seconds_a_draw) // BLOCK)
+
+    # --- what does not change ---------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """All that the page needs once, as JSON values; times are possible measurements."""
+        clock, sets = self._clock, self.feasible
+        budget = f"{sets.total} measurements"
+        if not sets.counted:
+            budget = f"Measurements for a total price of {sets.total_price}"
+        instants = replace(clock, sensors=())
+        spaced = [None if each.spacing is None else each.spacing.successors for each in sets.limits]
+        return {
+            "model": self.job.model.name,
+            "run": str(self._source or self.run.path) if self.run else "",
+            "times": [float(each) for each in clock.times],
+            "labels": [formatted_time(instants.written(t)) for t in range(clock.horizon + 1)],
+            "unit": clock.unit,
+            "sensors": clock.sensors or ("",),
+            "forbidden": sets.forbidden,
+            "required": sets.required,
+            "after": None if sets.spacing.is_free else sets.spacing.successors,
+            "sensors_after": spaced,
+            "prices": None if sets.price is None else [*map(float, sets.price)],
+            "budget": budget,
+            "components": [
+                {"name": each.name, "unit": each.unit} for each in self.played.components
+            ],
+            "even": self.even,
+            "plan": self.plan,
+            "windows": self._windows(),
+            "window_percent": STRICT,
+            "judged": self.judgements(),
+        }
+
+    def _windows(self) -> dict[str, list[int]]:
+        """The instants to which each measurement of the plan may move alone, if `why` was asked."""
+        if self.run is None or self.best is None or "sampling_windows" not in self.run.tables:
+            return {}
+        table = self.run.table("sampling_windows")
+        rows = table[table["name"] == self.best.name].to_dict("records")
+        windows = {}
+        for each in windows_of(rows, STRICT):
+            (measurement,) = self._clock.measurements([each.measurement])
+            windows[str(measurement)] = [*self._clock.instants(each.inside)]
+        return windows
+
+    # --- an answer --------------------------------------------------------------------------------
+
+    def answer(self, times: Iterable[int], draws: int = 0) -> dict[str, Any]:
+        """The errors of a set as JSON values, beside those of the reference and the plan.
+
+        Parameters
+        ----------
+        times : iterable of int
+            Possible measurements: instants, or with S sensors ``t * S + sensor``.
+        draws : int
+            Number of draws; 0 for those of the first answer. All sets filter the same draws.
+
+        Returns
+        -------
+        dict
+            - ``curves``: the typical error at each instant by set and component of z, in its unit.
+            - ``facts``: heads and texts: typical error, expected MSE, gain, gap, price.
+            - ``broken``: a sentence for each broken constraint; ``warnings``: others.
+            - ``mark``: how far the figures are to be trusted.
+            - ``draws``; and ``finer``: the draws of the next, finer answer, or None.
+
+        Raises
+        ------
+        MeasurementTimesError
+            A time is no possible measurement.
+        """
+        chosen, most = self._checked(times), max(FIRST_DRAWS, FINER * self.first_draws)
+        draws = min(draws or self.first_draws, most)
+        sets = {YOURS: chosen, EVEN: self.even} | ({PLAN: self.plan} if self.plan else {})
+        found = {name: self.played.errors(each, draws) for name, each in sets.items()}
+        known = {name: self.played.evaluation(sets[name], each) for name, each in found.items()}
+        finer = min(most, 2 * draws, draws + self._draws_in(FINER_SECONDS))
+        own, typical = known[YOURS], self.played.typical(known[YOURS], found[YOURS])
+        answer = {
+            "times": chosen,
+            "draws": own.draws,
+            "finer": None if self.played.exact or draws >= most else finer,
+            "curves": {
+                name: self.played.curves(known[name], each).T.tolist()
+                for name, each in found.items()
+            },
+            "facts": [("typical error", typical), *self._facts(chosen, known)],
+            "broken": self.feasible.broken(chosen),
+            "warnings": [own.degenerate_text] if own.degenerate_draws else [],
+            "mark": self._mark(chosen, own.draws),
+        }
+        json: dict[str, Any] = finite(answer)
+        return json
+
+    def _mark(self, times: Times, draws: int) -> str:
+        if not draws:
+            return "exact"
+        is_judged = any(each.times == times for each in self._judged)
+        how = "judged on fresh draws below" if is_judged else "not judged yet"
+        return f"{ON_THESE_DRAWS} ({draws:,}); {how}"
+
+    def _facts(self, times: Times, known: Mapping[str, Evaluation]) -> list[tuple[str, str]]:
+        own = known[YOURS]
+        facts = [("expected MSE", with_error(own.expected_mse, own.standard_error))]
+        for name, other in ((EVEN, "evenly spaced"), (PLAN, "the plan")):
+            if name in known and times != known[name].measurement_times:
+                facts.append((f"against {other}", Change.of(own, known[name]).text()))
+        bound = self.best.bound if self.best else None
+        if bound and math.isfinite(bound) and not self.feasible.broken(times):
+            gap = percent(max(0.0, 1.0 - bound / own.expected_mse), 1)
+            facts.append(("gap to the bound", f"{gap} (bound {rounded(bound)})"))
+        price = f", price {self.feasible.price_of(times)} of {self.feasible.total_price}"
+        paid = price * (self.feasible.price is not None)
+        return [*facts, ("measurements", f"{len(times)}{paid}")]
+
+    # --- judging ----------------------------------------------------------------------------------
+
+    def judge(self, name: str, times: Iterable[int]) -> list[dict[str, Any]]:
+        """Compare a set with the evenly spaced times on fresh draws; give all judgements.
+
+        If several sets were judged, the best of them is judged once more, because the best of
+        several estimates is too good.
+
+        Parameters
+        ----------
+        name : str
+            Name of the set.
+        times : iterable of int
+            Possible measurements.
+
+        Raises
+        ------
+        JobError
+            The set is the reference.
+        """
+        chosen = self._checked(times)
+        if chosen == self.even:
+            raise JobError(
+                "these are the evenly spaced times, with which sets are compared: move a time first"
+            )
+        self._judge(name, chosen)
+        first = [each for each in self._judged if not each.again]
+        best = max(first, key=lambda each: each.change.gain)
+        is_known = any(each.again and each.times == best.times for each in self._judged)
+        if len({each.times for each in first}) > 1 and not is_known and not self.played.exact:
+            self._judge(best.name, best.times, again=True)
+        return self.judgements()
+
+    def _judge(self, name: str, times: Times, *, again: bool = False) -> None:
+        with self._lock:
+            number, self._judgements = self._judgements, self._judgements + 1
+        fresh = Filtered(self.built, stream_of("judge", self.job.seed, number, times))
+        own, even = fresh.evaluations([times, self.even], self.judging_draws)
+        with self._lock:
+            self._judged.append(Judgement(name, times, Change.of(own, even), again))
+
+    @property
+    def judging_draws(self) -> int:
+        """Draws of a judgement, of about two seconds."""
+        return min(self.job.comparison.draws, max(FIRST_DRAWS, self._draws_in(JUDGING_SECONDS / 2)))
+
+    def judgements(self) -> list[dict[str, Any]]:
+        """All judgements so far, as JSON values; their intervals hold together with 95 %."""
+        with self._lock:
+            judged = [*self._judged]
+        confidence, clock = 1.0 - (1.0 - CONFIDENCE) / max(1, len(judged)), self._clock
+        rows = [
+            {
+                "name": each.name,
+                "times": each.times,
+                "written": formatted_times(clock.written_of(each.times), clock.unit),
+                "draws": each.change.draws,
+                "gain": each.change.gain,
+                "interval": each.change.interval(confidence),
+                "text": each.change.text(confidence),
+                "again": each.again,
+            }
+            for each in judged
+        ]
+        json: list[dict[str, Any]] = finite(rows)
+        return json
+
+    # --- what the user takes away -----------------------------------------------------------------
+
+    def job_text(self, sets: Mapping[str, Iterable[int]]) -> str:
+        """The job with named sets in its section comparison.sets, as TOML.
+
+        Raises
+        ------
+        JobError
+            A name is not allowed.
+        """
+        written = {name: self._clock.written_of(self._checked(each)) for name, each in sets.items()}
+        section = self.job.comparison.model_dump(mode="json")
+        section["sets"] = {**self.job.comparison.named, **written}
+        job = self.job.with_changes(sections={"comparison": section})
+        return job_toml(job.identity())
+
+    def command_line(self, sets: Mapping[str, Iterable[int]]) -> str:
+        """The command that compares named sets with the evenly spaced times."""
+        self.job_text(sets)  # checks the names
+        written = {
+            name: ",".join(map(formatted_time, self._clock.written_of(self._checked(times))))
+            for name, times in sets.items()
+        }
+        place = self._source or (self.run.path if self.run else self.job.path)
+        if self._source is None and self.run is None and not self.job.origin.is_file:
+            return f"pfdist.compare(problem, times={ {'regular': 'regular'} | written })"
+        words = ["pfdist", "compare", str(place)]
+        for each in ("regular", *(f"{name}={times}" for name, times in written.items())):
+            words += ["--times", each]
+        return shlex.join(words)
+
+    def _checked(self, times: Iterable[int]) -> Times:
+        return validated(times, self._clock.possible - 1)
+
+
+def _opened(source: JobSource | Run, say: Say) -> tuple[Run | None, Built]:
+    """The finished run of a job, if there is one, and the job with its models."""
+    is_run = isinstance(source, Run) or (isinstance(source, str | Path) and holds_run(Path(source)))
+    try:
+        return run_and_job(source, None, (), say)
+    except StoreError:
+        if isinstance(source, Run) or is_run:
+            raise
+    return None, build(as_job(source))
+
+
+# --- messages -------------------------------------------------------------------------------------
+
+_LONGEST_NAME = 200  # characters that are shown
+
+
+def reply(session: Session, message: Any) -> dict[str, Any]:
+    """The answer to a message of the page, as JSON values; an error is one line.
+
+    Parameters
+    ----------
+    session : Session
+    message : object
+        A mapping with ``ask``, "state", "answer", "judge" or "take", and ``id``, which the answer
+        repeats; ``times`` and ``draws``, ``name`` and ``times``, or ``sets``.
+    """
+    asked = message if isinstance(message, Mapping) else {}
+    given: Any = asked.get("times", ()), asked.get("sets", {})
+    answer = {"id": asked.get("id"), "ask": asked.get("ask")}
+    try:
+        match asked.get("ask"):
+            case "state":
+                return answer | session.state()
+            case "answer":
+                return answer | session.answer(given[0], _whole(asked.get("draws")))
+            case "judge":
+                name = str(asked.get("name", ""))[:_LONGEST_NAME]
+                return answer | {"judged": session.judge(name, given[0])}
+            case "take":
+                sets = {str(name): times for name, times in given[1].items()}
+                job, command = session.job_text(sets), session.command_line(sets)
+                return answer | {"job": job, "command": command}
+    except (PfdistError, TypeError, ValueError, AttributeError) as error:
+        return answer | {"error": one_line(str(error))}
+    return answer | {"error": "ask must be state, answer, judge or take"}
+
+
+def _whole(draws: Any) -> int:
+    return draws if isinstance(draws, int) and draws > 0 else 0

@@ -1,0 +1,343 @@
+"""Answers of an exploration: against `pfdist.evaluate`, and intervals computed by hand."""
+
+import re
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.explored import job_of
+from pfdist.common.parsing import parse_toml
+from pfdist.common.streams import CHOOSING, PROVING, stream_of
+from pfdist.errors import JobError, MeasurementTimesError, PfdistError, StoreError
+from pfdist.explorer import filtered
+from pfdist.explorer.filtered import Filtered
+from pfdist.explorer.session import ON_THESE_DRAWS, Session, reply
+from pfdist.results.moments import Pairs
+
+MINE, OTHER = (1, 4, 6, 12), (0, 4, 8, 11)
+
+
+def facts_of(session: Session, times: tuple[int, ...], draws: int = 0) -> dict[str, str]:
+    return dict(session.answer(times, draws)["facts"])
+
+
+# --- answers --------------------------------------------------------------------------------------
+
+
+def test_an_answer_is_that_of_evaluate_on_the_same_draws() -> None:
+    session = Session(job_of())
+    session.played = Filtered(session.built, stream_of("evaluate", session.job.seed))
+    answer, facts = session.answer(MINE, 240), facts_of(session, MINE, 240)
+    known = pfdist.evaluate(session.job, {"a": MINE}, draws=240, profile=True)["a"]
+    assert known.profile is not None
+    np.testing.assert_allclose(
+        np.square(answer["curves"]["yours"][0]), known.profile["error"], rtol=1e-12
+    )
+    mean, error = map(float, facts["expected MSE"].split(" ± "))
+    assert mean == pytest.approx(known.expected_mse, abs=0.06 * known.standard_error)
+    assert error == pytest.approx(known.standard_error, rel=0.05)
+    assert float(facts["typical error"]) == pytest.approx(known.expected_mse**0.5, rel=0.005)
+
+
+def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
+    session = Session(job_of())
+    played = session.played
+    own, even = (played.errors(times, 480).mse for times in (MINE, session.even))
+    text = facts_of(session, MINE, 480)["against evenly spaced"]
+    value, side, low, high = re.match(  # type: ignore[union-attr]
+        r"([\d.]+) % (\w+) \(95 % CI (-?[\d.]+) to (-?[\d.]+) %\)", text
+    ).groups()
+    gain = 100 * (1 - own.mean() / even.mean()) * (1 if side == "lower" else -1)
+    assert float(value) == pytest.approx(gain, abs=0.1)
+    # By the delta method, which agrees with Fieller's theorem where the errors are small.
+    ratio = own.mean() / even.mean()
+    error = 100 * np.std(own - ratio * even, ddof=1) / even.mean() / 480**0.5
+    assert float(high) - float(low) == pytest.approx(2 * 1.965 * error, rel=0.1)
+
+
+def test_further_draws_give_the_bits_of_one_computation() -> None:
+    in_steps, at_once = Session(job_of()), Session(job_of())
+    for draws in (48, 120, 336):
+        in_steps.answer(MINE, draws)
+    assert in_steps.answer(MINE, 336) == at_once.answer(MINE, 336)
+    again = in_steps.answer(MINE, 120)
+    assert again == Session(job_of()).answer(MINE, 120) | {"finer": again["finer"]}
+
+
+def test_nothing_is_computed_twice_and_old_sets_are_forgotten(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session, computed = Session(job_of()), list[tuple[int, ...]]()
+    original = Filtered._computed
+    monkeypatch.setattr(
+        Filtered, "_computed", lambda self, times, *args: (
+            computed.append(times), original(self, times, *args))[1],
+    )  # fmt: skip
+    session.answer(MINE, 48)
+    session.answer(MINE, 48)
+    session.answer(MINE, 24)
+    assert sorted(computed) == sorted([MINE, session.even])
+    one_set = 48 * 13 * 8
+    monkeypatch.setattr(filtered, "MOST_BYTES", 2 * one_set)
+    session.answer(OTHER, 48)  # forgets MINE, which was used before the reference
+    session.answer(MINE, 48)
+    assert computed[2:] == [OTHER, MINE] or computed[2:] == [OTHER, session.even, MINE]
+
+
+def test_the_first_draws_of_a_fast_model_are_480_and_those_of_a_slow_one_fewer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert Session(job_of("filter.particles=5")).first_draws == 480
+    monkeypatch.setattr(Filtered, "seconds_a_draw", lambda *_: 0.001)
+    slow = Session(job_of())
+    assert slow.first_draws == 72
+    assert slow.answer(MINE)["draws"] == 72
+    assert slow.answer(MINE)["finer"] == 144
+    assert slow.answer(MINE, 10_000)["draws"] == 16 * 72
+    assert slow.answer(MINE, 10_000)["finer"] is None
+
+
+def test_an_exact_engine_is_exact() -> None:
+    job = job_of("model.name=random_walk", "filter.engine=kalman")
+    session = Session(job)
+    answer = session.answer(MINE)
+    known = pfdist.evaluate(job, {"a": MINE}, profile=True)["a"]
+    assert known.profile is not None
+    assert answer["mark"] == "exact"
+    assert answer["finer"] is None
+    np.testing.assert_allclose(
+        np.square(answer["curves"]["yours"][0]), known.profile["error"], rtol=1e-12
+    )
+    session.judge("a", MINE)
+    (only,) = session.judge("b", OTHER)[1:]  # an exact gain needs no second judgement
+    assert only["interval"] == [only["gain"]] * 2
+
+
+def test_weights_leave_the_curve_in_the_unit_of_z() -> None:
+    weights = [2.0, *[1.0] * 11, 0.0]
+    plain, weighted = Session(job_of()), Session(job_of(f"problem.instant_weights={weights}"))
+    same = [session.answer(MINE, 48)["curves"]["yours"] for session in (plain, weighted)]
+    assert same[0] == same[1]
+    assert facts_of(plain, MINE, 48)["expected MSE"] != facts_of(weighted, MINE, 48)["expected MSE"]
+
+
+def test_the_worst_scenario_decides() -> None:
+    scenarios = "scenarios={parameters=[{step_sd=1.0}, {step_sd=9.0}], criterion='worst'}"
+    model = "model.name=random_walk"
+    search = "search=[{method='genetic'}]"
+    session = Session(job_of(model, scenarios, search))
+    known = pfdist.evaluate(session.job, {"a": MINE}, draws=480)["a"]
+    facts = facts_of(session, MINE, 480)
+    value, error = map(float, facts["expected MSE"].split(" ± "))
+    assert value == pytest.approx(known.expected_mse, abs=5 * (error + known.standard_error))
+    assert value > 1.5 * known.mse.mean()  # that of both scenarios
+    assert float(facts["typical error"]) == pytest.approx(value**0.5, rel=0.02)
+
+
+def test_broken_constraints_are_named(session: Session, of_sensors: Session) -> None:
+    broken = session.answer((0, 7, 8))["broken"]
+    assert [each.partition(" ")[0] for each in broken] == [
+        "measurement_budget", "forbidden:", "required:", "minimum_spacing"
+    ]  # fmt: skip
+    assert session.answer(session.even)["broken"] == []
+    (forbidden,) = of_sensors.answer((0, 10, 20, 30))["broken"]
+    assert forbidden == "forbidden: 3 far is measured"
+
+
+def test_times_that_are_none_are_refused(session: Session) -> None:
+    with pytest.raises(MeasurementTimesError, match=r"must lie in 0..12, got 13"):
+        session.answer((13,))
+    with pytest.raises(MeasurementTimesError, match="got 1 twice"):
+        session.answer((1, 1))
+
+
+# --- a run ----------------------------------------------------------------------------------------
+
+
+def test_a_run_shows_its_plan_its_bound_and_its_windows(small_run: pfdist.Run) -> None:
+    pfdist.bound(small_run, pool="serial", figures=False)
+    pfdist.why(small_run, draws=40, figures=False)
+    run = pfdist.open_run(small_run.path)
+    session = Session(run)
+    state, best = session.state(), run.best
+    assert [*state["plan"]] == best.measurement_times
+    assert {int(each) for each in state["windows"]} == {*state["plan"]}
+    assert all(int(m) in inside for m, inside in state["windows"].items())
+    facts = facts_of(session, state["plan"])
+    assert "against the plan" not in facts
+    gap, bound = re.match(  # type: ignore[union-attr]
+        r"([\d.]+) % \(bound ([\d.]+)\)", facts["gap to the bound"].replace("\xa0", " ")
+    ).groups()
+    mse = float(facts["expected MSE"].partition(" ")[0])
+    assert float(bound) == pytest.approx(best.bound, rel=1e-4)
+    assert float(gap) == pytest.approx(100 * (1 - best.bound / mse), abs=0.2)
+    assert "gap to the bound" not in facts_of(session, (1, 2, 3))  # of another number
+    assert "against the plan" in facts_of(session, MINE)
+    assert Session(str(run.path)).plan == session.plan
+
+
+def test_a_job_file_finds_its_run(finished: Callable[..., Path], tmp_path: Path) -> None:
+    shutil.copytree(finished(), tmp_path / "results" / "small")
+    (tmp_path / "jobs").mkdir()
+    job = shutil.copy(Path(__file__).parents[1] / "small.toml", tmp_path / "jobs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        assert Session(job).plan is not None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path / "jobs")
+        assert Session("small.toml").plan is None
+
+
+def test_an_unfinished_run_is_refused(small_run: pfdist.Run) -> None:
+    shutil.rmtree(small_run.path / "tables" / "comparison")
+    with pytest.raises((StoreError, PfdistError)):
+        Session(small_run.path)
+
+
+# --- judging --------------------------------------------------------------------------------------
+
+
+def test_the_draws_of_play_judge_nothing() -> None:
+    assert "explore" in CHOOSING
+    assert "judge" in PROVING
+    session = Session(job_of())
+    assert session.answer(MINE)["mark"].startswith(ON_THESE_DRAWS)
+    assert session.answer(MINE)["mark"].endswith("not judged yet")
+    session.judge("mine", MINE)
+    assert session.answer(MINE)["mark"].endswith("judged on fresh draws below")
+    assert session.answer(OTHER)["mark"].endswith("not judged yet")
+
+
+def test_judgements_have_draws_of_their_own_and_simultaneous_intervals() -> None:
+    session = Session(job_of("comparison.draws=250"))
+    seed, even = session.job.seed, session.even
+
+    def by_hand(number: int, times: tuple[int, ...], judged: int) -> tuple[float, ...]:
+        stream = stream_of("judge", seed, number, times)
+        evaluator = session.built.evaluator
+        work = evaluator.work((times, even), stream, stream, (0, 250), session.built.comparing)
+        own, reference = evaluator(work).mse.T
+        errors = Pairs()
+        errors.add(own, reference)
+        low, high = errors.ratio_interval(1 - 0.05 / judged)
+        return 1 - own.mean() / reference.mean(), 1 - high, 1 - low
+
+    (first,) = session.judge("mine", MINE)
+    assert (first["gain"], *first["interval"]) == pytest.approx(by_hand(0, MINE, 1), rel=1e-12)
+    rows = session.judge("other", OTHER)
+    best = max(rows[:2], key=lambda row: row["gain"])
+    assert [row["again"] for row in rows] == [False, False, True]
+    assert rows[2]["times"] == best["times"]
+    sets = (MINE, OTHER, tuple(best["times"]))
+    for number, (row, times) in enumerate(zip(rows, sets, strict=True)):
+        assert (row["gain"], *row["interval"]) == pytest.approx(
+            by_hand(number, times, 3), rel=1e-12
+        )
+    assert rows[0]["interval"][0] < first["interval"][0]  # the first has widened
+    assert len(session.judge("other again", OTHER)) == 4  # the best was judged twice already
+
+
+def test_the_reference_is_not_judged(session: Session) -> None:
+    with pytest.raises(JobError, match="evenly spaced times"):
+        session.judge("even", session.even)
+
+
+def test_intervals_of_judgements_hold_together() -> None:
+    """Of 40 users who judge four sets, at most 5 % may find an interval without the true gain.
+
+    More than 8 of 40 would have a probability below 1e-4.
+    """
+    job = job_of("model.name=random_walk", "filter.particles=30", "comparison.draws=60")
+    many = Filtered(Session(job).built, stream_of("evaluate", 99))
+    sets = [MINE, OTHER, (2, 5, 8, 11), (3, 6, 9, 12)]
+    even = job.problem.feasible.regular()
+    means = [each.expected_mse for each in many.evaluations([*sets, even], 20_000)]
+    true = [1 - mean / means[-1] for mean in means]
+    missed = 0
+    for seed in range(40):
+        user = Session(job.with_changes(settings={"seed": seed}))
+        for number, times in enumerate(sets):
+            user.judge(str(number), times)
+        rows = [row for row in user.judgements() if not row["again"]]
+        missed += any(
+            not row["interval"][0] <= gain <= row["interval"][1]
+            for row, gain in zip(rows, true, strict=False)
+        )
+    assert missed <= 8
+
+
+# --- what the user takes away ---------------------------------------------------------------------
+
+
+def test_the_job_and_the_command_have_the_sets(
+    session: Session, of_sensors: Session, tmp_path: Path
+) -> None:
+    file = tmp_path / "explored.toml"
+    file.write_text(session.job_text({"mine": MINE}))
+    assert pfdist.load_job(file).given_sets["mine"] == MINE
+    assert pfdist.load_job(file).problem == session.job.problem
+    named = parse_toml(of_sensors.job_text({"mine": (0, 4)}))["comparison"]["sets"]
+    assert named["mine"] == ["0 near", "1 far"]
+    path = session.job.path
+    expected = f"pfdist compare {path} --times regular --times mine=1,4,6,12"
+    assert session.command_line({"mine": MINE}) == expected
+    assert of_sensors.command_line({"mine": (0, 4)}).startswith("pfdist.compare(problem, times=")
+
+
+@pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>", "Mine", "", "regular", "a" * 65])
+def test_a_name_that_no_job_may_have_is_refused(session: Session, name: str) -> None:
+    answer = reply(session, {"ask": "take", "sets": {name: [1, 2]}, "id": 7})
+    assert answer.keys() == {"id", "ask", "error"}
+    assert "comparison.sets" in answer["error"]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        None, 3, [], {}, {"ask": "no"}, {"ask": "answer", "times": None},
+        {"ask": "answer", "times": "0"}, {"ask": "answer", "times": [1.5]},
+        {"ask": "judge", "times": [99]}, {"ask": "take", "sets": 3}, {"ask": "take", "sets": [1]},
+        {"ask": "answer", "times": [True]},
+    ],
+)  # fmt: skip
+def test_a_message_that_is_none_is_answered_with_one_line(
+    session: Session, message: object
+) -> None:
+    answer = reply(session, message)
+    assert "\n" not in answer["error"]
+    assert answer["error"]
+
+
+# --- the widget -----------------------------------------------------------------------------------
+
+
+def test_the_widget_answers_messages() -> None:
+    widget = pfdist.explore(job_of())
+    sent: list[dict[str, object]] = []
+    widget.send = sent.append
+    widget._handle_custom_msg({"ask": "answer", "times": [*MINE], "id": "v-1"}, [])
+    assert sent == [reply(widget.session, {"ask": "answer", "times": [*MINE], "id": "v-1"})]
+    assert "export default" in str(widget._esm)
+
+
+def test_without_the_extra_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, call: Callable[..., object]
+) -> None:
+    from pfdist.explorer import widget
+
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    widget._widget_class.cache_clear()
+    with pytest.raises(PfdistError, match=r"pip install 'pfdist\[explore\]'"):
+        pfdist.explore(job_of())
+    monkeypatch.delitem(sys.modules, "pfdist.explorer.server", raising=False)
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    code, out, error = call(f"explore {Path(__file__).parents[1] / 'small.toml'}")  # type: ignore[misc]
+    assert (code, out) == (1, "")
+    assert error == (
+        "pfdist: explore needs uvicorn, which is not installed: pip install 'pfdist[explore]'\n"
+    )
