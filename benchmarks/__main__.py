@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from benchmarks import (
+    backtest,
     coverage,
     densities,
     driver,
@@ -44,6 +45,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "guided": guided,
     "estimators": estimators,
     "coverage": coverage,
+    "backtest": backtest,
     "scaling": scaling,
     "driver": driver,
     "ways": ways,

@@ -1,5 +1,9 @@
 """The manual as a site: ``sphinx-build -W docs build/site`` writes it to ``build/site``."""
 
+from html import escape
+from textwrap import shorten
+from typing import Any
+
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
@@ -22,6 +26,7 @@ highlight_language = "none"
 autodoc_typehints = "none"  # the sections of the docstrings have the types
 autodoc_member_order = "bysource"
 napoleon_numpy_docstring, napoleon_google_docstring = True, False
+smartquotes = False  # quotes and dashes of options are what one types
 default_role = "literal"  # docstrings name functions and arguments between single backticks
 
 html_theme = "furo"
@@ -56,7 +61,20 @@ def _name_pages(app: Sphinx, tree: nodes.document, name: str) -> None:
             link.children = [nodes.emphasis("", app.env.titles[page].astext())]
 
 
+def _describe(
+    _app: Sphinx, _name: str, _template: str, context: dict[str, Any], tree: nodes.document | None
+) -> None:
+    """The description of a page, which search engines show, is its first paragraph."""
+    if tree is not None and 'name="description"' not in context["metatags"]:
+        texts = (" ".join(part.astext().split()) for part in tree.findall(nodes.paragraph))
+        text = shorten(
+            next((text for text in texts if len(text) > 40), ""), 200, placeholder=" ..."
+        )
+        context["metatags"] += f'<meta name="description" content="{escape(text)}">'
+
+
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulas, and the titles of links."""
+    """Register the renderer of formulas, the titles of links, and the descriptions."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     app.connect("doctree-resolved", _name_pages)
+    app.connect("html-page-context", _describe)

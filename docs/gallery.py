@@ -12,17 +12,23 @@ import pandas as pd
 import pfdist
 
 FOLDER = Path(__file__).parent
-JOBS = (
-    "plan", "tumour", "xray_tumour", "lorenz63", "lotka_volterra", "constant_velocity",
-    "pharmacokinetics", "epidemic",
-)  # fmt: skip
+JOBS = {  # labels with units: some models leave them to their docstrings
+    "plan": ("typical error of x", "instant"),
+    "tumour": ("typical error\nof the position", "time [0.25 s]"),
+    "xray_tumour": ("typical error [mm]", "time [0.25 s]"),
+    "lorenz63": ("typical error\nof (x, y, z)", "time [0.1]"),
+    "lotka_volterra": ("typical error\nof logarithms", "time"),
+    "constant_velocity": ("typical error [km]", "time [min]"),
+    "pharmacokinetics": ("typical error\nof the logarithm", "time [h]"),
+    "epidemic": ("typical error\nof prevalence [%]", "time [d]"),
+}
 DRAWS = 4000
 
 
 def main() -> None:
     """Plan each job, draw its figure, and write ``gallery.csv``."""
     rows = []
-    for name in JOBS:
+    for name, labels in JOBS.items():
         with tempfile.TemporaryDirectory() as folder:
             run = pfdist.plan(
                 FOLDER.parent / "jobs" / f"{name}.toml",
@@ -32,7 +38,7 @@ def main() -> None:
                 figures=False,
             )
             found = pfdist.table(run).iloc[0]
-            _draw(run, FOLDER / "figures" / f"gallery-{name}.png")
+            _draw(run, FOLDER / "figures" / f"gallery-{name}.png", *labels)
         rows.append(
             {
                 "job": name,
@@ -50,13 +56,13 @@ def main() -> None:
     pd.DataFrame(rows).to_csv(FOLDER / "gallery.csv", index=False, float_format="%.6g")
 
 
-def _draw(run: pfdist.Run, path: Path) -> None:
+def _draw(run: pfdist.Run, path: Path, error: str, time: str) -> None:
     with plt.style.context("pfdist.pages.screen"):
         figure, (errors, times) = plt.subplots(
             2, sharex=True, height_ratios=(3, 1), figsize=(6.4, 3.6), layout="constrained"
         )
-        pfdist.plots.uncertainty(run, ax=errors).set_xlabel("")
-        pfdist.plots.times(run, ax=times)
+        pfdist.plots.uncertainty(run, ax=errors).set(xlabel="", ylabel=error)
+        pfdist.plots.times(run, ax=times).set_xlabel(time)
         figure.savefig(path, dpi=110)
         plt.close(figure)
 

@@ -23,7 +23,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.words import FLAGS
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import with_error
-from pfdist.common.section import Section
+from pfdist.common.section import Section, keys_of
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import ESTIMATORS, Estimator
@@ -33,7 +33,7 @@ from pfdist.pools.kinds import POOLS
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
-from pfdist.problem.problem_section import ProblemSection, SensorSection
+from pfdist.problem.problem_section import ClockSection, ProblemSection, SensorSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.search_section import CommonNoiseSettings, EvaluationSettings, SearchSection
 from pfdist.problem.sections import (
@@ -71,6 +71,7 @@ _SECTIONS: Mapping[str, type[Section]] = {
     "[model]": Model,
     "[model.filter]": FilterModel,
     "[problem]": ProblemSection,
+    "[problem.clock]": ClockSection,
     "[problem.sensors.NAME]": SensorSection,
     "[filter]": Filter,
     "[evaluation]": EvaluationSection,
@@ -141,7 +142,7 @@ def keys() -> str:
     seed = {"seed": Job.model_fields["seed"]}
     tables = [_table_of_keys("Above all sections", seed, Job)]
     for head, section in _SECTIONS.items():
-        tables.append(_table_of_keys(f"`{head}`", section.model_fields, section))
+        tables.append(_table_of_keys(f"`{head}`", keys_of(section), section))
     return "\n\n".join(tables)
 
 
@@ -227,7 +228,7 @@ def gallery() -> str:
     """Give the table of the gallery, which ``python docs/gallery.py`` computes."""
     rows = [
         [
-            f"[{row.job}](#{row.job})",
+            f"`{row.job}`",
             with_error(row.regular, row.regular_error),
             with_error(row.found, row.found_error),
             f"{100 * row.gain:.0f} % ({100 * row.gain_low:.0f} to {100 * row.gain_high:.0f})",
@@ -340,6 +341,25 @@ def simulators() -> str:
     ]
     head = ["system", "written as", "ns a particle-step", "without the functions' own time"]
     return _table(head, rows)
+
+
+def backtest() -> str:
+    """Give the table of the verdicts of backtests, from their benchmark."""
+    table = pd.read_csv(BENCHMARKS / "backtest.csv", comment="#")
+    table = table[table["grid"] == "centred"]
+    rows = []
+    for name, case in table.groupby("case", sort=False):
+        ratio, by_size = round(float(case["ratio"].iloc[0]), 3), case.set_index("replicates")
+        right = {"kept": ratio >= 0.5, "not_kept": ratio <= 0.5}  # at 0.5, neither is
+        verdicts = [verdict for verdict, is_right in right.items() if is_right]
+        shares = 100 * by_size[verdicts].sum(axis=1)
+        wrong = (f"{100 * by_size['wrong'][size]:.1f}" for size in (20, 100))
+        rows.append([str(name), f"{ratio:.2f}".replace("-0.00", "0.00"), " or ".join(
+            each.replace("_", " ") for each in verdicts), *(f"{each:.1f}" for each in shares),
+            *wrong])  # fmt: skip
+    sizes = table["replicates"].unique()
+    head = ["measurements", "true ratio", "verdict", *(f"% of {size}" for size in sizes)]
+    return _table([*head, "wrong, % of 20", "wrong, % of 100"], rows)
 
 
 def guided() -> str:
@@ -543,8 +563,9 @@ TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
-        gallery, genetic, stone_soup, wall, simulators, guided, size, seconds_of_plan, ways, driver,
-        searches, robust, engines, estimators, schemes, commands, figures, panels, pools, densities,
+        gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
+        ways, driver, searches, robust, engines, estimators, schemes, commands, figures, panels,
+        pools, densities,
     )
 }  # fmt: skip
 

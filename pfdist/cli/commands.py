@@ -209,6 +209,7 @@ COMMANDS = {
         "Show how far a run is and what it has found.",
         {
             "pfdist status results/plan": "Show what a run has found so far",
+            "pfdist status results/plan --export plan.csv": "Write the plan for a spreadsheet",
             "pfdist status results/plan --json": "Print the same as JSON, for a program",
         },
     ),

@@ -101,17 +101,22 @@ def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     yield from page_of(job, port=port, browser=browser)
 
 
-def status(run: str) -> "Run":
+def status(run: str, *, export: str | None = None) -> "Run":
     """Show how far a run is and what it has found.
 
     Parameters
     ----------
     run : str
         Folder of a run.
+    export : str, optional
+        Also write the plan into this file, for a spreadsheet (``.csv``) or a diary (``.ics``).
     """
     from pfdist.results import open_run
 
-    return open_run(run)
+    opened = open_run(run)
+    if export is not None:
+        opened.export(export)
+    return opened
 
 
 def plot(run: str) -> Iterator[str]:

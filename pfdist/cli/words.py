@@ -15,6 +15,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 from cyclopts import Parameter, Token
 
 from pfdist.cli.commands import COMMANDS
+from pfdist.common.calendar import names_dates
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parsing import finite_number, ranges, whole_number, whole_numbers
 from pfdist.errors import JobError, shown
@@ -67,7 +68,7 @@ def _text(metavar: str) -> Word:
     return Word(str | None, Parameter(metavar=metavar))
 
 
-def _number(metavar: str, read: Callable[[str], float] = whole_number) -> Word:
+def _number(metavar: str, read: Callable[[str], Any] = whole_number) -> Word:
     return Word(Any, Parameter(metavar=metavar, converter=_each(read)))
 
 
@@ -87,8 +88,10 @@ def _paths(texts: list[str]) -> list[str]:
     return [_path(text) for text in texts]
 
 
-def _decimal(text: str) -> int | float:
-    """A number; a whole number without a point is an int."""
+def _decimal(text: str) -> int | float | str:
+    """A number, or a date; a whole number without a point is an int."""
+    if names_dates(text):
+        return text
     return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
 
 
@@ -103,7 +106,8 @@ def _part(text: str) -> tuple[int, int]:
 
 def _clock(text: str) -> str:
     """Times as they are written; the clock of the job reads them."""
-    ranges(_SENSOR.sub(" ", text), finite_number)
+    if not names_dates(text):
+        ranges(_SENSOR.sub(" ", text), finite_number)
     return text
 
 
@@ -158,6 +162,7 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "data": _file("DATA"),
     "draws": _number("K"),
     "dry_run": _SWITCH,
+    "export": _folder("FILE"),
     "folder": _file("DIR"),
     "horizon": _number("T"),
     "job": _file("JOB"),

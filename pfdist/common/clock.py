@@ -6,15 +6,17 @@ and instants become times when they are shown.
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
 
-from pfdist.common.formatted_times import formatted_time
+from pfdist.common.calendar import Calendar, as_text, calendar_of, groups
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementTimesError, shown
 
@@ -36,7 +38,7 @@ class Clock:
     """
 
     times: tuple[Time, ...]  # (T+1,): in ascending order
-    unit: str = ""  # as the user names it, such as "h"; empty if there is none
+    unit: str = ""  # as the user names it, such as "h", or with a start; empty if there is none
     counts: bool = False  # whether the problem has no clock: the time of an instant is its number
     # Names of the sensors, if there are any. A possible measurement then has a number,
     # t * S + sensor, and is written with its sensor, "12 x-ray".
@@ -110,11 +112,64 @@ class Clock:
         parts = np.append(steps, 0.0) / 2 + np.append(0.0, steps) / 2
         return tuple(parts.tolist())
 
-    def instant(self, time: Time, name: str = "measurement_times") -> int:
+    @property
+    def calendar(self) -> Calendar | None:
+        """The dates of times; None if the clock has no start."""
+        return calendar_of(self.unit)
+
+    @cached_property
+    def dates(self) -> tuple[datetime, ...]:
+        """The local date and hour of each instant, (T+1,); empty if the clock has no start."""
+        return tuple(map(self.calendar.date, self.times)) if self.calendar else ()
+
+    @cached_property
+    def _written(self) -> dict[str, int]:
+        """The instant of each date as it is written; an instant that was not found is not here."""
+        return {self.formatted(t): t for t in range(len(self.dates))}
+
+    def dated(self, text: str, name: str = "measurement_times") -> list[int]:
+        """The instants of a text with dates, hours of the day and weekdays.
+
+        Entries between commas are united, words of an entry intersected. `name` is the name of the
+        value in error messages. Raises `MeasurementTimesError` if the text has anything else, a
+        date outside the horizon, or an entry without an instant.
+        """
+        if text in self._written:
+            return [self._written[text]]
+        calendar, found = cast("Calendar", self.calendar), list[int]()
+        for words in groups(text):
+            kept: Iterable[int] = range(len(self.dates))
+            for word in words:
+                try:
+                    time = calendar.single(word)
+                    holds = calendar.condition(word, self.dates) if time is None else None
+                except ValueError as error:
+                    raise MeasurementTimesError(f"{name} {error}") from error
+                here = {self.instant(cast("Time", time), name)} if holds is None else ()
+                kept = [t for t in kept if (t in here if holds is None else holds(self.dates[t]))]
+            if not kept:
+                raise MeasurementTimesError(
+                    f"{name} must name instants of the clock, got none in {' '.join(words)!r}"
+                )
+            found += kept
+        if not found:
+            raise MeasurementTimesError(f"{name} must name dates, got {shown(text)}")
+        return found
+
+    def instant(self, time: Time | str | datetime, name: str = "measurement_times") -> int:
         """The instant of a time; `name` is the name of the value in error messages.
 
         Raises `MeasurementTimesError`, which names the nearest times, if no instant has this time.
         """
+        time = as_text(time)
+        if isinstance(time, str) and self.calendar:
+            found = self.dated(time, name)
+            if len(found) > 1:
+                ends = f"{self.formatted(found[0])} to {self.formatted(found[-1])}"
+                raise MeasurementTimesError(
+                    f"{name} must name one instant, got {time} with {len(found)}: {ends}"
+                )
+            return found[0]
         if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
             raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
         after = bisect_left(self.times, time)
@@ -124,8 +179,8 @@ class Clock:
             return nearest
         self.check_is_within(time, name)
         raise MeasurementTimesError(
-            f"{name} must be times of the clock, got {time:.10g}; the nearest are "
-            f"{' and '.join(f'{self.times[t]:.10g}' for t in near)}{self._suffix}"
+            f"{name} must be times of the clock, got {formatted_time(time, self.unit)}; the "
+            f"nearest are {formatted_times((self.times[t] for t in near), self.unit, ' and ')}"
         )
 
     def check_is_within(self, time: Time, name: str) -> None:
@@ -133,7 +188,8 @@ class Clock:
         first, last = self.times[0], self.times[-1]
         if not first - self.slack <= time <= last + self.slack:
             raise MeasurementTimesError(
-                f"{name} must lie in {first:.10g}..{self.formatted(self.horizon)}, got {time:.10g}"
+                f"{name} must lie in {formatted_time(first, self.unit)}.."
+                f"{self.formatted(self.horizon)}, got {formatted_time(time, self.unit)}"
             )
 
     def between(self, first: Time, last: Time) -> range:
@@ -141,16 +197,31 @@ class Clock:
         start = bisect_left(self.times, first - self.slack)
         return range(start, bisect_right(self.times, last + self.slack))
 
-    def instants(self, times: Iterable[Time]) -> Times:
+    def readers(self, *, between: bool = False) -> dict[str, Callable[[str], float]]:
+        """A reader of dates for the column t of a user's table; none if the clock has no start.
+
+        With `between`, dates may also lie between instants and outside the horizon.
+        """
+        calendar = self.calendar
+        if calendar is None:
+            return {}
+        read = calendar.elapsed if between else lambda text: self.times[self.instant(text, "t")]
+        return {"t": read}
+
+    def columns_of_dates(self, instants: Iterable[int]) -> dict[str, list[str]]:
+        """A column of a table with the date of each instant; none if the clock has no start."""
+        return {"date": [self.formatted(t) for t in instants]} if self.calendar else {}
+
+    def instants(self, times: Iterable[Time | str]) -> Times:
         """The instants of some times, in the same order; raises as `instant`.
 
         Without a clock, whole numbers outside 0..T are accepted.
         """
         return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
 
-    def time(self, instant: int) -> Time:
-        """The time of an instant."""
-        return self.times[instant]
+    def time(self, instant: int) -> Any:
+        """The time of an instant as users read it: a date if the clock has a start."""
+        return self.formatted(instant) if self.calendar else self.times[instant]
 
     def times_of(self, instants: Iterable[int]) -> list[Time]:
         """The times of some instants, in the same order."""
@@ -159,9 +230,9 @@ class Clock:
     def written(self, measurement: int) -> Time | str:
         """A possible measurement as users read it: its time, and the sensor if there are any."""
         if not self.sensors:
-            return self.times[measurement]
+            return cast("Time | str", self.time(measurement))
         instant, sensor = divmod(measurement, len(self.sensors))
-        return f"{self.times[instant]:.10g} {self.sensors[sensor]}"
+        return f"{formatted_time(self.times[instant], self.unit)} {self.sensors[sensor]}"
 
     def written_of(self, measurements: Iterable[int]) -> list[Any]:
         """Possible measurements as users read them, in the same order."""
@@ -176,18 +247,20 @@ class Clock:
     def _measurement(self, written: Time | str) -> int:
         time, _, name = str(written).strip().rpartition(" ")
         try:
-            number, sensor = float(time), self.sensors.index(name)
+            number = time if self.calendar else float(time)
+            sensor = self.sensors.index(name)
         except ValueError as error:
             raise MeasurementTimesError(
                 f"measurement_times must name a time and a sensor, as '12 {self.sensors[0]}', got "
                 f"{shown(written)}; sensors: {', '.join(self.sensors)}"
             ) from error
-        (instant,) = self.instants([int(number) if number.is_integer() else number])
+        whole = not isinstance(number, str) and number.is_integer()
+        (instant,) = self.instants([int(number) if whole else number])
         return instant * len(self.sensors) + sensor
 
     def formatted(self, instant: int) -> str:
-        """The time of an instant as text, with the unit."""
-        return f"{self.times[instant]:.10g}{self._suffix}"
+        """The time of an instant as text, with the unit, or its date if the clock has a start."""
+        return formatted_times([self.times[instant]], self.unit)
 
     def successors(self, spacing: float) -> tuple[int, ...]:
         """For each instant, the first later instant whose time is at least `spacing` later.
@@ -218,10 +291,6 @@ class Clock:
         """The clock of the instants from `first` on: the same times; instants count from 0."""
         return Clock(self.times[first:], self.unit, sensors=self.sensors)
 
-    @property
-    def _suffix(self) -> str:
-        return f" {self.unit}" if self.unit else ""
-
 
 def plain_time(time: Time) -> Time:
     """The time as a job stores it: 48.0 and -0.0 as the integers 48 and 0, others unchanged.
@@ -232,7 +301,7 @@ def plain_time(time: Time) -> Time:
     return int(time) if is_whole else time
 
 
-def _counted(time: Time) -> int:
+def _counted(time: Time | str) -> int:
     """A time that counts instants, as an integer."""
     if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
         raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")

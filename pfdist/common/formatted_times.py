@@ -4,19 +4,26 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pfdist.common.calendar import calendar_of
 
-def formatted_time(time: float | str) -> str:
-    """A time as text: instants as whole numbers, other times with up to ten digits.
 
-    A text, which names a time and a sensor, stays as it is.
+def formatted_time(time: float | str, unit: str = "") -> str:
+    """A time as text: a date if the unit has a start, or else a number with up to ten digits.
 
-    >>> formatted_time(12), formatted_time(0.5), formatted_time(3.0)
+    A text, which names a date or a sensor, stays as it is.
+
+    >>> formatted_time(12), formatted_time(0.5), formatted_time(3.0, "h")
     ('12', '0.5', '3')
+    >>> formatted_time(3.0, "h since 2026-04-01T08:00")
+    '2026-04-01T11:00'
     """
-    return time if isinstance(time, str) else f"{time:.10g}"
+    if isinstance(time, str):
+        return time
+    calendar = calendar_of(unit)
+    return calendar.written(time) if calendar else f"{time:.10g}"
 
 
-def formatted_times(times: Iterable[float | str], unit: str = "") -> str:
+def formatted_times(times: Iterable[float | str], unit: str = "", between: str = ", ") -> str:
     """Times as text, with their unit if there is a unit.
 
     >>> formatted_times([0, 6, 12]), formatted_times([0.0, 0.5], "h"), formatted_times([], "h")
@@ -25,28 +32,37 @@ def formatted_times(times: Iterable[float | str], unit: str = "") -> str:
     '0 ct, 0.5 x-ray (t in h)'
     """
     listed = [*times]
-    text = ", ".join(map(formatted_time, listed))
-    if not unit or not listed:
+    text = between.join(formatted_time(time, unit) for time in listed)
+    if not unit or not listed or calendar_of(unit):
         return text
     return f"{text} (t in {unit})" if isinstance(listed[0], str) else f"{text} {unit}"
 
 
-def time_and_sensor(time: float | str) -> tuple[float, str]:
-    """A measurement's time, and the name of its sensor; the name is empty without sensors.
+def time_and_sensor(time: float | str, unit: str = "") -> tuple[float, str]:
+    """A measurement's time as a number, and the name of its sensor; empty without sensors.
 
     >>> time_and_sensor("12 x-ray"), time_and_sensor(0.5)
     ((12.0, 'x-ray'), (0.5, ''))
+    >>> time_and_sensor("2026-04-02 x-ray", "d since 2026-04-01")
+    (1.0, 'x-ray')
     """
     if not isinstance(time, str):
         return time, ""
-    number, _, sensor = time.rpartition(" ")
-    return float(number), sensor
+    written, _, sensor = time.partition(" ")
+    calendar = calendar_of(unit)
+    return calendar.time(calendar.read(written)) if calendar else float(written), sensor
+
+
+def time_of(row: Mapping[Any, Any]) -> float | str:
+    """The time of a row of a table: its ``date``, or its ``t`` where the clock has no dates."""
+    found: float | str = row["date"] if "date" in row else row["t"]
+    return found
 
 
 def measurement_of(row: Mapping[Any, Any]) -> float | str:
-    """The measurement of a row of a table: its time ``t``, and its ``sensor`` if there are any."""
+    """The measurement of a row of a table: its time, and its ``sensor`` if there are any."""
     sensor = row.get("sensor")
-    return f"{formatted_time(row['t'])} {sensor}" if sensor else row["t"]
+    return f"{formatted_time(time_of(row))} {sensor}" if sensor else time_of(row)
 
 
 def times_of(measurements: Iterable[float | str]) -> list[float]:
@@ -58,14 +74,14 @@ def times_of(measurements: Iterable[float | str]) -> list[float]:
     return sorted({time_and_sensor(measurement)[0] for measurement in measurements})
 
 
-def by_sensor(measurements: Iterable[float | str]) -> dict[str, list[float]]:
+def by_sensor(measurements: Iterable[float | str], unit: str = "") -> dict[str, list[float]]:
     """The times of each sensor; one nameless sensor makes measurements without a sensor, or none.
 
     >>> by_sensor(["0 x-ray", "2 ct", "3 x-ray"]), by_sensor([0, 6]), by_sensor([])
     ({'ct': [2.0], 'x-ray': [0.0, 3.0]}, {'': [0, 6]}, {'': []})
     """
     times = dict[str, list[float]]()
-    for time, sensor in map(time_and_sensor, measurements):
+    for time, sensor in (time_and_sensor(each, unit) for each in measurements):
         times.setdefault(sensor, []).append(time)
     return dict(sorted(times.items())) or {"": []}
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from pfdist.common.calendar import as_text
 from pfdist.errors import shown
 
 MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than a million
@@ -54,9 +55,16 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The data of a TOML text, within the limits of this module."""
-    data: dict[str, Any] = _parsed(tomllib.loads, text)
+    """The data of a TOML text, within the limits of this module, with texts for dates."""
+    data: dict[str, Any] = with_texts(_parsed(tomllib.loads, text))
     return data
+
+
+def with_texts(value: Any) -> Any:
+    """The data of a job file with texts for dates."""
+    if isinstance(value, dict):
+        return {key: with_texts(each) for key, each in value.items()}
+    return type(value)(map(with_texts, value)) if type(value) in (list, tuple) else as_text(value)
 
 
 def parse_json(text: str) -> Any:

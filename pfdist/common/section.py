@@ -39,6 +39,11 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
+def keys_of(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a section by the keys of a job file."""
+    return {field.alias or name: field for name, field in section.model_fields.items()}
+
+
 def _as_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
@@ -234,7 +239,7 @@ def _allowed_keys(place: Sequence[int | str], model: type[BaseModel]) -> list[st
     """Keys of a section, by its place; none if there is no section."""
     kind = reduce(_inner, place, model)
     kinds = [each for each in (kind, *get_args(kind)) if isinstance(each, type)]
-    return [key for each in kinds if issubclass(each, BaseModel) for key in each.model_fields]
+    return [key for each in kinds if issubclass(each, BaseModel) for key in keys_of(each)]
 
 
 def _did_you_mean_elsewhere(name: str, model: type[BaseModel]) -> str:
@@ -252,7 +257,7 @@ def _inner(kind: Any, part: int | str) -> Any:
     if isinstance(kind, dict):
         return kind if isinstance(part, int) else kind.get(part)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        field = kind.model_fields.get(str(part))
+        field = keys_of(kind).get(str(part))
         return None if field is None else _kinds(field) or field.annotation
     origin = get_origin(kind)
     members = [each for each in get_args(kind) if each is not NoneType]

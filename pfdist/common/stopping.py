@@ -70,12 +70,14 @@ def listen() -> None:
 def _listen(numbers: Iterable[int]) -> None:
     """Answer signals: the first stops a command at work, a later one ends the process."""
     number, since = signal.sigwait(numbers), time.monotonic()
+    is_at_work = _at_work.is_set()
+    if is_at_work:
+        _say(_STOPPING)  # before the command can end
     _received.append(number)
-    if _at_work.is_set():
+    if is_at_work:
         _heard.set()
         if number != signal.SIGINT:  # whatever the process does
             threading.Thread(target=_end_after, args=(_NOTICE_SECONDS,), daemon=True).start()
-        _say(_STOPPING)
         while signal.sigwait(numbers) != signal.SIGINT and time.monotonic() - since < _SAME_SECONDS:
             pass
     _end_after(0.0)

@@ -54,14 +54,14 @@ def read_measurements(
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
     try:
         check = partial(_check_header, allowed)
-        columns = read_user_table(path, check, names={"sensor": sensors})
+        columns = read_user_table(path, check, names={"sensor": sensors}, readers=clock.readers())
         for row, t in enumerate(columns["t"].tolist(), 1):
             try:
                 instant_on(clock, t, start)
             except MeasurementsError as error:
                 raise MeasurementsError(f"{error} (row {row})") from error
         if sensors:
-            columns = _side_by_side(columns, model)
+            columns = _side_by_side(columns, model, clock.unit)
             allowed = [["t", *(f"y{component}" for component in range(model.components[1]))]]
         wanted = next(names for names in allowed if names[1] in columns)
         components = _components_of_sensors(model) if sensors else wanted[1:]
@@ -97,7 +97,7 @@ def _components_of_sensors(model: StateSpaceModel) -> list[str]:
     ]
 
 
-def _side_by_side(columns: dict[str, Array], model: StateSpaceModel) -> dict[str, Array]:
+def _side_by_side(columns: dict[str, Array], model: StateSpaceModel, unit: str) -> dict[str, Array]:
     """Columns with a row for each time, and all components of y, from a row for each sensor."""
     times = np.unique(columns["t"])
     y = np.full((times.size, model.components[1]), np.nan)
@@ -108,13 +108,13 @@ def _side_by_side(columns: dict[str, Array], model: StateSpaceModel) -> dict[str
         given = np.array([column[row] for key, column in columns.items() if key[0] == "y"])
         if (t, sensor) in seen:
             raise MeasurementsError(
-                f"a sensor must have one row for each time, got {name} at t = {formatted_time(t)} "
-                "twice"
+                f"a sensor must have one row for each time, got {name} at t = "
+                f"{formatted_time(t, unit)} twice"
             )
         if not np.isnan(given[count:]).all():
             raise MeasurementsError(
                 f"the sensor {name} must have {count} components of y, got more at t = "
-                f"{formatted_time(t)}"
+                f"{formatted_time(t, unit)}"
             )
         seen.add((t, sensor))
         y[times == t, own] = given[:count]
@@ -135,8 +135,8 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
         raise MeasurementsError(str(error)) from error
     if instant < start:
         raise MeasurementsError(
-            f"t must lie in {formatted_time(clock.times[start])}.."
-            f"{clock.formatted(clock.horizon)}, got {formatted_time(t)}"
+            f"t must lie in {formatted_time(clock.time(start))}.."
+            f"{clock.formatted(clock.horizon)}, got {formatted_time(clock.time(instant))}"
         )
     return instant
 

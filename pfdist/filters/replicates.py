@@ -1,6 +1,6 @@
 """Measurements of many systems, the replicates, read from one long table."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -11,13 +11,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.common.clock import Clock
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
-from pfdist.common.nearest import did_you_mean
+from pfdist.common.nearest import did_you_mean, must_be
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.filters.measurements import instant_on, read_measurements, user_columns
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import CLOCK, Parameter
-from pfdist.store.user_tables import read_user_table
+from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
 TRAIN = "train"
@@ -87,9 +88,8 @@ class Replicate:
             away = [abs(self.clock.times[each // sensors] - time) for each in free]
             if not away or min(away) > within + self.clock.slack:
                 name = f" by {self.clock.sensors[sensor]}" if self.clock.sensors else ""
-                raise MeasurementsError(
-                    f"no measurement{name} within {within:.4g} of t = {time:.4g}"
-                )
+                at = formatted_time(time, self.clock.unit) if self.clock.calendar else f"{time:.4g}"
+                raise MeasurementsError(f"no measurement{name} within {within:.4g} of t = {at}")
             chosen.append(free[int(np.argmin(away))])
         return tuple(sorted(chosen))
 
@@ -121,7 +121,7 @@ def read_replicates(
     """
     where = "data" if isinstance(source, pd.DataFrame) else source
     try:
-        table, column = _table(source, column, model, [*parameters])
+        table, column = _table(source, column, model, [*parameters], clock.readers(between=True))
         groups = table.groupby(column, sort=False)
         return [_replicate(str(name), rows, model, clock, column) for name, rows in groups]
     except OSError as error:
@@ -131,7 +131,11 @@ def read_replicates(
 
 
 def _table(
-    source: Path | pd.DataFrame, column: str, model: StateSpaceModel, parameters: list[str]
+    source: Path | pd.DataFrame,
+    column: str,
+    model: StateSpaceModel,
+    parameters: list[str],
+    readers: Mapping[str, Callable[[str], float]],
 ) -> tuple[pd.DataFrame, str]:
     """The checked table, and the name of the column of replicates."""
     sensors = ["sensor"] if model.sensors else []
@@ -142,10 +146,11 @@ def _table(
     own += [name for name in parameters if name not in CLOCK]
 
     def check(header: list[str]) -> list[str]:
-        name = column or "".join(header[:1])
-        if name not in header or name in own:
-            rule = f"a column of the table, {', '.join(header)}, and none of {', '.join(own)}"
-            raise MeasurementsError(f"replicate must be {rule}, got {shown(name)}")
+        name, named = column or "".join(header[:1]), [each for each in header if each not in own]
+        separated = f"; {SEPARATORS}" if any(mark in "".join(header) for mark in ";\t|") else ""
+        if name not in named:
+            rule = f"a column with names of systems: {', '.join(named) or 'the table has none'}"
+            raise MeasurementsError(must_be("replicate", rule, name, named) + separated)
         for each in header:
             if each not in own and each != name:
                 meant = did_you_mean(each, own) or "."
@@ -154,11 +159,16 @@ def _table(
                 )
         for each in ("t", *sensors):
             if each not in header:
-                raise MeasurementsError(f"the column {each} is missing, got {', '.join(header)}")
+                got = f"got {', '.join(header)}{separated}"
+                raise MeasurementsError(f"the column {each} is missing, {got}")
+        known = [each for each in header if each in chain(*user_columns("z", model))]
+        if known and sorted(known) not in map(sorted, user_columns("z", model)):
+            rule = " or ".join(map(", ".join, user_columns("z", model)))
+            raise MeasurementsError(f"columns of z must be {rule}, got {', '.join(known)}")
         return [name]
 
     names = {"sensor": [*model.sensors]} if sensors else {}
-    columns = read_user_table(source, check, names=names)
+    columns = read_user_table(source, check, names=names, readers=readers)
     if not columns["t"].size:
         raise MeasurementsError("the table must have rows, got none")
     return pd.DataFrame(columns), column or next(iter(columns))
@@ -170,13 +180,17 @@ def _replicate(
     try:
         return _checked_replicate(name, rows, model, clock, column)
     except (MeasurementsError, MeasurementTimesError, ValueError) as error:
-        raise MeasurementsError(f"replicate {shown(name)}: {error}") from error
+        # Rows would be counted from the first row of this replicate.
+        reason = str(error).removeprefix("measurements: ").partition(" (row ")[0]
+        raise MeasurementsError(f"replicate {shown(name)}: {reason}") from error
 
 
 def _checked_replicate(
     name: str, rows: pd.DataFrame, model: StateSpaceModel, clock: Clock, column: str
 ) -> Replicate:
-    given = [each for each in rows.columns if each in ("t", "sensor") or each[:1] == "y"]
+    most = max(part.model.components[1] for part in model.parts)
+    columns = {"t", "sensor", *(f"y{k}" for k in range(most)), *chain(*user_columns("y", model))}
+    given = [each for each in rows.columns if each in columns]
     own = _own_clock(rows["t"].tolist(), clock)
     on = own or clock
     table = rows[given].reset_index(drop=True)
@@ -187,10 +201,8 @@ def _checked_replicate(
     y[[*measurements.t]] = measurements.y
     at = [instant_on(on, t) for t in rows["t"].tolist()]
     known = next((names for names in user_columns("z", model) if names[0] in rows), [])
-    z = None
-    if known:
-        z = np.full((len(on.times), model.components[2]), np.nan)
-        z[at] = rows[known].to_numpy(np.float64)
+    series = [_series(each, rows[each].to_numpy(), at, on) for each in known]
+    z = np.stack(series, axis=1) if known else None
     others = [each for each in rows.columns if each not in (*given, *known, column, TRAIN)]
     parameters = {each: _parameter(each, rows[each].to_numpy(), at, on) for each in others}
     train = rows[TRAIN].to_numpy(np.float64) if TRAIN in rows else np.zeros(1)
@@ -214,17 +226,27 @@ def _own_clock(times: list[float], clock: Clock) -> Clock | None:
 
 def _parameter(name: str, values: Array, at: list[int], clock: Clock) -> Parameter:
     """The value of a parameter, or its value at each instant if it varies."""
-    if not np.isfinite(values).all():
-        raise MeasurementsError(f"{name} must be a finite number in all rows")
+    for value in values[~np.isfinite(values)][:1]:
+        raise MeasurementsError(f"{name} must be a finite number in all rows, got {value}")
     if (values == values[0]).all():
         return float(values[0])
-    series = np.full(len(clock.times), np.nan)
-    series[at] = values
+    series = _series(name, values, at, clock)
     series[: min(at)] = series[min(at)]  # the first instant may have no row
-    lacking = np.flatnonzero(np.isnan(series))
-    if lacking.size:
+    for t in np.flatnonzero(np.isnan(series))[:1]:
         raise MeasurementsError(
             f"{name} varies, so it must have a value at each instant, got none at t = "
-            f"{clock.formatted(int(lacking[0]))}"
+            f"{clock.formatted(int(t))}"
         )
     return tuple(series.tolist())
+
+
+def _series(name: str, values: Array, at: list[int], clock: Clock) -> Array:
+    """The value at each instant, (T+1,), given those of some rows; NaN elsewhere."""
+    series = np.full(len(clock.times), np.nan)
+    for t, value in zip(at, values.tolist(), strict=True):
+        if np.isinf(value) or (value != series[t] and not np.isnan([value, series[t]]).any()):
+            rule = "must have one finite value at each time"
+            got = f"{value}" if np.isinf(value) else f"{series[t]} and {value}"
+            raise MeasurementsError(f"{name} {rule}, got {got} at t = {clock.formatted(t)}")
+        series[t] = series[t] if np.isnan(value) else value
+    return series

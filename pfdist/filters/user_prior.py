@@ -54,7 +54,8 @@ def read_prior(
     """
     allowed = user_columns("x", model)
     try:
-        columns = read_user_table(path, partial(_check_header, allowed))
+        readers = clock.readers() if clock else {}
+        columns = read_user_table(path, partial(_check_header, allowed), readers=readers)
         states = next(names for names in allowed if names[0] in columns)
         x = np.stack([columns[name] for name in states])
         return Cloud(_instant(columns.get("t"), clock), x, columns.get("weight"))

@@ -53,7 +53,8 @@ def _errors(table: pd.DataFrame, sets: Mapping[str, str], ax: Axes) -> None:
         if table[column].max() > _WIDE * table[column].min() > 0:
             set_scale("log")
     ends = ax.get_xlim()
-    ax.plot(ends, ends, color="black", lw=thin(), label="as foreseen")
+    equal = np.linspace(*ends, 100)  # a curve if one axis is logarithmic
+    ax.plot(equal, equal, color="black", lw=thin(), label="as foreseen")
     ax.set_xlim(*ends)
     ax.set_xlabel("foreseen error / variance of judged values (large: means)")
     ax.set_ylabel("real error / variance")

@@ -133,7 +133,8 @@ def belief(
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0)
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean; bands: 50 and 90 %")
     label_quantity(ax, quantities, component)
-    sensors = [*by_sensor([*measured, *missing, *to_come])]
+    unit = table.attrs.get("time_unit", "")
+    sensors = [*by_sensor([*measured, *missing, *to_come], unit)]
     bottom, top = ax.get_ylim()
     ax.set_ylim(bottom - (0.01 + _ROW * len(sensors)) * (top - bottom), top)  # room for the markers
     levels = {sensor: _LEVEL + _ROW * row for row, sensor in enumerate(reversed(sensors))}
@@ -143,7 +144,8 @@ def belief(
         (missing, "x", RED, "planned, not measured"),
         (to_come, "o", GREY, "planned, to come"),
     ):
-        at, sensors_of = zip(*map(time_and_sensor, each), strict=True) if each else ((), ())
+        pairs = [time_and_sensor(t, unit) for t in each]
+        at, sensors_of = zip(*pairs, strict=True) if pairs else ((), ())
         if at:
             ax.plot(
                 at, [levels[sensor] for sensor in sensors_of], shape, ms=marker(1.2),

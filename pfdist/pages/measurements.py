@@ -34,6 +34,7 @@ from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, sentences, wi
 
 _WIDTH = 0.4  # instants over which the stems of several sets at the same instant are spread
 _ROW, _TALLEST = 0.14, 6.0  # inches of a row, and of a figure
+_LONG_NAME = 16  # letters of a measurement; beside longer ones a legend has less room
 _MOST_LABELS = 30  # rows that have room for their names
 _LENGTH = 0.8  # of a bar, in instants
 _BARS = ((WIDE, 0.28), (STRICT, 0.72))  # level, and height in rows
@@ -105,7 +106,7 @@ def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
     table = tables.run.table("sampling_windows")
     rows, which = table[table["name"] == name], phrase_of(tables.run.labels[name])
-    said = sentences(rows.to_dict("records"))
+    said = sentences(rows.to_dict("records"), table.attrs.get("time_unit", ""))
     return Plot(
         _height(len(windows_of(rows.to_dict("records"), WIDE))),
         lambda panels: sampling_windows(rows, name, ax=panels[0]),  # a set may measure nothing
@@ -152,7 +153,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     rows = every.sort_values(["t", "moved_to"])
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
-    columns = ["t", "sensor"] if "sensor" in rows else ["t"]
+    columns = [column for column in ("t", "date", "sensor") if column in rows]
     moved = rows.groupby(columns)["moved_to"].agg(["min", "max"]).reset_index()
     times, places = moved["t"].tolist(), range(len(moved))
     names = [formatted_time(measurement_of(row)) for row in moved.to_dict("records")]
@@ -178,7 +179,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
         Patch(fc="white", ec=RED, lw=thin(0.5), label="open"),
         Line2D([], [], color=GREY, lw=thin(0.6), label="tried"),
     ]
-    legend_above(ax, handles, columns=3)
+    legend_above(ax, handles, columns=3 if max(map(len, names)) <= _LONG_NAME else 2)
     return ax
 
 

@@ -174,7 +174,7 @@ def _styles(draws: OnlineDraws) -> dict[str, dict[str, Any]]:
 
 def _mark(ax: Axes, draws: OnlineDraws, label: str | None = None) -> None:
     """Mark the planned times at the upper edge, with a label in the legend if there is one."""
-    planned = by_sensor(draws.planned_times)
+    planned = by_sensor(draws.planned_times, draws.clock.unit)
     times = [t + beside for name, beside in _beside(draws.clock) for t in planned.get(name, [])]
     ax.plot(
         times, [1.0] * len(times), "v", transform=ax.get_xaxis_transform(), clip_on=False,

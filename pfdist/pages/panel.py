@@ -11,11 +11,12 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
-from matplotlib import rcParams
+from matplotlib import dates, rcParams
 from matplotlib.axes import Axes
-from matplotlib.ticker import Formatter, MaxNLocator
+from matplotlib.ticker import Formatter, Locator, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.common.calendar import Calendar, calendar_of
 from pfdist.common.component_names import Component, named_component
 from pfdist.common.measurement_times import REGULAR
 from pfdist.errors import JobError, shown
@@ -26,6 +27,7 @@ from pfdist.results.run import TABLES
 from pfdist.results.stored_run import angles_of
 
 T = TypeVar("T")
+_dates: Any = dates  # has no types
 Array = NDArray[np.float64]
 BAND = 1.96  # standard errors in half of a 95 % interval
 MOST_COMPONENTS = 6  # components of z that a figure shows, each in a panel
@@ -37,6 +39,7 @@ _SHARE = 0.1  # of all values that may be cut off; one value always may
 _STRETCH = 4.0  # values are cut off only if the axis would be so many times longer with them
 _MARGIN = 0.08  # room beyond the last value that is shown, over the length of the axis
 _LEADING = 1.1  # distance of two names over the size of their font
+_MOST_DATES = 7  # on a horizontal axis
 _LABELLED = 2  # of more points beyond the axis, only the farthest has a number
 
 
@@ -189,8 +192,50 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
 
 def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
     """Label the horizontal axis as time, with the unit of the clock; ticks are whole if `whole`."""
+    calendar = calendar_of(unit)
+    if calendar is not None:
+        ticks = _DateTicks(calendar)
+        ax.xaxis.set_major_locator(ticks)
+        ax.xaxis.set_major_formatter(_DateLabels(ticks))
+        zone = calendar.start.tzinfo
+        ax.set_xlabel(f"date ({verbatim(str(zone))})" if zone else "date")
+        return
     ax.set_xlabel(f"time $t$ [{verbatim(unit)}]" if unit else "instant $t$")
     ax.xaxis.set_major_locator(MaxNLocator(integer=whole, steps=[1, 2, 5, 10]))
+
+
+class _DateTicks(Locator):
+    """Ticks at round dates on an axis of times that count a unit from a start."""
+
+    def __init__(self, calendar: Calendar) -> None:
+        self.calendar = calendar
+        self.dates = _dates.AutoDateLocator(calendar.start.tzinfo, minticks=3, maxticks=_MOST_DATES)
+
+    def __call__(self) -> Sequence[float]:
+        axis: Any = self.axis
+        return self.tick_values(*axis.get_view_interval())
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        found = self.dates.tick_values(*map(self.calendar.date, sorted((vmin, vmax))))
+        return [self.calendar.time(each) for each in _dates.num2date(found)]
+
+
+class _DateLabels(Formatter):
+    """Labels of such ticks, with what they share beside the axis."""
+
+    def __init__(self, ticks: _DateTicks) -> None:
+        zone = ticks.calendar.start.tzinfo
+        self.ticks, self.labels = ticks, _dates.ConciseDateFormatter(ticks.dates, zone)
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return self.ticks.calendar.written(x)
+
+    def format_ticks(self, values: Sequence[float]) -> list[str]:
+        at = [_dates.date2num(self.ticks.calendar.date(x)) for x in values]
+        return list(self.labels.format_ticks(at))
+
+    def get_offset(self) -> str:
+        return str(self.labels.get_offset())
 
 
 def label_times(ax: Axes, table: pd.DataFrame) -> None:

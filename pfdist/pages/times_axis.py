@@ -51,7 +51,8 @@ _LEADING = 1.25  # distance of two names over the size of their font
 def times_figure(tables: Tables) -> Plot:
     """Expected error over time of two sets, and the measurement times of every set."""
     run, sets = tables.run, tables.run.sets
-    rows = times_inches(sum(len(by_sensor(at)) for at in sets.values()))
+    unit = problem_of(run).clock.unit
+    rows = times_inches(sum(len(by_sensor(at, unit)) for at in sets.values()))
     if len(sets) < 2 or RANGE_SUMS not in run.tables:
         numbers = sorted({len(times) for times in sets.values()})
         each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
@@ -96,9 +97,8 @@ def _title(run: Run, profile: pd.DataFrame, best: str, reference: str) -> str:
             f"{rows[name]['error'].iloc[first:end].mean():#.3g}".rstrip(".")
             for name in (reference, best)
         )
-        at = " to ".join(
-            formatted_time(t) for t in dict.fromkeys([at_times[first], at_times[end - 1]])
-        )
+        ends = dict.fromkeys([at_times[first], at_times[end - 1]])
+        at = " to ".join(formatted_time(t, problem_of(run).clock.unit) for t in ends)
         parts.append(f"{word} most at t = {at} (from {before} to {now}{unit})")
     smaller, larger = (int(np.sum(side * lower > BAND * error)) for side in (1, -1))
     draws = int(profile["draws"].max())
@@ -229,7 +229,8 @@ def times(
     for name, at in sets.items():
         check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
     labels = run.labels if is_of_run else {name: name for name in sets}
-    rows = [row for name, at in sets.items() for row in _rows_of(name, at, labels[name])]
+    unit = clock.unit if clock else ""
+    rows = [row for name, at in sets.items() for row in _rows_of(name, at, labels[name], unit)]
     if clock is None:
         given = {t for _, _, at in rows for t in at} or {0}
         clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
@@ -271,12 +272,12 @@ def times_inches(sets: int) -> float:
 
 
 def _rows_of(
-    name: str, measurements: Iterable[float | str], label: str
+    name: str, measurements: Iterable[float | str], label: str, unit: str
 ) -> list[tuple[str, str, list[float]]]:
     """Name, label and times of each row of a set: one row, or one for each of its sensors."""
     return [
         (name, f"{label}, {sensor}" if sensor else label, at)
-        for sensor, at in by_sensor(measurements).items()
+        for sensor, at in by_sensor(measurements, unit).items()
     ]
 
 
@@ -284,7 +285,7 @@ def _forbidden_times(run: Run) -> list[float]:
     """The times at which no sensor may measure."""
     feasible, clock = problem_of(run).feasible, problem_of(run).clock
     counts = Counter(time // feasible.sensors for time in feasible.forbidden)
-    return clock.times_of(t for t, count in counts.items() if count == feasible.sensors)
+    return [clock.times[t] for t, count in counts.items() if count == feasible.sensors]
 
 
 def _clock_of(times: Iterable[float], last: float) -> Clock:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.common.formatted_times import formatted_time, measurement_of
+from pfdist.common.formatted_times import formatted_time, measurement_of, time_of
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.measurements import worth
 from pfdist.pages.panel import (
@@ -98,8 +98,9 @@ def filters_figure(tables: Tables) -> Plot:
             stack(panels)
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
+    at = formatted_time(time_of(least.to_dict()))
     title = (
-        f"The effective sample size is least at t = {formatted_time(least['t'])} with "
+        f"The effective sample size is least at t = {at} with "
         f"{phrase_of(run.labels[least['name']])}: on average "
         f"{least['effective_sample_size']:.0f} of {particles} particles."
     )

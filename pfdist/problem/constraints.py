@@ -319,7 +319,8 @@ def _check_times(constraints: Constraints) -> None:
     both = {*constraints.forbidden} & {*constraints.required}
     if both:
         raise MeasurementTimesError(
-            f"forbidden and required must have no time in common, got {min(both)} in both"
+            f"forbidden and required must have no time in common, got "
+            f"{constraints.formatted(min(both))} in both"
         )
     for time, later in pairwise(constraints.required):
         if not constraints.spacing.apart((time, later)):

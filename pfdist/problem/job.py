@@ -14,7 +14,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.nearest import allowed_names, did_you_mean, did_you_mean_path
-from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text
+from pfdist.common.parsing import MOST_LEVELS, parse_toml, read_text, with_texts
 from pfdist.common.section import Section, checked, explained
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.filters.engines import is_exact
@@ -183,6 +183,7 @@ class Job(Section):
     _origin: Origin = PrivateAttr()
 
     def __init__(self, origin: Origin = _NO_FILE, /, **data: Any) -> None:
+        data = with_texts(data)
         if "model" in data:
             data["model"] = with_columns(data["model"], origin.path.parent)
         try:
@@ -387,12 +388,12 @@ class Job(Section):
         settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
         """The job with some keys changed; parameters and errors as in `load_job`."""
-        data = self.model_dump(mode="json", exclude_none=True)
+        data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
         return _validated(data, self._origin, overrides, sections, settings)
 
     def identity(self) -> dict[str, Any]:
         """Everything that identifies a run of this job: all sections but [execution]."""
-        return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
+        return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True, by_alias=True)
 
 
 def load_job(

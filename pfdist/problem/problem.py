@@ -15,8 +15,9 @@ from pydantic import ValidationError
 
 from pfdist.common import parts
 from pfdist.common.arguments import listed_argument, texts_argument
+from pfdist.common.calendar import as_text
 from pfdist.common.nearest import allowed_names, did_you_mean
-from pfdist.common.section import Section, explained
+from pfdist.common.section import Section, explained, keys_of
 from pfdist.common.shown import Shown
 from pfdist.errors import JobError, ModelError, shown
 from pfdist.models import (
@@ -56,13 +57,16 @@ class Problem(Shown):
     time_step, time_unit, times : float, str and sequence of float, optional
         The clock: the time from an instant to the next, the name of the unit, or, instead of the
         horizon, the time of every instant. With a clock, all times are times on the clock.
+    clock : mapping, optional
+        Start, step and time zone, if times are dates: ``{"start": "2026-04-01", "step": "1 d"}``.
     instant_weights : sequence of float, optional
         Weight of the error of each instant in the MSE.
     measurement_budget : int, optional
         The number of measurements.
-    forbidden, required : sequence of int, float, str and range, optional
-        Times without a measurement, and with one: ``range(20, 31)`` or ``[0, "20:30"]``. A range of
-        Python lists whole numbers; a text means all instants from the first to the last.
+    forbidden, allowed, required : sequence of int, float, str and range, optional
+        Times without a measurement, the only times that may have one, and times with one:
+        ``range(20, 31)`` or ``[0, "20:30"]``. A range of Python lists whole numbers; a text means
+        all instants from the first to the last.
     minimum_spacing : int or float, optional
         Smallest difference of two measurement times.
     price : sequence of float, or mapping of str to float, optional
@@ -240,7 +244,7 @@ def _section_of(model: str | NamedModel) -> dict[str, Any]:
 
 def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The keys of each section of a job; each section is checked for itself."""
-    allowed = [key for section in _SECTIONS.values() for key in section.model_fields]
+    allowed = [key for section in _SECTIONS.values() for key in keys_of(section)]
     for key in keys:
         if key not in allowed:
             names = ["filter_model", "scenarios", *allowed]
@@ -248,9 +252,7 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             raise JobError(f"unknown argument {shown(key)} of Problem{allowed_here}")
     sections = {}
     for name, section in _SECTIONS.items():
-        sections[name] = {
-            key: keys[key] for key in section.model_fields if keys.get(key) is not None
-        }
+        sections[name] = {key: keys[key] for key in keys_of(section) if keys.get(key) is not None}
         try:
             section(**sections[name])
         except ValidationError as error:
@@ -265,8 +267,8 @@ def _plain_keys(keys: Mapping[str, Any]) -> dict[str, Any]:
     Without a clock, a range of forbidden or required times is the text that a person would write.
     On a clock, such a text would name the instants between whole numbers, too.
     """
-    counts = all(keys.get(name) is None for name in ("time_step", "time_unit", "times"))
-    texts = ("forbidden", "required") if counts else ()
+    counts = all(keys.get(name) is None for name in ("time_step", "time_unit", "times", "clock"))
+    texts = ("forbidden", "allowed", "required") if counts else ()
     return {
         key: _plain(_with_texts(value) if key in texts else value) for key, value in keys.items()
     }
@@ -303,7 +305,7 @@ def _plain(value: Any) -> Any:
             for entry, is_range in zip(entries, ranges, strict=True)
             for each in (entry if is_range else [entry])
         ]
-    return value
+    return as_text(value)
 
 
 def _order(entry: Any) -> tuple[bool, Any, str]:
@@ -322,7 +324,7 @@ def _signature() -> inspect.Signature:
             default=inspect.Parameter.empty if about.is_required() else about.default,
         )
         for section in _SECTIONS.values()
-        for key, about in section.model_fields.items()
+        for key, about in keys_of(section).items()
     ]
     return inspect.Signature([*own, *keys])
 

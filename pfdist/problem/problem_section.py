@@ -4,6 +4,7 @@ The keys have the names of the parameters of `Constraints`. An error about such 
 its name, and this module puts ``problem.`` before it.
 """
 
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
@@ -11,9 +12,18 @@ from itertools import chain
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, AliasChoices, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
+from pfdist.common.calendar import SECONDS, Calendar, calendar_of, groups
 from pfdist.common.clock import Clock, Time, plain_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import Times
 from pfdist.common.section import Listed, Section
 from pfdist.errors import MeasurementTimesError, shown
@@ -26,6 +36,8 @@ from pfdist.problem.written import instants_of, measurements_of
 _MOST_INSTANTS = 32_001
 _MOST_POSSIBLE = 32_768  # possible measurements: their numbers have 16 bits in tables
 _LONGEST_UNIT = 40  # characters
+_STEP = re.compile(rf"(\d{{1,9}}(?:\.\d{{1,9}})?) ?({'|'.join(SECONDS)})")
+_YEARS = (1000, 9000)  # of a clock with dates
 _Numbers = Listed[Moment]
 _Times = Listed[Annotated[Time | str, AfterValidator(plain_time)]]
 _Finite = int | Annotated[float, Field(allow_inf_nan=False)]
@@ -39,6 +51,69 @@ def _priced(name: str, former: str) -> Any:
     return Field(None, validation_alias=AliasChoices(name, former))
 
 
+class ClockSection(Section):
+    """The date of the first instant, and the time from an instant to the next.
+
+    All times may then be dates. The unit of the step is that of numbers, such as `minimum_spacing`.
+
+    Parameters
+    ----------
+    start : date
+        Local date and hour of the instant 0; midnight without an hour.
+    step : str
+        A number and a unit, as "1 d" or "30 min": s, min, h, d (24 hours) or w. With
+        ``problem.times``, only its unit counts.
+    timezone : str
+        Time zone of the start and of all dates, as "Europe/Brussels". Without one, all days have 24
+        hours.
+    """
+
+    start: str
+    step: str
+    timezone: str | None = None
+
+    @model_validator(mode="after")
+    def _is_clock(self) -> Self:
+        try:
+            self.calendar  # noqa: B018  made here: it checks the values together
+        except ValueError as error:
+            raise ValueError(f"problem.clock.{error}") from error
+        return self
+
+    @property
+    def steps(self) -> tuple[float, str]:
+        """The number and the unit of the step."""
+        found = _STEP.fullmatch(self.step)
+        if not found or not float(found[1]):
+            raise ValueError(
+                f"step must be a number above 0 and a unit ({', '.join(SECONDS)}), as '30 min', "
+                f"got {shown(self.step)}"
+            )
+        return float(found[1]), found[2]
+
+    @property
+    def calendar(self) -> Calendar:
+        """The dates; by the hour, also if all instants are midnights."""
+        start = " ".join(map(" ".join, groups(self.start)))
+        return Calendar.starting(start, self.steps[1], self.timezone or "")
+
+    def on(self, times: Clock) -> Clock:
+        """The clock with dates of the same times; raises `MeasurementTimesError`."""
+        start, are_whole = self.calendar, all(float(t).is_integer() for t in times.times)
+        is_midnight = "T" not in self.start and " " not in self.start and not self.timezone
+        by_days = is_midnight and are_whole and start.unit in ("d", "w")
+        clock = replace(times, unit=str(replace(start, by_days=by_days)))
+        try:
+            years = [clock.dates[t].year for t in (0, -1)]
+        except OverflowError:
+            years = [10_000]
+        if min(years) < _YEARS[0] or max(years) > _YEARS[1]:
+            raise MeasurementTimesError(
+                f"clock must lie in the years {_YEARS[0]} to {_YEARS[1]}, got one from {self.start}"
+            )
+        return clock
+
+
 class SensorSection(Section):
     """The price of a sensor's measurements, and constraints on them.
 
@@ -50,6 +125,8 @@ class SensorSection(Section):
         Price of a measurement by this sensor, or at each instant, or in each range.
     forbidden : list of times and ranges, clock
         Times at which this sensor does not measure.
+    allowed : list of times and ranges, clock
+        The only times at which this sensor measures.
     most : int
         Largest number of measurements by this sensor.
     minimum_spacing : number, clock
@@ -60,6 +137,7 @@ class SensorSection(Section):
         "price", "cost"
     )
     forbidden: _Times | None = None
+    allowed: _Times | None = None
     most: _Budget | None = None
     minimum_spacing: Time | None = None
 
@@ -67,13 +145,16 @@ class SensorSection(Section):
 class ProblemSection(Section):
     """The horizon, and constraints on the measurement times: number, price, and allowed times.
 
-    Without a clock, the horizon and all times count instants. With `time_step`, `time_unit` or
-    `times` there is a clock, and all times are times on the clock.
+    Without a clock, the horizon and all times count instants. With `time_step`, `time_unit`,
+    `times` or a section `clock` there is a clock, and all times are times on the clock.
 
     Parameters
     ----------
+    clock : section
+        Start, step and time zone, if times are dates; see ``[problem.clock]``.
     horizon : number, clock
-        T, the last instant or its time: 1 to 32,000 steps. Required unless ``times`` is given.
+        T, the last instant, or its time or date: 1 to 32,000 steps. Required unless ``times`` is
+        given.
     time_step : float, time_unit
         Time from an instant to the next. Without a clock, instants are counted.
     time_unit : str
@@ -86,6 +167,8 @@ class ProblemSection(Section):
         N, the exact number of measurements, at most the number of allowed instants.
     forbidden : list of times and ranges, clock
         Times without a measurement.
+    allowed : list of times and ranges, clock
+        The only times at which a measurement may be made, less those that are forbidden.
     required : list of times and ranges, clock
         Times that every set contains.
     minimum_spacing : number, clock
@@ -98,6 +181,8 @@ class ProblemSection(Section):
         Sensors of the model in their order, a section ``[problem.sensors.NAME]`` for each.
     """
 
+    # Read as "clock": `clock` is the clock that follows from all keys.
+    dates: ClockSection | None = Field(None, alias="clock")
     horizon: Moment | None = None
     time_step: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=False)] | None = None
     time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
@@ -105,6 +190,7 @@ class ProblemSection(Section):
     instant_weights: _Numbers | None = None
     measurement_budget: _Budget | None = None
     forbidden: _Times | None = None
+    allowed: _Times | None = None
     required: _Times | None = None
     minimum_spacing: Moment | None = None
     price: _Prices | None = _priced("price", "cost")
@@ -112,6 +198,23 @@ class ProblemSection(Section):
         "total_price", "total_cost"
     )
     sensors: dict[str, SensorSection] | None = None
+
+    @field_validator("horizon", "times", mode="before")
+    @classmethod
+    def _may_be_dates(cls, value: Any, info: ValidationInfo) -> Any:
+        """Numbers for dates, which a clock with a start reads."""
+        dates: ClockSection | None = info.data.get("dates")
+        if dates is None or value is None:
+            return value
+        try:
+            calendar = dates.calendar
+            numbers = [
+                calendar.time(calendar.read(each)) if isinstance(each, str) else each
+                for each in (value if is_list_of(value, int, float, str) else [value])
+            ]
+        except ValueError as error:
+            raise ValueError(f"problem.{info.field_name} {error}") from error
+        return numbers if isinstance(value, list | tuple) else numbers[0]
 
     @field_validator("sensors", mode="before")
     @classmethod
@@ -130,13 +233,14 @@ class ProblemSection(Section):
         try:
             self.feasible, self.weights  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
-            raise ValueError(f"problem.{error}") from error
+            raise ValueError(self._said(str(error))) from error
         return self
 
     @property
     def has_clock(self) -> bool:
         """Whether times are times on a clock."""
-        return any(value is not None for value in (self.time_step, self.time_unit, self.times))
+        keys = self.time_step, self.time_unit, self.times, self.dates
+        return any(value is not None for value in keys)
 
     @cached_property
     def clock(self) -> Clock:
@@ -153,6 +257,26 @@ class ProblemSection(Section):
 
     @property
     def _clock(self) -> Clock:
+        if calendar_of(self.time_unit or ""):
+            raise MeasurementTimesError(
+                f"time_unit must have no start, which is clock.start; got {shown(self.time_unit)}"
+            )
+        if self.dates is None:
+            return self._clock_without_dates(self.time_step)
+        for name in ("time_step", "time_unit"):
+            if getattr(self, name) is not None:
+                raise MeasurementTimesError(
+                    f"{name} must be left out, because clock.step gives it; got "
+                    f"{shown(getattr(self, name))}"
+                )
+        step = self.dates.steps[0] if self.times is None else None
+        try:
+            times = self._clock_without_dates(step)
+        except MeasurementTimesError as error:
+            raise MeasurementTimesError(str(error).replace("time_step", "clock.step")) from error
+        return self.dates.on(times)
+
+    def _clock_without_dates(self, time_step: float | None) -> Clock:
         if self.times is not None:
             for name in ("horizon", "time_step"):
                 if getattr(self, name) is not None:
@@ -165,7 +289,7 @@ class ProblemSection(Section):
             raise MeasurementTimesError("horizon must be given, or times instead")
         if not self.has_clock:
             return Clock.counting(self._whole("horizon", self.horizon))
-        step = self.time_step or 1.0
+        step = time_step or 1.0
         if not 1 <= round(self.horizon / step) < _MOST_INSTANTS:
             raise MeasurementTimesError(
                 f"horizon must be 1 to {_MOST_INSTANTS - 1:,} steps of time_step = {step:g}, got "
@@ -200,10 +324,17 @@ class ProblemSection(Section):
 
     @property
     def _forbidden(self) -> Times:
-        times = {*measurements_of(self.forbidden or (), self.clock, "forbidden", of_all=True)}
+        clock = self.clock
+        times = {*measurements_of(self.forbidden or (), clock, "forbidden", of_all=True)}
+        if self.allowed is not None:
+            allowed = measurements_of(self.allowed, clock, "allowed", of_all=True)
+            times.update({*range(clock.possible)} - {*allowed})
         for number, (name, sensor) in enumerate((self.sensors or {}).items()):
-            instants = instants_of(sensor.forbidden or (), self.clock, f"sensors.{name}.forbidden")
-            times.update(t * len(self.clock.sensors) + number for t in instants)
+            barred = {*instants_of(sensor.forbidden or (), clock, f"sensors.{name}.forbidden")}
+            if sensor.allowed is not None:
+                allowed = instants_of(sensor.allowed, clock, f"sensors.{name}.allowed")
+                barred.update({*range(clock.horizon + 1)} - {*allowed})
+            times.update(t * len(clock.sensors) + number for t in barred)
         return tuple(sorted(times))
 
     @property
@@ -261,7 +392,12 @@ class ProblemSection(Section):
         instance ``problem.forbidden: 4 is measured``.
         """
         measured = self.clock.measurements(times)
-        return [f"problem.{sentence}" for sentence in self.feasible.broken(measured)]
+        return [self._said(sentence) for sentence in self.feasible.broken(measured)]
+
+    def _said(self, sentence: str) -> str:
+        """A sentence that begins with a key, with its section and, for times, both keys."""
+        keys = "forbidden" if self.allowed is None else "allowed or problem.forbidden"
+        return f"problem.{re.sub('^forbidden', keys, sentence)}"
 
     @property
     def _prices_of_instants(self) -> tuple[Money, ...] | None:
@@ -296,13 +432,14 @@ class ProblemSection(Section):
                     f"{len(given)}"
                 )
             return tuple(map(money, given))
-        ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
+        first, last = (formatted_time(clock.time(t)) for t in (0, clock.horizon))
+        ends = f"{first}..{last}"
         for key, price in given.items():
             for t in instants_of(key, clock, name):
                 is_instant = 0 <= t <= clock.horizon
                 if t in prices or not is_instant:
                     what = "twice" if t in prices else f"for a horizon of {clock.horizon}"
-                    time = f"{clock.times[t]:.10g}" if is_instant else t
+                    time = formatted_time(clock.time(t)) if is_instant else t
                     raise MeasurementTimesError(
                         f"{name} must name every time in {ends} once, got {time} {what}"
                     )
@@ -311,7 +448,7 @@ class ProblemSection(Section):
         if lacking:
             raise MeasurementTimesError(
                 f"{name} must name every time in {ends} once, got none for "
-                f"{clock.times[lacking[0]]:.10g}"
+                f"{formatted_time(clock.time(lacking[0]))}"
             )
         return tuple(prices[t] for t in range(clock.horizon + 1))
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.common.arguments import listed_argument
+from pfdist.common.calendar import as_text, groups, names_dates
 from pfdist.common.clock import Clock, Time
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.parsing import finite_number, ranges, whole_numbers
@@ -18,8 +19,8 @@ RANGES = "'20:30', '0:60:3' or '20-30'"
 """Examples of ranges, for errors and help."""
 _SEPARATOR = re.compile(r"[\s,]+")
 _WITH_HYPHEN = re.compile(r"(\d{1,6}(?:\.\d+)?)-(\d{1,6}(?:\.\d+)?)")
-_WHOLE = (int, np.integer)
-_NUMBER = (*_WHOLE, float, np.floating)
+_WHOLE_FLOAT = re.compile(r"(?<=\d)\.0+(?=[\s,:]|$)")  # 2.0 is the instant 2
+_NUMBER = (int, float, np.integer, np.floating)
 
 
 def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
@@ -28,18 +29,22 @@ def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> 
     A text has times and ranges, with commas or spaces between them. ``FIRST:LAST`` and
     ``FIRST-LAST`` mean all instants from FIRST to LAST, and ``FIRST:LAST:STEP`` the times FIRST,
     FIRST + STEP, ... If the clock counts instants, only whole numbers are times, and they may lie
-    outside 0..T. Raises `MeasurementTimesError`, which begins with `name`, for any other text, or
-    for a time that is not on the clock.
+    outside 0..T. If the clock has a start, a text has dates, as `Clock.dated` reads them. Raises
+    `MeasurementTimesError`, which begins with `name`, for any other text, or for a time that is not
+    on the clock.
 
     >>> instants_of([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
     [2, 5, 6, 7, 8]
     """
+    written = as_text(written)
     if isinstance(written, str):
-        return list(_instants_of_text(written, clock, name))
+        return clock.dated(written, name) if clock.calendar else [
+            *_instants_of_text(written, clock, name)
+        ]  # fmt: skip
     if isinstance(written, Iterable):
         return [t for entry in written for t in instants_of(entry, clock, name)]
-    allowed = _WHOLE if clock.counts else _NUMBER
-    if isinstance(written, bool) or not isinstance(written, allowed):
+    is_number = isinstance(written, _NUMBER) and not isinstance(written, bool)
+    if not is_number or (clock.counts and not float(written).is_integer()):
         raise MeasurementTimesError(
             f"{name} must name times, as 20, and ranges, as {RANGES}, got {shown(written)}"
         )
@@ -67,11 +72,12 @@ def measurements_of(
     if of_all:
         sensors[""] = [*range(len(clock.sensors))]
     found, waiting = list[int](), list[str]()
-    for word in [*_SEPARATOR.split(str(written).strip(", ")), ""]:
+    for word in [*_words(str(as_text(written)), clock), ""]:
         if word and word not in sensors:
             waiting.append(word)
             continue
-        if waiting and (word not in sensors or any(each[0].isalpha() for each in waiting)):
+        strange = not clock.calendar and any(each[0].isalpha() for each in waiting)
+        if waiting and (word not in sensors or strange):
             raise MeasurementTimesError(
                 f"{name} must name times and then their sensor, as '12 {clock.sensors[0]}', got "
                 f"{shown(' '.join(waiting))}; sensors: {', '.join(clock.sensors)}"
@@ -82,6 +88,17 @@ def measurements_of(
             found += [t * len(clock.sensors) + sensor for sensor in sensors[word]]
         waiting = []
     return found
+
+
+def _words(text: str, clock: Clock) -> list[str]:
+    """Times and sensors; with dates, all words of an entry that are no sensors are one."""
+    if not clock.calendar:
+        return _SEPARATOR.split(text.strip(", "))
+    words = list[str]()
+    for entry in groups(text):
+        dates = " ".join(word for word in entry if word not in clock.sensors)
+        words += [*([dates] if dates else []), *(word for word in entry if word in clock.sensors)]
+    return words
 
 
 def validated_instants(
@@ -149,12 +166,16 @@ def _instants_of_text(text: str, clock: Clock, name: str) -> Sequence[int]:
     spelt = f"{with_hyphen[1]}:{with_hyphen[2]}" if with_hyphen else text
     try:
         if clock.counts:
-            return whole_numbers(spelt)
+            return whole_numbers(_WHOLE_FLOAT.sub("", spelt))
         entries = ranges(spelt, finite_number)
         return [t for entry in entries for t in _instants_between(entry, clock, name)]
     except MeasurementTimesError:
         raise
     except ValueError as error:
+        if names_dates(text):
+            raise MeasurementTimesError(
+                f"{name} must name times, because the clock has no start; got {shown(text)}"
+            ) from error
         if ":" in text:
             raise MeasurementTimesError(f"{name} {error}") from error
         what = f"name times, as 20, and ranges, as {RANGES}"

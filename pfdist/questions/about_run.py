@@ -6,6 +6,7 @@ from datetime import datetime
 from shlex import quote
 from typing import Any
 
+from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Code, Facts, Section, Text
 from pfdist.filters.engines import is_exact
@@ -23,6 +24,11 @@ _WHAT = (
     "real measurement was used: all results hold as far as the model is right. Errors are means "
     "over new draws, which were simulated after the times had been chosen."
 )
+_TIMES = {
+    "forbidden": "forbidden times",
+    "allowed": "allowed times",
+    "required": "required times",
+}
 _MOST_VALUES = 8  # of a parameter that are shown
 _LOAD = """\
 import pfdist
@@ -94,11 +100,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "instants", _instants(subject)
     yield from _weights(problem, problem_of(subject.run))
     yield "measurements", _measurements(job)
-    for key, name in (("forbidden", "forbidden times"), ("required", "required times")):
+    for key, name in _TIMES.items():
         if problem.get(key):
             yield name, formatted_spelling(problem[key], subject.unit)
     if problem.get("minimum_spacing"):
-        spacing = formatted_spelling(problem["minimum_spacing"], subject.unit)
+        spacing = formatted_spelling(problem["minimum_spacing"], unit_of_spans(subject.unit))
         yield "distance of measurements, at least", spacing
     for name, keys in problem.get("sensors", {}).items():
         text = "; ".join(f"{key} {formatted_spelling(value, '')}" for key, value in keys.items())
@@ -139,11 +145,13 @@ def _measurements(job: Mapping[str, Any]) -> str:
 def _instants(subject: Subject) -> str:
     clock = problem_of(subject.run).clock
     last = formatted_times(clock.times[-1:], clock.unit)
-    ends = f"t = {formatted_time(clock.times[0])} to {last}"
+    ends = f"t = {formatted_time(clock.time(0))} to {last}"
+    if clock.calendar and clock.calendar.start.tzinfo:
+        ends += f" ({clock.calendar.start.tzinfo})"
     if clock.counts:
         return ends
     if clock.is_even:
-        step = formatted_times([clock.times[1] - clock.times[0]], clock.unit)
+        step = formatted_times([clock.times[1] - clock.times[0]], unit_of_spans(clock.unit))
         return f"{ends}, in steps of {step}"
     return f"{len(clock.times)} instants, {ends}"
 
@@ -164,6 +172,8 @@ def _weights(problem: Mapping[str, Any], section: ProblemSection) -> Iterator[tu
 def formatted_spelling(value: Any, unit: str) -> str:
     """Times as the job spells them, with the unit."""
     entries = value if isinstance(value, list | tuple) else [value]
+    if calendar_of(unit):
+        return ", ".join(map(str, entries))
     text = ", ".join(str(entry).replace(":", " to ", 1).replace(":", " by ") for entry in entries)
     return f"{text} {unit}" if unit else text
 

@@ -19,14 +19,17 @@ from pfdist.common.clock import Clock, Time
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Page
+from pfdist.common.rounding import rounded
 from pfdist.common.section import Number, Whole, checked
 from pfdist.common.shown import Shown
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
+    ArgumentError,
     JobError,
     MeasurementsError,
     MeasurementTimesError,
     PfdistWarning,
+    shown,
 )
 from pfdist.filters.replicates import Replicate, read_replicates
 from pfdist.pools.base import Pool
@@ -135,7 +138,7 @@ class Backtest(Shown):
     @property
     def wrong(self) -> list[str]:
         """Names of the sets whose real error clearly differs from the foreseen error."""
-        return [name for name, (_, (low, high)) in self.ratios.items() if not low <= 1.0 <= high]
+        return [name for name, (_, (low, high)) in self.ratios.items() if low > 1.0 or high < 1.0]
 
     @property
     def means(self) -> pd.DataFrame:
@@ -223,7 +226,7 @@ def backtest(
     replicate : str, optional
         Column with the name of the replicate; by default the first.
     times : mapping of str to iterable or str, optional
-        Further sets to compare, one each time, as ``clinic=0,6,12,24`` or ``paper=0:60:3``.
+        Further sets to compare, as ``clinic=0,6,12,24``; give the option once for each set.
     planned : str, optional
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.
@@ -282,9 +285,12 @@ def backtest(
         model, clock = built.evaluator.model, built.job.problem.clock
         names = [*model.parameters, *built.evaluator.believed.parameters]
         replicates = read_replicates(table, replicate, model, clock, [*dict.fromkeys(names)])
+        _check_columns(built, replicates)
         if within is None:
             within = (clock.times[-1] - clock.times[0]) / clock.horizon / 2
         own = {name: instants_of(built.job, name, each) for name, each in (times or {}).items()}
+        for name in {*own} & {PLAN, FROM_START, CENTRED}:
+            raise ArgumentError(f"times: {name!r} is the name of another set; choose another name")
         with at_work(execution, [built.evaluator.engine], tell) as pool:
             plans = _plans(built, replicates, pool, show) if plan is None else plan
             matched, left_out = _matched(built, replicates, plans, own, within)
@@ -324,6 +330,18 @@ def _as_job(job: JobSource | Run, changes: Iterable[str]) -> Any:
     return as_job(job.path if isinstance(job, Run) else job, changes)
 
 
+def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:
+    """Raise `MeasurementsError` if a column has a parameter of which the job has scenarios."""
+    given = () if built.job.scenarios is None else built.job.scenarios.parameters
+    varied = {*given} if isinstance(given, Mapping) else {*chain(*given)}
+    for each in replicates:
+        for name in varied & {*each.parameters}:
+            raise MeasurementsError(
+                f"column {name}: a parameter with scenarios or a distribution in the job must have "
+                "no column"
+            )
+
+
 def _files(data: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ...]:
     """The files of the result. A table in memory has no folder: without `out` there are none."""
     folder = path_argument("out", out)
@@ -358,14 +376,21 @@ _Plans = Times | Mapping[str, Times | None]
 def _plans(
     built: Built, replicates: Sequence[Replicate], pool: Pool, show: Show
 ) -> dict[str, Times | None]:
-    """The plan of each replicate on its own clock; None if it has too few measurements."""
+    """The plan of each replicate on its own clock; None if it is not judged.
+
+    It is not judged if the model was fitted to it, or if it has too few measurements.
+    """
     feasible, job = built.feasible, built.job
     if feasible.measurement_budget is None:
         raise JobError("plan_each needs problem.measurement_budget, got a total price")
+    if built.evaluator.scenarios:
+        raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
     planning = first_planning(planning_of(job, built.evaluator.cheapest_estimator))
-    works, plans = dict[str, PlanWork](), dict[str, Times | None]()
+    works = dict[str, PlanWork]()
+    plans: dict[str, Times | None] = dict.fromkeys(each.name for each in replicates)
     for each in replicates:
-        plans[each.name] = None
+        if each.is_training:
+            continue
         measured = {*each.measured(built.evaluator.model)}
         on = each.clock if each.has_own_clock or feasible.clock else None
         possible = range(len(each.y) * feasible.sensors)
@@ -477,6 +502,12 @@ def _errors(
         works.append(work)
     errors = dict[int, ReplicateErrors]()
     for done, (place, result) in enumerate(outcomes(pool, errors_of, works, "the backtest"), 1):
+        if not np.isfinite([*result.real, *np.nanmean(result.foreseen, axis=1)]).all():
+            raise MeasurementsError(
+                f"replicate {shown(matched[place].replicate.name)}: errors must be finite, got "
+                f"{rounded(result.real[0], 3)} with the plan, foreseen "
+                f"{rounded(float(np.mean(result.foreseen[0])), 3)}: see its values and parameters"
+            )
         errors[place] = result
         doing = f"Backtest: {done} of {len(works)} replicates"
         show(Progress("backtest", done, len(works), doing=doing))
@@ -493,10 +524,12 @@ def _variances(values: Array, is_angle: Sequence[bool]) -> Array:
         centre = np.angle(np.exp(1j * known).mean()) if angle else known.mean()
         apart = known - centre
         apart = np.angle(np.exp(1j * apart)) if angle else apart
-        variances[k] = np.mean(apart**2)
-        if not variances[k] > 0.0:
+        with np.errstate(over="ignore"):
+            variances[k] = np.mean(apart**2)
+        if not 0.0 < variances[k] < np.inf:
+            rule = "must differ from each other, by less than 1e150"
             raise MeasurementsError(
-                f"judged values of component {k} must differ from each other, got {centre:.4g} only"
+                f"judged values of component {k} {rule}, got {known.min():.4g} to {known.max():.4g}"
             )
     return variances
 

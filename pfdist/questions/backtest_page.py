@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 import pfdist
+from pfdist.common.calendar import unit_of_spans
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, with_interval
@@ -74,7 +75,9 @@ def _headline(answer: Backtest) -> str:
 
 
 def _sentence(other: str, promised: Promise) -> str:
-    found = f"the error is {change_of(promised.found, promised.found_interval)}"
+    change = change_of(promised.found, [each if math.isfinite(each) else None
+                                        for each in promised.found_interval])  # fmt: skip
+    found = f"the error is {change.replace('few draws', 'few replicates')}"
     foreseen = _foreseen(promised.foreseen, promised.foreseen_interval)
     verdict = promised.verdict
     if verdict == NOTHING_FORESEEN:
@@ -137,6 +140,7 @@ def _facts(answer: Backtest) -> list[tuple[str, str]]:
     first = answer.promises[FROM_START], answer.promises[CENTRED]
     lags = " and ".join(rounded(each.correlation, 2) for each in first)
     plan = formatted_times(answer.plan, answer.time_unit) or "one for each replicate"
+    within = f"{formatted_time(answer.within)} {unit_of_spans(answer.time_unit)}".rstrip()
     facts = [
         ("plan", f"t = {plan}" if answer.plan else plan),
         ("judged", f"{number_of(answer.judged, 'value')} of "
@@ -144,8 +148,7 @@ def _facts(answer: Backtest) -> list[tuple[str, str]]:
         ("improbable", f"{100 * answer.improbable:.1f} % of the plan's measurements (p < 1 %; a "
                        "right model: 1 %)"),
         ("lag-1 correlation", f"{lags} of the differences"),
-        ("distance", f"at most {formatted_time(answer.within)} {answer.time_unit}".rstrip()
-                     + " from a wanted time to the measurement used"),
+        ("distance", f"at most {within} from a wanted time to the measurement used"),
     ]  # fmt: skip
     if answer.left_out:
         facts.append(("left out", "; ".join(_reasons(answer))))

@@ -9,6 +9,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from pfdist.common.calendar import calendar_of
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.estimate import Estimate
@@ -371,9 +372,11 @@ def _of_scenarios(
 
 def _columns_of(evaluation: Evaluation) -> dict[str, Any]:
     """The error over time as JSON, if it was asked for."""
-    if evaluation.profile is None:
+    profile = evaluation.profile
+    if profile is None:
         return {}
-    return {"profile": evaluation.profile[["t", *_OVER_TIME]].to_dict("list")}
+    shown = [each for each in ("t", "date", *_OVER_TIME) if each in profile]
+    return {"profile": profile[shown].to_dict("list")}
 
 
 def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
@@ -382,13 +385,16 @@ def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     tables = {name or "expected error": each for name, each in profiles.items() if each is not None}
     if not tables:
         return []
-    times, unit = next((each["t"], each.attrs.get("time_unit")) for each in tables.values())
+    times, unit = next((each["t"], each.attrs.get("time_unit", "")) for each in tables.values())
     columns = [
         [mse_cell(*at) for at in each[[*_OVER_TIME]].itertuples(index=False)]
         for each in tables.values()
     ]
-    rows = [[Cell(formatted_time(t), t), *cells] for t, *cells in zip(times, *columns, strict=True)]
-    head = (f"t [{unit}]" if unit else "t", *tables)
+    rows = [
+        [Cell(formatted_time(t, unit), t), *cells]
+        for t, *cells in zip(times, *columns, strict=True)
+    ]
+    head = ("date" if calendar_of(unit) else f"t [{unit}]" if unit else "t", *tables)
     return [Table("Expected error at each instant ± standard error", head, rows)]
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pfdist.common.arguments import path_argument
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
-from pfdist.common.formatted_times import formatted_time, formatted_times
+from pfdist.common.formatted_times import formatted_time, formatted_times, time_of
 from pfdist.common.parts import (
     Block,
     Cell,
@@ -224,23 +224,23 @@ def filter_measurements(
     table = table_argument("measurements", measurements)
     files = _files(table, out)[: 3 if report else 2]
     plan = planned_run(job, results, changes, say, planned, prior)
+    problem = plan.built.job.problem
+    clock = problem.clock
+    columns = ClockColumns(clock.times, clock.unit, counts=not problem.has_clock)
     believed = plan.built.evaluator.believed
     quantities = believed.named("z")
     schema = filtered_schema(quantities)
-    check_table = partial(check_table_replaceable, schema=schema)
+    check_table = partial(check_table_replaceable, schema=columns.schema(schema))
     checks: Sequence[Callable[[Path], None]]
     checks = check_table, filtered.check_figure_replaceable, check_page_replaceable
     for file, check in zip(files, checks, strict=False):
         check(file)
     filtering = filter_of(plan.built, plan.prior)
-    problem = plan.built.job.problem
-    clock = problem.clock
     rows = read_measurements(table, believed, clock, filtering.now.t)
     sensors, made = len(believed.parts), rows.made_with(believed)
     wanted = [t for t in plan.times if t >= filtering.now.t * sensors]
     estimates = _table(_estimates(filtering, rows), quantities, believed.is_angle, schema)
-    if problem.has_clock:
-        estimates = ClockColumns(clock.times, clock.unit).table(estimates)
+    estimates = columns.table(estimates)
     last = (max((*rows.t, *rows.missed), default=-1) + 1) * sensors - 1
     result = FilteredMeasurements(
         plan.run.path,
@@ -424,7 +424,7 @@ def _instants(table: pd.DataFrame) -> Section:
 
 
 def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[Cell]:
-    cells = [Cell(formatted_time(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
+    cells = [Cell(formatted_time(time_of(row)), row["t"]), Cell("yes" if row["measured"] else "no")]
     for each in quantities:
         mean, low, high = (row[f"{name}_{each.suffix}"] for name in ("mean", "q05", "q95"))
         cells.append(Cell(rounded(mean), mean))

@@ -3,8 +3,9 @@
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import chain
-from numbers import Integral, Real
+from numbers import Real
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -150,7 +151,7 @@ def next_time(
     job: JobSource | Run,
     measurements: UserTable,
     *,
-    now: Time | None = None,
+    now: Time | str | datetime | None = None,
     planned: str = "",
     prior: UserTable | Prior | ArrayLike = "",
     results: str | Path | None = None,
@@ -167,9 +168,9 @@ def next_time(
         Table with the columns t, y0, y1, ... (or ``y_NAME``): a file in CSV or Parquet, or a
         DataFrame. It may have no rows. An empty cell is a missing component, a row without any
         value a missed time. If the model has sensors, the column sensor names that of a row.
-    now : int or float, optional
-        The last time that has passed, if nothing was measured at the end. Times planned up to it
-        are planned again for later.
+    now : int, float, str or datetime, optional
+        The last time that has passed, or its date, if nothing was measured at the end. Times
+        planned up to it are planned again for later.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
@@ -269,17 +270,22 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     return instants[-1][0] if instants else -1, surprise
 
 
-def _instant_now(now: Time, last: int, clock: Clock) -> int:
+def _instant_now(now: Time | str | datetime, last: int, clock: Clock) -> int:
     """The instant of the last time that has passed, after checking it."""
-    if clock.counts and (isinstance(now, bool) or not isinstance(now, Integral)):
+    number: Any = now
+    is_number = isinstance(now, Real) and not isinstance(now, bool)
+    if clock.counts and not (is_number and float(number).is_integer()):
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
-    first = clock.time(last) if last >= 0 else -1
-    if isinstance(now, Real) and not first <= now <= clock.times[-1]:
-        ends = f"{formatted_time(first)}..{formatted_time(clock.times[-1])}"
-        raise MeasurementsError(
-            f"now must lie in {ends}, got {formatted_time(now)}", argument="now"
-        )
+    first = clock.times[last] if last >= 0 else -1
     try:
-        return int(now) if clock.counts else clock.instant(now, "now")
+        number = number if is_number else clock.times[clock.instant(number, "now")]
+        if not first <= number <= clock.times[-1]:
+            ends = formatted_time(clock.time(last) if last >= 0 else -1), clock.time(clock.horizon)
+            raise MeasurementsError(
+                f"now must lie in {ends[0]}..{formatted_time(ends[1])}, got "
+                f"{formatted_time(number, clock.unit)}",
+                argument="now",
+            )
+        return int(number) if clock.counts else clock.instant(number, "now")
     except MeasurementTimesError as error:
         raise MeasurementsError(str(error), argument="now") from error

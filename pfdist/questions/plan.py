@@ -10,6 +10,7 @@ from pfdist.questions.options import Options, with_options
 from pfdist.questions.run import run
 from pfdist.questions.run_of_job import PLANNED, folder_of, searched_by
 from pfdist.results import Run
+from pfdist.results.export import checked_export
 from pfdist.runner.bound_settings import LEAST_DRAWS
 
 
@@ -21,6 +22,7 @@ def plan(
     changes: Iterable[str] = (),
     bound_draws: int | None = None,
     reuse: str | Path | Iterable[str | Path] = (),
+    export: str | Path | None = None,
     **options: Unpack[Options],
 ) -> Run:
     """Find measurement times for a job's problem, and prove how good they are.
@@ -50,6 +52,8 @@ def plan(
     reuse : str, Path or iterable of these, optional
         Folders of other runs, whose evaluations are taken, not computed again. Give the option once
         for each run.
+    export : str or Path, optional
+        Also write the plan into this file, for a spreadsheet (``.csv``) or a diary (``.ics``).
     options
         See `Options`.
 
@@ -63,7 +67,12 @@ def plan(
         As `pfdist.run` raises.
     """
     job = as_job(job, changes, sections=searched_by(search))
+    if export is not None:
+        checked_export(export, job.problem.clock)
     results = folder_of(job, results, PLANNED if job.origin.names_searches else "")
     if bound_draws is None:
         bound_draws = 0 if job.budget else LEAST_DRAWS
-    return run(job, results, bound_draws=bound_draws, reuse=reuse, **options)
+    planned = run(job, results, bound_draws=bound_draws, reuse=reuse, **options)
+    if export is not None:
+        planned.export(export)
+    return planned

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
+from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.parts import Cell, Table, Text
@@ -126,14 +127,15 @@ class Subject:
     @property
     def _step_of_reference(self) -> str:
         """The distance of the times of the reference in words; empty unless all are equal."""
-        measurements = [*map(time_and_sensor, self.reference_row.measurement_times)]
+        measured = self.reference_row.measurement_times
+        measurements = [time_and_sensor(time, self.unit) for time in measured]
         instants, sensors = (time for time, _ in measurements), {each for _, each in measurements}
         steps = {formatted_time(later - earlier) for earlier, later in pairwise(instants)}
         if len(steps) != 1 or len(sensors) > 1:
             return ""
         step, sensor = steps.pop(), " by ".join(("", *filter(None, sensors)))
         if problem_of(self.run).has_clock:
-            return f"every {step} {self.unit}".rstrip() + sensor
+            return f"every {step} {unit_of_spans(self.unit)}".rstrip() + sensor
         return ("every instant" if step == "1" else f"every {step} instants") + sensor
 
     @cached_property
@@ -163,6 +165,13 @@ class Subject:
     def unit(self) -> str:
         """The unit of the clock; empty if the job has none."""
         return problem_of(self.run).clock.unit
+
+    @property
+    def head_of_times(self) -> str:
+        """Head of a column of times."""
+        if calendar_of(self.unit):
+            return "date"
+        return "t" + f", {self.unit}" * bool(self.unit)
 
     def listed(self, times: Sequence[float | str]) -> str:
         """Measurement times as text, with the unit of the clock."""

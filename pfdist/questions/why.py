@@ -27,6 +27,7 @@ from pfdist.questions.subject import Subject
 from pfdist.questions.why_page import why_page
 from pfdist.questions.worth import sampling_windows, worth_of
 from pfdist.results import Run, finite, open_run
+from pfdist.results.export import checked_export
 from pfdist.results.stored_run import check_one_number
 from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
@@ -113,6 +114,7 @@ def why(
     *,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
+    export: str | Path | None = None,
     figures: bool = True,
     progress: Show | bool | None = None,
     say: Say = silent,
@@ -134,6 +136,9 @@ def why(
         ``results/NAME-plan`` if only that holds a run.
     changes : iterable of str, optional
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
+    export : str or Path, optional
+        Also write the plan, and how far each measurement may move, into this file, for a
+        spreadsheet (``.csv``) or a diary (``.ics``).
     figures : bool
         Whether to draw the figures.
     progress : callable or bool, optional
@@ -161,6 +166,8 @@ def why(
     with following(chosen.progress, chosen.say) as (show, tell):
         opened, built = run_and_job(job, results, changes, tell)
         check_one_number(opened)
+        if export is not None:
+            checked_export(export, built.job.problem.clock)
         sets = opened.sets
         if built.is_worst:
             raise JobError(
@@ -176,6 +183,8 @@ def why(
             answer: Why = complete(driver, make_pool(Execution(pool=kind)))
         files = _draw(opened) if chosen.figures else []
         renew_report(opened.path, tell)
+    if export is not None:
+        open_run(opened.path).export(export)
     return replace(answer, figures=files)
 
 

@@ -75,19 +75,19 @@ def _tables(subject: Subject, frames: Frames) -> Iterator[Block]:
     for name in sorted(frames["worth"]["name"].unique(), key=lambda name: name != plan):
         moved = frames["sampling_windows"]
         rows = moved[moved["name"] == name].to_dict("records")
-        windows = (windows_of(rows, percent) for percent in (STRICT, WIDE))
+        windows = (windows_of(rows, percent, subject.unit) for percent in (STRICT, WIDE))
         texts = [
             {formatted_time(each.measurement): each.text for each in level} for level in windows
         ]
         cells = [
             [
-                Cell(formatted_time(t), time_and_sensor(t)[0]),
+                Cell(formatted_time(t), time_and_sensor(t, subject.unit)[0]),
                 Cell(text, rise),
                 *(Cell(each.get(formatted_time(t), "")) for each in texts),
             ]
             for t, rise, text in _rises(name, frames)
         ]
-        head = ("t" + f", {subject.unit}" * bool(subject.unit), *_HEAD)
+        head = (subject.head_of_times, *_HEAD)
         draws = int(frames["worth"]["draws"].max())
         how = f"on {number_of(draws, 'fresh draw')}" if draws else "exact"
         caption = f"Measurements of {phrase_of(subject.rows[name].label)}, {how}"

@@ -112,6 +112,7 @@ def profile_of(
     table = pd.DataFrame(
         {
             "t": clock.times,
+            **clock.columns_of_dates(range(len(clock.times))),
             "measured": [t in at for t in range(len(clock.times))],
             "draws": draws,
             "error": error,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.estimate import CONFIDENCE, Interval
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval, student_quantile
 from pfdist.results.moments import Pairs
 
 Array = NDArray[np.float64]
@@ -22,6 +22,7 @@ HALF = 0.5
 LEAST_GAIN = 0.02
 """A smaller foreseen gain is no promise."""
 _ROUNDED = 100  # a larger number of replicates is rounded to two digits
+_FEWEST = 2  # blocks that have an interval
 _Z = 1.959963984540054  # of a 95 % interval from very many draws
 
 
@@ -105,8 +106,7 @@ def promise(plan: Errors, other: Errors, block: int = 1) -> Promise:
     block : int
         Number of consecutive replicates whose differences may depend on each other.
     """
-    found, foreseen = other.real - plan.real, other.means - plan.means
-    pairs = _pairs(found, foreseen, block)
+    found = other.real - plan.real
     gain = 1 - float(plan.means.sum() / other.means.sum())
     rest = other.foreseen * (1 - gain) - plan.foreseen
     variances = np.nanvar(rest, axis=1, ddof=1) / np.sum(~np.isnan(rest), axis=1)
@@ -117,20 +117,51 @@ def promise(plan: Errors, other: Errors, block: int = 1) -> Promise:
         (gain - half, gain + half),
         1 - float(plan.real.sum() / other.real.sum()),
         (1 - high, 1 - low),
-        pairs.x.mean / pairs.y.mean if pairs.y.mean else math.nan,
-        pairs.ratio_interval(),
+        *_ratio(found, other.foreseen - plan.foreseen, block),
         found.size,
         _correlation(found),
     )
 
 
+def _ratio(found: Array, foreseen: Array, block: int) -> tuple[float, Interval]:
+    """The mean found difference over the mean foreseen one, with Fieller's interval.
+
+    Found differences are skew, so their variance is often too small among few replicates. The
+    interval is therefore at least as wide as the model foresees if half of the gain is found.
+    """
+    pairs = _pairs(found, np.nanmean(foreseen, axis=1), block)
+    ratio = pairs.x.mean / pairs.y.mean if pairs.y.mean else math.nan
+    if not math.isfinite(ratio) or pairs.x.count < _FEWEST:
+        return ratio, UNKNOWN
+    low, high = pairs.ratio_interval()
+    half = HALF * _quantile(CONFIDENCE, pairs) * _error_by_model(foreseen) / abs(pairs.y.mean)
+    return ratio, (min(low, ratio - half), max(high, ratio + half))
+
+
 def real_over_foreseen(errors: Errors, sets: int, block: int = 1) -> tuple[float, Interval]:
     """The real error of a set over the foreseen one, with its interval.
 
-    The intervals of all sets hold together with 95 % confidence (Bonferroni).
+    The intervals of all sets hold together with 95 % confidence (Bonferroni). They are those of the
+    logarithm, because errors are skew: small errors vary little among few replicates. For the same
+    reason, the standard error is at least that which the model foresees.
     """
     pairs = _pairs(errors.real, errors.means, block)
-    return pairs.x.mean / pairs.y.mean, pairs.ratio_interval(1 - (1 - CONFIDENCE) / sets)
+    ratio = pairs.x.mean / pairs.y.mean if pairs.y.mean else math.nan
+    if not ratio > 0.0 or pairs.x.count < _FEWEST:
+        return ratio, UNKNOWN
+    relative = max(pairs.ratio_error / ratio, _error_by_model(errors.foreseen) / pairs.y.mean)
+    factor = math.exp(_quantile(1 - (1 - CONFIDENCE) / sets, pairs) * relative)
+    return ratio, (ratio / factor, ratio * factor)
+
+
+def _quantile(confidence: float, pairs: Pairs) -> float:
+    """Student's t of a two-sided interval."""
+    return float(student_quantile((1 + confidence) / 2, pairs.x.count - 1))
+
+
+def _error_by_model(foreseen: Array) -> float:
+    """Standard error of the mean of R systems, given simulated values of each, (R, D)."""
+    return float(np.sqrt(np.nanvar(foreseen, axis=1, ddof=1).sum())) / len(foreseen)
 
 
 def _pairs(x: Array, y: Array, block: int) -> Pairs:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.common.calendar import calendar_of
 from pfdist.common.clock import Time
 from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 from pfdist.common.formatted_times import formatted_time, formatted_times, measurement_of
@@ -42,6 +43,8 @@ class SamplingWindow:
         Whether the job allows another instant between the neighbouring measurements.
     sensor : str
         Name of the sensor that measures; empty without sensors. Its measurement moves in time.
+    unit : str
+        The unit of the clock, if it has a start: times are then shown as dates.
     """
 
     t: Time
@@ -49,11 +52,13 @@ class SamplingWindow:
     open: Mapping[Time, int]
     can_be_tried: bool
     sensor: str = ""
+    unit: str = ""
 
     @property
     def measurement(self) -> Time | str:
         """The measurement as users read it."""
-        return measurement_of({"t": self.t, "sensor": self.sensor})
+        at = formatted_time(self.t, self.unit) if calendar_of(self.unit) else self.t
+        return measurement_of({"t": at, "sensor": self.sensor})
 
     @property
     def is_wide(self) -> bool:
@@ -76,11 +81,13 @@ class SamplingWindow:
         >>> SamplingWindow(12, {12: 12}, {}, True).text
         'only 12'
         """
-        inside = spelled(self.inside) if self.is_wide else f"only {formatted_time(self.t)}"
-        return f"{inside} (open: {spelled(self.open)})" if self.open else inside
+        unit = self.unit
+        only = f"only {formatted_time(self.t, unit)}"
+        inside = spelled(self.inside, unit) if self.is_wide else only
+        return f"{inside} (open: {spelled(self.open, unit)})" if self.open else inside
 
 
-def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
+def windows_of(rows: Rows, percent: int, unit: str = "") -> list[SamplingWindow]:
     """The sampling windows of a set's measurements, in order of time.
 
     Parameters
@@ -89,6 +96,8 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
         Rows of the table ``sampling_windows`` of one set.
     percent : int
         The level: the largest loss, in per cent.
+    unit : str
+        The unit of the clock, with its start if times are dates.
     """
     tried = defaultdict[tuple[Time, str], list[Mapping[Hashable, Any]]](list)
     for row in sorted(rows, key=lambda row: row["moved_to"]):
@@ -103,7 +112,7 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
             {to: int(place) for to, place in places.items() if states[to] == state}
             for state in (INSIDE, OPEN)
         )
-        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, sensor))
+        windows.append(SamplingWindow(t, inside, left_open, len(rows_at_t) > 1, sensor, unit))
     return windows
 
 
@@ -118,7 +127,7 @@ def runs_of(instants: Mapping[Time, int]) -> list[list[Time]]:
     return runs
 
 
-def spelled(instants: Mapping[Time, int]) -> str:
+def spelled(instants: Mapping[Time, int], unit: str = "") -> str:
     """Instants in words, three and more successive instants as a range.
 
     Examples
@@ -127,22 +136,24 @@ def spelled(instants: Mapping[Time, int]) -> str:
     '3, 4, 9 to 12'
     """
     return ", ".join(
-        formatted_times(run)
+        ", ".join(formatted_time(t, unit) for t in run)
         if len(run) <= _LONGEST_LIST
-        else f"{formatted_time(run[0])} to {formatted_time(run[-1])}"
+        else f"{formatted_time(run[0], unit)} to {formatted_time(run[-1], unit)}"
         for run in runs_of(instants)
     )
 
 
-def sentences(rows: Rows) -> list[str]:
+def sentences(rows: Rows, unit: str = "") -> list[str]:
     """Sentences: which measurements must be kept exactly, which can move, and which are undecided.
 
     Parameters
     ----------
     rows : iterable of mappings
         Rows of the table ``sampling_windows`` of one set.
+    unit : str
+        As of `windows_of`.
     """
-    movable = [window for window in windows_of(rows, STRICT) if window.can_be_tried]
+    movable = [window for window in windows_of(rows, STRICT, unit) if window.can_be_tried]
     wide = [window for window in movable if window.is_wide]
     single = [window for window in movable if window.is_single]
     undecided = [window for window in movable if not window.is_wide and window.open]
@@ -158,7 +169,8 @@ def _listed(windows: Sequence[SamplingWindow]) -> str:
     """The measurements of some windows in words."""
     if windows[0].sensor:
         return formatted_times(window.measurement for window in windows)
-    return spelled({window.t: window.inside[window.t] for window in windows})
+    places = {window.t: window.inside[window.t] for window in windows}
+    return spelled(places, windows[0].unit)
 
 
 @dataclass

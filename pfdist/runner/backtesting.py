@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.calendar import unit_of_spans
 from pfdist.common.measurement_times import Times
 from pfdist.errors import MeasurementsError, TaskError
 from pfdist.filters.draws import Draws
@@ -29,6 +30,7 @@ from pfdist.runner.planning import Now, Planning, Replanner
 W = TypeVar("W")
 V = TypeVar("V")
 Array = NDArray[np.float64]
+_SECONDS = 60.0  # of a task at most: how fast a model is, is not known
 INTERVAL = (0.05, 0.95)
 """Quantiles between which a right model has 90 % of all values."""
 
@@ -223,9 +225,12 @@ def evaluator_for(built: Built, replicate: Replicate, *, is_predicted: bool) -> 
     if replicate.has_own_clock:
         clock = replicate.clock
         problem = {"times": [*clock.times], "measurement_budget": 1}
-        problem |= {"time_unit": clock.unit or None, "sensors": [*clock.sensors] or None}
+        unit, sensors = unit_of_spans(clock.unit), [*clock.sensors]
+        problem |= {"time_unit": unit or None, "sensors": sensors or None}
         given = {name: value for name, value in problem.items() if value is not None}
-        others: dict[str, Any] = {"search": [], "budget": None, "online": None, "comparison": {}}
+        compared = {"sets": {"regular": "regular"}}  # a job without a search compares a set
+        others: dict[str, Any] = {"search": [], "budget": None, "online": None}
+        others["comparison"] = compared
         job = job.with_changes(sections={"problem": given, **others})
     truth, believed = models_of(job)
     models = [
@@ -264,7 +269,7 @@ def outcomes(
 
     Raises `TaskError` if one fails.
     """
-    tasks = [Task(str(place), function, work) for place, work in enumerate(works)]
+    tasks = [Task(str(place), function, work, _SECONDS) for place, work in enumerate(works)]
     for outcome in pool.run(iter(tasks)):
         if outcome.error is not None:
             reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")

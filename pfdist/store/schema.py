@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +16,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.common.calendar import calendar_of
 from pfdist.common.component_names import Component
+from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import StoreError
 
 if TYPE_CHECKING:
@@ -264,7 +267,11 @@ _OPTIONAL = {
 
 
 _BY_DRAW = [_column("draw", pa.int64(), "", ""), _column("t", pa.int32(), "", "")]
-_KINDS = {"degenerate": pa.bool_(), "sensor": pa.string()}  # of columns that sets or sensors name
+_KINDS = {
+    "degenerate": pa.bool_(),
+    "sensor": pa.string(),
+    "date": pa.string(),
+}  # of columns that sets or sensors name
 _CLOCK_TYPES = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
 
 
@@ -307,6 +314,10 @@ def wrong_columns(columns: pa.Schema, table: str) -> str:
         if column.type != wanted and not is_timed:
             return f"must have {wanted} in the column {column.name}, got {column.type}"
     return ""
+
+
+_DATE = _column("date", pa.string(), "", "of t: local date and hour")
+"""A column beside t, if the clock has a start."""
 
 
 def with_sensors(schema: pa.Schema) -> pa.Schema:
@@ -413,7 +424,8 @@ def backtest_schema() -> pa.Schema:
 class ClockColumns:
     """A converter of columns of instants to columns of times, in the clock's unit.
 
-    With sensors, columns of sets of measurements become columns of texts such as ``12 x-ray``.
+    With sensors, columns of sets of measurements become columns of texts such as ``12 x-ray``. If
+    the unit has a start, they become columns of dates, and a column ``date`` follows the column t.
     """
 
     times: tuple[float, ...]  # (T+1,); the time of each instant
@@ -423,30 +435,50 @@ class ClockColumns:
 
     def table(self, rows: pa.Table) -> pa.Table:
         """A table with times instead of instants; columns of times are unchanged."""
-        times = np.array(self.times)
-        written = [f"{time:.10g} {sensor}" for time in self.times for sensor in self.sensors]
-        for index, field in enumerate(rows.schema):
+        times, written = np.array(self.times), np.array(self._written)
+        dates = np.array(self._dates)
+        for field in rows.schema:
+            index = rows.schema.get_field_index(field.name)
             if self._is_changed(field):
-                clock = np.array(written) if written and field.name in _MEASUREMENTS else times
+                clock = written if self._has_texts(field) else times
                 column = rows.column(index).combine_chunks()
                 rows = rows.set_column(index, self._field(field), _timed(column, clock))
+                if dates.size and field.name == "t":
+                    rows = rows.add_column(index + 1, _DATE, _timed(column, dates))
         return rows
 
     def schema(self, schema: pa.Schema) -> pa.Schema:
         """Schema of such a table."""
-        for index, field in enumerate(schema):
+        for field in schema:
             if self._is_changed(field):
-                schema = schema.set(index, self._field(field))
+                schema = schema.set(schema.get_field_index(field.name), self._field(field))
+                if self._dates and field.name == "t":
+                    schema = schema.insert(schema.get_field_index("t") + 1, _DATE)
         return schema
 
+    @cached_property
+    def _dates(self) -> list[str]:
+        """The date of each instant; empty if the unit has no start."""
+        has_start = calendar_of(self.unit) is not None
+        return [formatted_time(time, self.unit) for time in self.times] if has_start else []
+
+    @cached_property
+    def _written(self) -> list[str]:
+        """Each possible measurement as a text; empty without sensors and dates."""
+        times = self._dates or [formatted_time(time) for time in self.times]
+        return [f"{time} {sensor}" for time in times for sensor in self.sensors] or self._dates
+
+    def _has_texts(self, field: pa.Field) -> bool:
+        return field.name in _MEASUREMENTS and bool(self.sensors or self._dates)
+
     def _is_changed(self, field: pa.Field) -> bool:
-        if self.sensors and field.name in _MEASUREMENTS:
+        if self._has_texts(field):
             return _holds_numbers(field)
         columns = () if self.counts else (*_INSTANTS, *_MEASUREMENTS)
         return field.name in columns and _holds_numbers(field)
 
     def _field(self, field: pa.Field) -> pa.Field:
-        kind = pa.string() if self.sensors and field.name in _MEASUREMENTS else pa.float64()
+        kind = pa.string() if self._has_texts(field) else pa.float64()
         kind = pa.list_(kind) if pa.types.is_list(field.type) else kind
         metadata = dict(field.metadata or {}) | {b"unit": self.unit.encode()}
         return pa.field(field.name, kind, metadata=metadata)

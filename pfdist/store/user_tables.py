@@ -13,8 +13,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pfdist.common.calendar import as_text
 from pfdist.common.nearest import must_be
-from pfdist.errors import shown
+from pfdist.errors import PfdistError, shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
 from pfdist.store.tables import holds_table, write_table
 
@@ -24,6 +25,7 @@ MOST_BYTES = 200_000_000  # of a file: a million particles of ten components tak
 MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold many times over
 MOST_COLUMNS = 1000
 _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
+_NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 SEPARATORS = "columns must be separated by commas; decimals have a point"
 
@@ -33,10 +35,12 @@ def read_user_table(
     check_header: Callable[[list[str]], Collection[str] | None],
     only: Collection[str] = (),
     names: Mapping[str, Sequence[str]] = _NONE,
+    readers: Mapping[str, Callable[[str], float]] = _NO_READERS,
 ) -> dict[str, Any]:
     """The columns of a table of numbers by name; a missing number is NaN.
 
     `names` has the texts that some columns may hold; such a column becomes indices of its texts.
+    `readers` has what reads the texts and dates of some columns as numbers.
 
     A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
@@ -57,6 +61,8 @@ def read_user_table(
     return {
         name: _texts(name, table.iloc[:, place])
         if name in any_text
+        else _as_read(readers[name], table.iloc[:, place])
+        if name in readers and table.iloc[:, place].dtype.kind not in "iuf"
         else _numbers(name, table.iloc[:, place], names.get(name, ()))
         for place, name in enumerate(header)
         if not only or name in only
@@ -153,6 +159,17 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
     elif kind not in "iuf":
         raise ValueError(f"column {shown(name)} must hold numbers, got {column.dtype}")
     return numbers.to_numpy(np.float64, copy=True, na_value=np.nan)
+
+
+def _as_read(read: Callable[[str], float], column: "pd.Series[Any]") -> Array:
+    """The numbers of a column of texts or dates."""
+    numbers = list[float]()
+    for row, value in enumerate(column, 1):
+        try:
+            numbers.append(read(str(as_text(value)).strip()))
+        except PfdistError as error:
+            raise ValueError(f"{error} (row {row})") from error
+    return np.array(numbers, np.float64)
 
 
 def write_user_table(path: Path, table: pa.Table) -> None:

@@ -79,7 +79,8 @@ def test_every_link_leads_to_a_page_and_to_a_name_on_it(site: Path) -> None:
 
 
 def test_every_public_name_is_in_the_reference(site: Path) -> None:
-    names = Anchors((site / "api.html").read_text(encoding="utf-8")).ids
+    pages = (page.read_text(encoding="utf-8") for page in site.glob("api-*.html"))
+    names = {name for page in pages for name in Anchors(page).ids}
     modules = {"plots": "pfdist.plots.gain", "densities": "pfdist.densities.normal_logpdf"}
     wanted = {modules.get(name, f"pfdist.{name}") for name in pfdist.__all__}
     errors = {"pfdist.PfdistError": "pfdist.errors.PfdistError"}
@@ -116,6 +117,37 @@ def test_every_page_fits_loads_nothing_from_elsewhere_and_prints_no_error(
             wrong.append(f"{name} has a column without a head")
     context.close()
     assert wrong == []
+
+
+def test_every_page_has_a_description_of_its_own(site: Path) -> None:
+    found = dict[str, str]()
+    for name in PAGES:
+        text = (site / f"{name}.html").read_text(encoding="utf-8")
+        [found[name]] = re.findall(r'<meta name="description" content="(.{30,210}?)">', text)
+    assert len(set(found.values())) == len(PAGES)
+
+
+@pytest.mark.parametrize(
+    ("asked", "page"),
+    [
+        ("satellite", "choose-model"),
+        ("FAQ", "faq"),
+        ("sampling schedule", "words"),
+        ("optimal design", "words"),
+        ("sensor scheduling", "words"),
+        ("MCMC", "faq"),
+        ("Kalman", "words"),
+        ("budget", "words"),
+        ("smoothing", "cookbook"),
+    ],
+)
+def test_the_search_finds_other_words_for_a_thing(
+    browser: Any, address: str, asked: str, page: str
+) -> None:
+    tab = browser.new_page()
+    tab.goto(f"{address}/search.html?q={asked.replace(' ', '+')}")
+    tab.wait_for_selector(f"ul.search li a[href*='{page}.html']")
+    tab.close()
 
 
 def test_the_search_finds_a_page_and_formulas_are_drawn(browser: Any, address: str) -> None:

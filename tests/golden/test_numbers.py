@@ -20,6 +20,8 @@ import pytest
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
 from pfdist.cli.main import main
+from pfdist.common.percent import rounded_up
+from pfdist.results import open_run
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("numbers.json")
@@ -50,12 +52,24 @@ def test_the_numbers_of_the_tables_are_those_that_were_kept(
     monkeypatch.setattr("pfdist.questions.run._PATIENCE", 10**6)
     command = COMMANDS[job].format(jobs=ROOT / "jobs").split()
     assert main([*command, "--results", str(tmp_path), "--pool", "serial", "--no-report"]) == 0
+    if job == "plan":
+        check_readme(tmp_path)
     now = summaries(tmp_path, rounded=job in ROUNDED)
     if request.config.getoption("--keep-golden"):
         keep(job, now)
     kept = json.loads(KEPT.read_text())[job]
     missing = [label for label in kept if not is_found(label, kept, now)]
     assert not missing, f"no column has the numbers that these columns had: {missing}"
+
+
+def check_readme(run: Path) -> None:
+    """The README claims what the plan says."""
+    rows = {row["label"]: row for row in open_run(run).as_json()["sets"]}
+    plan, readme = rows["plan"], " ".join((ROOT / "README.md").read_text("utf-8").split())
+    first, *_, last = plan["evenly_spaced"]
+    assert f"do as well as {first} to {last} evenly spaced ones" in readme
+    assert f"they lower > the expected MSE by {100 * plan['gain_of_means']:.0f} %" in readme
+    assert f"by more than a further {100 * rounded_up(plan['bound_gap_at_most']):.2g} %" in readme
 
 
 def keep(job: str, numbers: dict[str, Summary]) -> None:

@@ -14,7 +14,7 @@ from pfdist.results.run import COMPUTED, TABLES
 from pfdist.store.schema import KEYS
 
 EXAMPLE = Path(__file__).parents[2] / "results" / "example"
-MOST_NAMES = 13
+MOST_NAMES = 14
 
 
 @pytest.fixture(scope="module")

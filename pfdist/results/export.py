@@ -1,0 +1,149 @@
+"""The plan of a run as a CSV table or an iCalendar file (RFC 5545)."""
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pfdist.common.arguments import path_argument
+from pfdist.common.clock import Clock
+from pfdist.common.formatted_times import formatted_time
+from pfdist.errors import ArgumentError, one_line, shown
+from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, windows_of
+from pfdist.results.stored_run import problem_of, read_recorded
+from pfdist.store import run_key
+from pfdist.store.files import begins_with, check_replaceable, write_file
+
+if TYPE_CHECKING:
+    from pfdist.results.run import Run
+
+_KINDS = {".csv": b"measurement,t", ".ics": b"PRODID:-//pfdist//"}  # and the beginnings of files
+_START = 100  # bytes that hold these
+_LINE = 75  # octets of a line of iCalendar
+Rows = list[dict[str, Any]]
+
+
+def checked_export(path: str | Path, clock: Clock) -> Path:
+    """The path of an export of a plan on a clock, after a check.
+
+    Raises ArgumentError if its name has another ending, or if the clock has no dates for a diary.
+    Raises StoreError if another file has this name.
+    """
+    file = path_argument("export", path)
+    kind = file.suffix.lower()
+    if kind not in _KINDS:
+        raise ArgumentError(
+            f"export must end in {' or '.join(_KINDS)}, got {shown(str(path))}", argument="export"
+        )
+    if kind == ".ics" and not clock.calendar:
+        raise ArgumentError(
+            f"export must end in .csv, or the job must have problem.clock.start, got "
+            f"{shown(str(path))}",
+            argument="export",
+        )
+    check_replaceable(file, partial(begins_with, mark=_KINDS[kind], most=_START))
+    return file
+
+
+def export_plan(run: "Run", path: str | Path) -> Path:
+    """Write the plan of a run, with its sampling windows where `pfdist.why` was asked."""
+    import pandas as pd  # noqa: PLC0415  a run is opened without it
+
+    clock = problem_of(run).clock
+    file = checked_export(path, clock)
+    rows = _rows(run, clock)
+    if file.suffix.lower() == ".ics" and clock.calendar:
+        dates = [clock.dates[clock.instant(row["date"])] for row in rows]
+        text = _in_icalendar(run, rows, dates, clock.calendar.by_days)
+    else:
+        columns = None if rows else ["measurement", "t"]
+        text = pd.DataFrame(rows, columns=columns).to_csv(index=False, lineterminator="\n")
+    write_file(file, lambda temporary: temporary.write_bytes(text.encode()))
+    return file
+
+
+def _rows(run: "Run", clock: Clock) -> Rows:
+    """A row for each measurement of the plan, in order of time."""
+    best, rows, number = run.best, Rows(), len(clock.sensors) or 1
+    measurements = clock.measurements(best.measurement_times)
+    windows = dict[int, dict[str, Any]]()
+    if "sampling_windows" in run.tables:
+        moved = run.table("sampling_windows")
+        of_plan = moved[moved["name"] == best.name].to_dict("records")
+        for percent in (STRICT, WIDE):
+            for window in windows_of(of_plan, percent, clock.unit):
+                [at] = clock.measurements([window.measurement])
+                [stretch] = [each for each in runs_of(window.inside) if window.t in each]
+                ends = (formatted_time(t, clock.unit) for t in (stretch[0], stretch[-1]))
+                keys = f"earliest_{percent}", f"latest_{percent}"
+                windows.setdefault(at, {}).update(zip(keys, ends, strict=True))
+    for place, measurement in enumerate(measurements, 1):
+        instant, sensor = divmod(measurement, number)
+        row: dict[str, Any] = {"measurement": place, "t": formatted_time(clock.times[instant])}
+        row |= {"date": clock.time(instant)} if clock.calendar else {}
+        row |= {"sensor": clock.sensors[sensor]} if clock.sensors else {}
+        rows.append(row | windows.get(measurement, {}))
+    return rows
+
+
+# --- iCalendar ------------------------------------------------------------------------------------
+
+
+def _in_icalendar(run: "Run", rows: Rows, dates: Sequence[datetime], by_days: bool) -> str:
+    started = datetime.fromisoformat(read_recorded(run.path)[0]["provenance"]["started"])
+    lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//pfdist//plan//EN"]
+    for row, moment in zip(rows, dates, strict=True):
+        key, sensor = f"{run_key(run.path)}-{row['t']}", row.get("sensor", "")
+        summary = f"Measurement {row['measurement']} of {len(rows)}"
+        start = f":{moment:%Y%m%dT%H%M%S}"  # local, if the clock has no time zone
+        if by_days:
+            start = f";VALUE=DATE:{moment:%Y%m%d}"
+        elif moment.tzinfo:
+            start = f":{moment.astimezone(UTC):%Y%m%dT%H%M%SZ}"
+        lines += [
+            "BEGIN:VEVENT",
+            f"UID:{key}{f'-{sensor}' * bool(sensor)}@pfdist",
+            f"DTSTAMP:{started.astimezone(UTC):%Y%m%dT%H%M%SZ}",
+            f"DTSTART{start}",
+            f"SUMMARY:{_escaped(summary + f': {sensor}' * bool(sensor))}",
+            f"DESCRIPTION:{_escaped(_description(run, row))}",
+            "END:VEVENT",
+        ]
+    lines.append("END:VCALENDAR")
+    return "".join(f"{_folded(line)}\r\n" for line in lines)
+
+
+def _description(run: "Run", row: Mapping[str, Any]) -> str:
+    ends = {
+        percent: (row[f"earliest_{percent}"], row[f"latest_{percent}"])
+        for percent in (STRICT, WIDE)
+        if f"earliest_{percent}" in row
+    }
+    windows = [
+        f"Alone it may move from {first} to {last} at a loss of at most {percent} %."
+        for percent, (first, last) in ends.items()
+        if first != last
+    ]
+    if ends and not windows:
+        windows = [f"No other time is known to lose at most {WIDE} %."]
+    return " ".join([f"Run {one_line(run.path.name)}, planned by pfdist.", *windows])
+
+
+def _escaped(text: str) -> str:
+    for mark in ("\\", ";", ","):
+        text = text.replace(mark, f"\\{mark}")
+    return text
+
+
+def _folded(line: str) -> str:
+    """A line in pieces of at most 75 octets; all but the first begin with a space."""
+    pieces, size = [""], 0
+    for letter in line:
+        octets = len(letter.encode())
+        if size + octets > _LINE:
+            pieces.append(" ")
+            size = 1
+        pieces[-1] += letter
+        size += octets
+    return "\r\n".join(pieces)

@@ -1,0 +1,342 @@
+"""`pfdist backtest`: simulated replicates through the whole question, its files and its words."""
+
+import json
+import re
+import signal
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles import lake
+from oracles.batched import batched
+from oracles.bytes_of import hashes
+from oracles.lake import HORIZON, days, estimates
+from pfdist.cli.main import main
+from pfdist.errors import (
+    ArgumentError,
+    EngineWarning,
+    JobError,
+    MeasurementsError,
+    MeasurementTimesError,
+    PfdistWarning,
+    StoreError,
+)
+from pfdist.results.promise import KEPT, NOT_DECIDED, NOTHING_FORESEEN
+from pfdist.store import backtest_schema
+
+pytestmark = pytest.mark.filterwarnings("ignore::pfdist.errors.PfdistWarning")
+GRIDS = {"from_start": (0, 12, 24, 36), "centred": (6, 18, 30, 42)}
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished run with the exact filter."""
+    folder = tmp_path_factory.mktemp("lake")
+    text = Path(lake.__file__).read_text(encoding="utf-8")
+    (folder / "lake.py").write_text(text, encoding="utf-8")
+    (folder / "lake.toml").write_text(lake.JOB, encoding="utf-8")
+    return pfdist.run(folder / "lake.toml", folder / "run", figures=False).path
+
+
+@pytest.fixture
+def problem() -> pfdist.Problem:
+    return pfdist.Problem(lake.lake(), horizon=HORIZON, measurement_budget=4, engine="kalman")
+
+
+def judged(job: Any, data: Any, **options: Any) -> Any:
+    return pfdist.backtest(job, data, **{"pool": "serial", **options})
+
+
+def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
+    """Real errors of Kalman's recursion by hand, over the variance of all judged values."""
+    data = days(5)
+    found = judged(planned, data, times={"mine": [1, 2, 3, 40]})
+    plan = tuple(map(int, found.plan))
+    sets = {"plan": plan, **GRIDS, "mine": (1, 2, 3, 40)}
+    assert [*found.sets] == [*sets]
+    instants = [t for t in range(HORIZON + 1) if t not in {t for s in sets.values() for t in s}]
+    y = data["y0"].to_numpy().reshape(5, -1)
+    variance = y[:, instants].var()
+    for place in range(5):
+        for name, times in sets.items():
+            mean, _ = estimates(y[place], times)
+            row = found.table.query(f"replicate == 'd{place}' and set == '{name}'").iloc[0]
+            expected = np.mean((y[place] - mean)[instants] ** 2) / variance
+            assert row["real"] == pytest.approx(expected, rel=1e-9)
+            assert row["judged"] == len(instants)
+    assert found.judged == 5 * len(instants)
+    assert found.noise == pytest.approx(0.01 / variance, rel=0.05)
+    assert {*found.promises} == {*sets} - {"plan"}
+    assert found.files == ()
+
+
+def test_a_foreseen_gain_is_that_of_the_exact_errors(planned: Path) -> None:
+    found = judged(planned, days(40))
+    sets = {"plan": tuple(map(int, found.plan)), **GRIDS}
+    used = {t for times in sets.values() for t in times}
+    instants = [t for t in range(HORIZON + 1) if t not in used]
+    exact = {
+        name: np.mean(estimates(np.zeros(HORIZON + 1), times)[1][instants] + 0.01)
+        for name, times in sets.items()
+    }
+    for name in GRIDS:
+        promise, gain = found.promises[name], 1 - exact["plan"] / exact[name]
+        error = (promise.foreseen_interval[1] - promise.foreseen_interval[0]) / 2 / 1.96
+        assert abs(promise.foreseen - gain) < 4 * error
+        assert 0.05 < promise.foreseen < 0.3
+        assert error < 0.005
+    assert found.wrong == []
+    assert found.means["covered"].between(0.85, 0.95).all()
+
+
+def test_a_wrong_model_is_found_and_a_promise_is_kept(planned: Path) -> None:
+    """Errors three times as large as foreseen; the gain is large and measured by each day."""
+    data = days(60)
+    data["y0"] *= np.sqrt(3)
+    late = {"late": [44, 45, 46, 47]}
+    with pytest.warns(PfdistWarning, match="The model is wrong: the real error differs from"):
+        found = judged(planned, data, times=late)
+    assert found.wrong == [*found.sets]
+    assert found.promises["late"].verdict == KEPT
+    assert found.promises["late"].ratio == pytest.approx(3.0, rel=0.5)
+    assert found.improbable > 0.02
+
+
+def test_better_times_than_the_plan_have_no_promise(planned: Path) -> None:
+    """A set of half of all instants is better than the plan."""
+    found = judged(planned, days(3), times={"half": range(0, 48, 2)})
+    assert found.promises["centred"].verdict == NOT_DECIDED
+    assert found.promises["half"].verdict == NOTHING_FORESEEN
+    assert found.promises["half"].foreseen < 0.0
+
+
+def test_files_are_written_and_replaced_and_nothing_else(planned: Path, tmp_path: Path) -> None:
+    data = tmp_path / "days.csv"
+    days(3).to_csv(data, index=False)
+    before = hashes(planned.parent)
+    found = judged(planned, data)
+    names = [f"days.backtest.{end}" for end in ("csv", "png", "html")]
+    assert [file.name for file in found.files] == names
+    assert {file.name for file in tmp_path.iterdir()} == {"days.csv", *names}
+    assert hashes(planned.parent) == before
+    table = pd.read_csv(found.files[0])
+    assert [*table.columns] == backtest_schema().names
+    pd.testing.assert_frame_equal(table, found.table, check_dtype=False)
+    report = found.files[2].read_text(encoding="utf-8")
+    assert "Does the plan keep its promise?" in report
+    assert str(tmp_path) not in report
+    once = [file.read_bytes() for file in found.files]
+    assert [file.read_bytes() for file in judged(planned, data).files] == once
+    assert len(judged(planned, data, report=False).files) == 2
+
+
+def test_parquet_gives_parquet_in_another_folder(planned: Path, tmp_path: Path) -> None:
+    days(3).to_parquet(tmp_path / "days.parquet")
+    found = judged(planned, tmp_path / "days.parquet", out=tmp_path / "new", report=False)
+    assert found.files[0] == tmp_path / "new" / "days.backtest.parquet"
+    pd.testing.assert_frame_equal(pd.read_parquet(found.files[0]), found.table, check_dtype=False)
+    memory = judged(planned, days(3), out=tmp_path / "frame")
+    assert [file.name for file in memory.files] == [
+        f"data.backtest.{end}" for end in ("csv", "png", "html")
+    ]
+    pd.testing.assert_frame_equal(memory.table, found.table)
+
+
+def test_no_file_of_others_is_overwritten(planned: Path, tmp_path: Path) -> None:
+    data = tmp_path / "days.csv"
+    days(2).to_csv(data, index=False)
+    for end in ("csv", "png", "html"):
+        other = tmp_path / f"days.backtest.{end}"
+        other.write_bytes(b"mine")
+        with pytest.raises(StoreError, match=rf"days\.backtest\.{end} exists and is not an earl"):
+            judged(planned, data)
+        assert other.read_bytes() == b"mine"
+        other.unlink()
+
+
+@pytest.mark.parametrize("pool", ["threads", pytest.param("processes", marks=pytest.mark.slow)])
+def test_every_pool_gives_the_same_bytes(pool: str, planned: Path, tmp_path: Path) -> None:
+    data = tmp_path / "days.csv"
+    days(4).to_csv(data, index=False)
+    for each in (False, True):
+        folders = [tmp_path / f"{name}{each}" for name in ("serial", pool)]
+        for name, folder in zip(("serial", pool), folders, strict=True):
+            pfdist.backtest(planned, data, pool=name, workers=2, out=folder, plan_each=each)
+        assert hashes(folders[0]) == hashes(folders[1])
+
+
+def test_a_replicate_has_the_same_errors_whatever_others_are_in_the_table(planned: Path) -> None:
+    """But for the variance that divides all of them."""
+    both, alone = days(2), days(2).query("day == 'd1'")
+    first, second = (judged(planned, each).table.set_index("replicate").loc["d1"]
+                     for each in (both, alone))  # fmt: skip
+    shares = [each["foreseen"] / each["foreseen"].iloc[0] for each in (first, second)]
+    np.testing.assert_allclose(*shares, rtol=1e-12)
+
+
+def test_ctrl_c_leaves_no_file(
+    planned: Path, tmp_path: Path, stop: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "days.csv"
+    days(4).to_csv(data, index=False)
+    stop(signal.SIGINT)
+    assert main(["backtest", str(planned), str(data), "--pool", "serial"]) == 130
+    assert [*tmp_path.iterdir()] == [data]
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_command_says_the_verdict_and_gives_json(
+    planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "days.csv"
+    days(6).assign(train=lambda table: (table["day"] == "d0").astype(int)).to_csv(data, index=False)
+    words = ["backtest", str(planned), str(data), "--pool", "serial", "--times", "mine=0,1,2,3"]
+    assert main(words) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"against evenly spaced times from t = 0: the error is .* the model foresaw",
+                     text)  # fmt: skip
+    assert "left out d0: the model was fitted to it" in text
+    assert "not checked" not in text
+    assert "the set mine" in text
+    assert main([*words, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {*answer["promises"]} == {"from_start", "centred", "mine"}
+    assert {*answer["sets"]} == {"plan", *answer["promises"]}
+    assert answer["replicates"] == 5
+    assert answer["left_out"] == {"d0": "the model was fitted to it"}
+    assert answer["is_checked"] is True
+    assert [Path(answer[key]).name for key in ("table", "figure", "report")] == [
+        f"days.backtest.{end}" for end in ("csv", "png", "html")
+    ]
+    promise = answer["promises"]["centred"]
+    assert promise["verdict"] in {"kept", "not kept", "not decided", "no gain was foreseen"}
+    assert promise["interval"][0] <= promise["ratio"] <= promise["interval"][1]
+
+
+def test_replicates_that_cannot_be_judged_are_named(planned: Path) -> None:
+    data = days(5)
+    data = data[~((data["day"] == "d1") & (data["t"] > 35))]
+    plan = map(int, judged(planned, days(1)).plan)
+    used = {*plan, *GRIDS["from_start"], *GRIDS["centred"]}
+    data = data[(data["day"] != "d2") | data["t"].isin(used)]
+    found = judged(planned, data.assign(train=(data["day"] == "d3").astype(int)))
+    assert found.left_out == {
+        "d1": "no measurement within 0.5 of t = 36",
+        "d2": "no value is left to judge",
+        "d3": "the model was fitted to it",
+    }
+    assert found.table["replicate"].unique().tolist() == ["d0", "d4"]
+    assert found.is_checked
+    assert not judged(planned, days(2)).is_checked
+    near = judged(planned, data, within=20.0)
+    assert "d1" not in near.left_out
+    with pytest.raises(MeasurementsError, match=r"no replicate can be judged \(d0: the model was"):
+        judged(planned, data.assign(train=1))
+
+
+def test_known_quantities_are_judged_in_place_of_measurements(
+    planned: Path, problem: pfdist.Problem
+) -> None:
+    draws = pfdist.simulate(problem, draws=4, seed=5)
+    data = draws.rename(columns={"draw": "day", "y_turbidity": "y0", "z_turbidity": "z0"})
+    found = judged(planned, data[["day", "t", "y0", "z0"]])
+    y, z = (data[name].to_numpy().reshape(4, -1) for name in ("y0", "z0"))
+    used = {t for times in ([*map(int, found.plan)], *GRIDS.values()) for t in times}
+    instants = [t for t in range(HORIZON + 1) if t not in used]
+    mean, _ = estimates(y[2], GRIDS["centred"])
+    expected = np.mean((z[2] - mean)[instants] ** 2) / z[:, instants].var()
+    row = found.table.query("replicate == '2' and set == 'centred'").iloc[0]
+    assert row["real"] == pytest.approx(expected, rel=1e-9)
+    assert found.noise == 0.0
+
+
+def test_a_plan_for_each_is_made_among_its_own_measurements(problem: pfdist.Problem) -> None:
+    """A day that was measured at even hours only, and one with too few measurements."""
+    data = days(3)
+    even = data[(data["day"] != "d1") | (data["t"] % 2 == 0)]
+    even = even[(even["day"] != "d2") | (even["t"] < 3)]
+    found = judged(problem, even, plan_each=True, within=1.0)
+    assert found.left_out == {"d2": "it has too few measurements for a plan"}
+    shown = {each.name: each.used for each in found.shown}
+    assert all(t % 2 == 0 for t in shown["d1"])
+    assert len(shown["d0"]) == len(shown["d1"]) == 4
+
+
+def test_replicates_have_clocks_of_their_own() -> None:
+    problem = pfdist.Problem(
+        pfdist.load_model("pharmacokinetics"), horizon=12, time_step=0.5, time_unit="h",
+        measurement_budget=3, particles=60,
+    )  # fmt: skip
+    draws = pfdist.simulate(problem, draws=3, seed=3).rename(columns={"draw": "patient"})
+    data = draws.rename(columns={"y_log_concentration": "y0"})[["patient", "t", "y0"]]
+    inside = (data["patient"] == 1) & (data["t"] > 0) & (data["t"] < 12)
+    data.loc[inside, "t"] += 0.1
+    found = judged(problem, data, plan_each=True)
+    assert not found.left_out
+    (own,) = [each for each in found.shown if each.name == "1"]
+    assert own.times[1] == pytest.approx(0.6)
+    assert found.within == 0.25
+    assert np.isfinite(found.table[["real", "foreseen"]].to_numpy()).all()
+
+
+@pytest.mark.slow
+def test_a_batched_model_is_judged_with_the_same_errors(problem: pfdist.Problem) -> None:
+    model = replace(lake.lake(), linear_gaussian=False)
+    given = {"horizon": HORIZON, "measurement_budget": 4, "particles": 50}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EngineWarning)
+        tables = [
+            judged(pfdist.Problem(each, **given), days(2), plan_each=True).table
+            for each in (model, batched(model))
+        ]
+    pd.testing.assert_frame_equal(*tables, rtol=1e-6)
+
+
+def test_wrong_options_and_tables_are_one_line(planned: Path, problem: pfdist.Problem) -> None:
+    data = days(2)
+    for options, error, said in (
+        ({"times": {"plan": [0]}}, ArgumentError, "times: 'plan' is the name of another set"),
+        ({"times": {"centred": [0]}}, ArgumentError, "times: 'centred' is the name of another"),
+        ({"times": {"mine": [48]}}, MeasurementTimesError, "times of mine"),
+        ({"replicate": "dya"}, MeasurementsError, "did you mean 'day'"),
+    ):
+        with pytest.raises(error, match=said):
+            judged(planned, data, **options)
+    for table, said in (
+        (data.assign(y0=1.0), "component 0 must differ from each other, .*, got 1 to 1"),
+        (data.assign(y0=data["y0"] * 1e200), "must differ from each other, by less than 1e150"),
+        (data[data["t"] < 20], r"no replicate can be judged \(d0: no measurement within 0\.5 of"),
+    ):
+        with pytest.raises(MeasurementsError, match=said):
+            judged(planned, table)
+    scenarios = {"parameters": [{"sd": 0.2}, {"sd": 0.4}], "filter": "nominal"}
+    several = pfdist.Problem(
+        lake.lake(), horizon=HORIZON, measurement_budget=4, scenarios=scenarios
+    )
+    with pytest.raises(JobError, match="plan_each needs a job without scenarios, or"):
+        judged(several, data, plan_each=True)
+    with pytest.raises(MeasurementsError, match="column sd: a parameter with scenarios"):
+        judged(several, data.assign(sd=0.3), plan_each=True)
+
+
+def test_a_single_replicate_and_a_single_block_have_no_interval(planned: Path) -> None:
+    for found in (judged(planned, days(1)), judged(planned, days(3), block=3)):
+        assert {each.verdict for each in found.promises.values()} <= {NOT_DECIDED, NOTHING_FORESEEN}
+        assert found.wrong == []
+        text = repr(found)
+        assert "(too few replicates for an interval)" in text
+        assert "unknown" not in text.lower()
+        assert "nan" not in text
+
+
+def test_a_job_is_as_good_as_its_run(planned: Path) -> None:
+    of_run = judged(pfdist.open_run(planned), days(2)).table
+    of_job = judged(planned.parent / "lake.toml", days(2), results=planned).table
+    pd.testing.assert_frame_equal(of_run, of_job)
