@@ -31,18 +31,18 @@ def main() -> None:
 def ask(name: str, *changes: str) -> None:
     """Print the times of the answers to moves."""
     session = Session(load_job(JOBS / name, changes))
-    first = seconds(session, session.first_draws)
-    whole = seconds(session, FIRST_DRAWS)
+    first = seconds(session, session.first_draws, 0)
+    whole = seconds(session, FIRST_DRAWS, 1)
     label = ", ".join([f"`{name}`", *(change.replace("filter.", "") for change in changes)])
     draws = "exact" if session.played.exact else f"{session.first_draws}"
     print(f"| {label} | {draws} | {1000 * first:.0f} | {1000 * whole:.0f} |", flush=True)  # noqa: T201
 
 
-def seconds(session: Session, draws: int) -> float:
+def seconds(session: Session, draws: int, number: int) -> float:
     """Median time of an answer on so many draws, in seconds."""
     taken = []
-    for seed in range(MOVES + 1):
-        rng = np.random.default_rng((draws, seed))
+    for move in range(MOVES + 1):
+        rng = np.random.default_rng((number, move))
         times = {*session.even} - {int(rng.choice(session.even))}
         others = [m for m in range(session.job.problem.clock.possible) if m not in times]
         message = {"ask": "answer", "times": [*times, int(rng.choice(others))], "draws": draws}

@@ -75,9 +75,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page of `explore` ends at once, and no browser opens."""
+
+    async def serve(*_: Any, **__: Any) -> None:
+        pass
+
+    monkeypatch.setattr("uvicorn.Server.serve", serve)
+    monkeypatch.setattr("webbrowser.open", lambda _: None)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("line", EXAMPLES)
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "no_page")
 def test_an_example_runs(line: str, folder: Path) -> None:
     program, *words = shlex.split(line)
     if program != "pfdist" or ">" in words:
