@@ -305,9 +305,9 @@ export function mount(element, connection) {
       chart.append(draw("line", { class: "grid", x1, x2, y1, y2: y1 }),
         label({ x: LEFT - 12, y: y1 + 4, "text-anchor": "end" }, value));
     }
-    for (const value of ticks(...span(), width() / 90)) {
+    const isNumber = facts.labels[0] === String(facts.times[0]); // else a date
+    for (const value of ticks(...span(), width() / (isNumber ? 90 : 170))) {
       const t = least([...facts.times.keys()], (each) => Math.abs(facts.times[each] - value));
-      const isNumber = facts.labels[t] === String(facts.times[t]); // else a date
       const at = isNumber ? LEFT + (value - span()[0]) * wide() : x(t);
       const text = isNumber ? value : facts.labels[t];
       chart.append(draw("line", { class: "grid", x1: at, x2: at, y1: bottom, y2: bottom + 5 }),
