@@ -206,7 +206,7 @@ export function mount(element, connection) {
   // --- pictures ----------------------------------------------------------------------------------
 
   const width = () => Math.max(240, root.clientWidth
-    - 2 * parseFloat(getComputedStyle(root).paddingLeft));
+    - 2 * (parseFloat(getComputedStyle(root).paddingLeft) || 0)); // 0 outside of a document
   const span = () => [facts.times[0], facts.times.at(-1)];
   const wide = () => (width() - LEFT - RIGHT) / (span()[1] - span()[0]); // pixels a unit of time
   const x = (t) => LEFT + (facts.times[t] - span()[0]) * wide();
@@ -311,7 +311,7 @@ export function mount(element, connection) {
       const at = isNumber ? LEFT + (value - span()[0]) * wide() : x(t);
       const text = isNumber ? value : facts.labels[t];
       chart.append(draw("line", { class: "grid", x1: at, x2: at, y1: bottom, y2: bottom + 5 }),
-        label({ x: at, y: CHART - 8, "text-anchor": "middle" }, text));
+        label({ x: at, y: CHART - 8, "text-anchor": isNumber || t ? "middle" : "start" }, text));
     }
     for (const [set, curve] of curves) {
       const points = curve.map((value, t) => value !== null && `${x(t)} ${y(value)}`);
