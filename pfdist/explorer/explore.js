@@ -206,7 +206,7 @@ export function mount(element, connection) {
   // --- pictures ----------------------------------------------------------------------------------
 
   const width = () => Math.max(240, root.clientWidth
-    - 2 * parseFloat(getComputedStyle(root).paddingLeft));
+    - 2 * (parseFloat(getComputedStyle(root).paddingLeft) || 0)); // 0 outside of a document
   const span = () => [facts.times[0], facts.times.at(-1)];
   const wide = () => (width() - LEFT - RIGHT) / (span()[1] - span()[0]); // pixels a unit of time
   const x = (t) => LEFT + (facts.times[t] - span()[0]) * wide();
@@ -305,13 +305,13 @@ export function mount(element, connection) {
       chart.append(draw("line", { class: "grid", x1, x2, y1, y2: y1 }),
         label({ x: LEFT - 12, y: y1 + 4, "text-anchor": "end" }, value));
     }
-    for (const value of ticks(...span(), width() / 90)) {
+    const isNumber = facts.labels[0] === String(facts.times[0]); // else a date
+    for (const value of ticks(...span(), width() / (isNumber ? 90 : 170))) {
       const t = least([...facts.times.keys()], (each) => Math.abs(facts.times[each] - value));
-      const isNumber = facts.labels[t] === String(facts.times[t]); // else a date
       const at = isNumber ? LEFT + (value - span()[0]) * wide() : x(t);
       const text = isNumber ? value : facts.labels[t];
       chart.append(draw("line", { class: "grid", x1: at, x2: at, y1: bottom, y2: bottom + 5 }),
-        label({ x: at, y: CHART - 8, "text-anchor": "middle" }, text));
+        label({ x: at, y: CHART - 8, "text-anchor": isNumber || t ? "middle" : "start" }, text));
     }
     for (const [set, curve] of curves) {
       const points = curve.map((value, t) => value !== null && `${x(t)} ${y(value)}`);

@@ -13,7 +13,6 @@ import math
 import shlex
 import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,14 +97,13 @@ class Session:
         budget = f"{sets.total} measurements"
         if not sets.counted:
             budget = f"Measurements for a total price of {sets.total_price}"
-        instants = replace(clock, sensors=())
         spaced = [None if each.spacing is None else each.spacing.successors for each in sets.limits]
         return {
             "model": self.job.model.name,
             "run": str(self._source or self.run.path) if self.run else "",
             "times": [float(each) for each in clock.times],
-            "labels": [formatted_time(instants.written(t)) for t in range(clock.horizon + 1)],
-            "unit": clock.unit,
+            "labels": [formatted_time(clock.time(t)) for t in range(clock.horizon + 1)],
+            "unit": "" if clock.calendar else clock.unit,  # dates have none
             "sensors": clock.sensors or ("",),
             "forbidden": sets.forbidden,
             "required": sets.required,

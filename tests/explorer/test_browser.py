@@ -13,7 +13,7 @@ import pytest
 import pfdist
 from oracles.explored import SMALL, served
 from pfdist import load_job
-from pfdist.explorer.session import Session
+from pfdist.explorer.session import Session, reply
 
 pytestmark = pytest.mark.browser
 
@@ -388,6 +388,35 @@ def test_two_pages_have_their_own_times(open_page: Open, address: str, session: 
     assert [times(page) for page in pages] == [[0, 4, 8, 11], [0, 4, 6, 12]]
     for page in pages:
         answered(page, session)
+
+
+_RENDER = """async () => {
+  const { default: widget } = await import(new URL("explore.js", location.href));
+  const el = document.createElement("div");
+  let heard = [];
+  document.querySelector("main").replaceChildren(el);
+  window.stop = widget.render({ el, model: {
+    on: (_, callback) => { heard.push(callback); },
+    off: (_, callback) => { heard = heard.filter((each) => each !== callback); },
+    async send(message) {
+      const answer = await window.kernel(message);
+      heard.forEach((callback) => callback(answer, []));
+    },
+  } });
+}"""
+
+
+def test_the_widget_shows_the_same_in_a_notebook(
+    open_page: Open, address: str, session: Session
+) -> None:
+    page = open_page(address)
+    page.expose_function("kernel", lambda message: reply(session, message))
+    page.evaluate(_RENDER)
+    page.locator("dl div").first.wait_for()
+    slider(page, 12).press("ArrowLeft")
+    assert times(page) == [0, 4, 8, 11]
+    answered(page, session)
+    page.evaluate("window.stop()")
 
 
 # --- looks ----------------------------------------------------------------------------------------

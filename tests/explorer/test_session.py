@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pfdist
-from oracles.explored import job_of
+from oracles.explored import SMALL, job_of
 from pfdist.common.parsing import parse_toml
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.errors import JobError, MeasurementTimesError, PfdistError, StoreError
@@ -197,6 +197,27 @@ def test_an_unfinished_run_is_refused(small_run: pfdist.Run) -> None:
     shutil.rmtree(small_run.path / "tables" / "comparison")
     with pytest.raises((StoreError, PfdistError)):
         Session(small_run.path)
+
+
+def test_a_calendar_gives_dates(tmp_path: Path) -> None:
+    clock = "{start=2026-03-28T08:00:00, step='6 h', timezone='Europe/Brussels'}"
+    sections = {"problem": {"horizon": "2026-03-31T09:00:00", "measurement_budget": 3}}
+    exact = ["model.name=random_walk", "filter.engine=kalman", "search=[{method='exhaustive'}]"]
+    job = pfdist.load_job(SMALL, [f"problem.clock={clock}", *exact], sections)
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    pfdist.why(run, figures=False)
+    session = Session(run)
+    state = session.state()
+    assert state["labels"][:4] == [  # summer time begins in the night to 29 March
+        "2026-03-28T08:00", "2026-03-28T14:00", "2026-03-28T20:00", "2026-03-29T03:00"
+    ]  # fmt: skip
+    assert state["unit"] == ""
+    assert {*map(int, state["windows"])} == {*(session.plan or ())}
+    (judged,) = session.judge("a", (0, 5, 9))
+    assert judged["written"] == "2026-03-28T08:00, 2026-03-29T15:00, 2026-03-30T15:00"
+    file = tmp_path / "explored.toml"
+    file.write_text(session.job_text({"a": (0, 5, 9)}))
+    assert pfdist.load_job(file).given_sets["a"] == (0, 5, 9)
 
 
 # --- judging --------------------------------------------------------------------------------------
