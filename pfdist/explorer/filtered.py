@@ -163,7 +163,7 @@ class Change(NamedTuple):
     draws: int  # 0: exact
 
     @classmethod
-    def of(cls, evaluation: Evaluation, other: Evaluation) -> "Change":
+    def between(cls, evaluation: Evaluation, other: Evaluation) -> "Change":
         """The gain of an evaluation over another."""
         gain, errors = 1.0 - evaluation.expected_mse / other.expected_mse, Pairs()
         draws = evaluation.draws

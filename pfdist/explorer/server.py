@@ -151,7 +151,7 @@ def page_of(
     browser : bool
         Whether a browser is opened.
     token : str
-        Of the address; by default random.
+        The part of the address that is secret; by default random.
 
     Raises
     ------

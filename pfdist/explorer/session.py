@@ -194,7 +194,7 @@ class Session:
         facts = [("expected MSE", with_error(own.expected_mse, own.standard_error))]
         for name, other in ((EVEN, "evenly spaced"), (PLAN, "the plan")):
             if name in known and times != known[name].measurement_times:
-                facts.append((f"against {other}", Change.of(own, known[name]).text()))
+                facts.append((f"against {other}", Change.between(own, known[name]).text()))
         bound = self.best.bound if self.best else None
         if bound and math.isfinite(bound) and not self.feasible.broken(times):
             gap = percent(max(0.0, 1.0 - bound / own.expected_mse), 1)
@@ -242,7 +242,7 @@ class Session:
         fresh = Filtered(self.built, stream_of("judge", self.job.seed, number, times))
         own, even = fresh.evaluations([times, self.even], self.judging_draws)
         with self._lock:
-            self._judged.append(Judgement(name, times, Change.of(own, even), again))
+            self._judged.append(Judgement(name, times, Change.between(own, even), again))
 
     @property
     def judging_draws(self) -> int:

@@ -54,7 +54,7 @@ def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
     ).groups()
     gain = 100 * (1 - own.mean() / even.mean()) * (1 if side == "lower" else -1)
     assert float(value) == pytest.approx(gain, abs=0.1)
-    # By the delta method, which agrees with Fieller's theorem where the errors are small.
+    # The delta method agrees with Fieller's theorem where the errors are small.
     ratio = own.mean() / even.mean()
     error = 100 * np.std(own - ratio * even, ddof=1) / even.mean() / 480**0.5
     assert float(high) - float(low) == pytest.approx(2 * 1.965 * error, rel=0.1)
@@ -269,9 +269,9 @@ def test_the_reference_is_not_judged(session: Session) -> None:
 
 
 def test_intervals_of_judgements_hold_together() -> None:
-    """Of 40 users who judge four sets, at most 5 % may find an interval without the true gain.
+    """At most 5 % of users who judge four sets may find an interval without the true gain.
 
-    More than 8 of 40 would have a probability below 1e-4.
+    More than 8 of 40 users would have a probability below 1e-4.
     """
     job = job_of("model.name=random_walk", "filter.particles=30", "comparison.draws=60")
     many = Filtered(Session(job).built, stream_of("evaluate", 99))

@@ -92,6 +92,7 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("backtest", (FINISHED, MEASURED.assign(patient="a")), {"times": {"mine": [99]}}),
     ("fit", (FINISHED, MEASURED.assign(patient="a"), ["process_sd"]), {}),
     ("fit", (FINISHED, 5, ["process_sd"]), {}),
+    ("explore", (5,), {}),
     ("next_time", (FINISHED, MEASURED), {"now": "late"}),
     ("next_time", (FINISHED, pd.DataFrame()), {}),
     ("filter_measurements", (FINISHED, pd.DataFrame()), {}),
