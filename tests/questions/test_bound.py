@@ -477,7 +477,8 @@ def test_a_run_of_another_version_is_proved_and_not_written_to(
     said, before = list[str](), sorted(walk.rglob("*"))
     found = bound(walk, LEAST_DRAWS, say=said.append)
     assert not any(gap.reason for gap in found.gaps)
-    assert any(f"is of another program (pfdist: {pfdist.__version__} -> 99)" in line for line in said)
+    change = f"is of another program (pfdist: {pfdist.__version__} -> 99)"
+    assert any(change in line for line in said)
     assert sorted(walk.rglob("*")) == before
 
 
