@@ -30,7 +30,10 @@ def answer_of(answer: Backtest) -> Page:
     """The answer of a terminal: a sentence for each reference, and two tables."""
     section = Section("", [Text(_headline(answer), prominent=True), _verdicts(answer),
                            _sets(answer), Facts(_facts(answer))])  # fmt: skip
-    place = f"Report: {answer.files[-1]}" if answer.files else ""
+    place = ""
+    if answer.files:
+        kind = "Report" if answer.files[-1].suffix == ".html" else "Figure"
+        place = f"{kind}: {answer.files[-1]}"
     return Page("", "", [section], [*_warnings(answer)], place=place)
 
 

@@ -60,7 +60,10 @@ def _answer(subject: Subject) -> list[Text]:
         text = f"{chosen} {do} at least as well as {most.measurements} evenly spaced ones"
         text += f"{_of_number(subject, number)}."
     else:
-        text = f"Fewer chosen measurements do worse than {most.measurements} evenly spaced ones."
+        text = (
+            "No plan of fewer measurements that was tried does as well as "
+            f"{most.measurements} evenly spaced ones."
+        )
     if reached["impossible"] is not None:
         too_few = number_of(reached["impossible"], "measurement")
         text += f" Proved: {too_few} cannot, at any times (95 % confidence)."

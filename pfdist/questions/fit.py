@@ -32,6 +32,7 @@ from pfdist.runner.progress import Progress, Show
 Array = NDArray[np.float64]
 _STEP = 0.2  # of the first values that are tried: a fifth of the start
 _REPEATS = 8  # estimates under other noise, from which the error of the likelihood follows
+_LARGE = 2.0  # an error of a log-likelihood
 _TOLERANCE = {"xatol": 1e-3, "fatol": 1e-2}
 
 
@@ -44,8 +45,10 @@ class Fitted(Shown):
     parameters : dict of str to float
         The values with the largest likelihood that was found.
     log_likelihood : float
+        At these values: exact, or the mean over noise that did not choose them. With few particles
+        it is too low, and more so for sharp sensors.
     error : float
-        Standard deviation of the log-likelihood under other noise; 0 if it is exact.
+        Standard deviation of the log-likelihood from noise to noise; 0 if it is exact.
     started_at : float
         The log-likelihood at the start.
     evaluations : int
@@ -73,10 +76,16 @@ class Fitted(Shown):
         facts = [("log-likelihood", f"{likelihood} (at the start: {rounded(self.started_at)})"),
                  ("evaluations", f"{self.evaluations:,}"),
                  ("replicates", str(self.replicates))]  # fmt: skip
-        ended = [] if self.is_converged else ["The search has not converged: start at its result."]
-        return Page(
-            "", "", [Section("", [Text(f"{values}.", prominent=True), Facts(facts)])], ended
-        )
+        warnings = list[str]()
+        if not self.is_converged:
+            warnings.append("The search has not converged: start at its result.")
+        if self.error > _LARGE:
+            warnings.append(
+                f"The log-likelihood has an error of {self.error:.1f}: take more particles. With "
+                "too few, a fitted deviation of the measurements is too large."
+            )
+        section = Section("", [Text(f"{values}.", prominent=True), Facts(facts)])
+        return Page("", "", [section], warnings)
 
 
 class _Group(NamedTuple):
@@ -218,13 +227,13 @@ class _Fitting:
         options: Any = {"initial_simplex": simplex, "maxfev": evaluations, **_TOLERANCE}
         found = minimize(loss, begin, method="Nelder-Mead", bounds=[*zip(*ends, strict=True)],
                          options=options)  # fmt: skip
-        best, error = self._values(found.x), 0.0
+        best, likelihood, error = self._values(found.x), -float(found.fun), 0.0
         if self.particles:
             others = [self._likelihood(best, repeat) for repeat in range(1, _REPEATS + 1)]
-            error = float(np.std(others, ddof=1))
+            likelihood, error = float(np.mean(others)), float(np.std(others, ddof=1))
         replicates = sum(len(group.y) for group in self.groups)
         converged = bool(found.success)
-        return Fitted(best, -float(found.fun), error, started_at, tried, converged, replicates)
+        return Fitted(best, likelihood, error, started_at, tried, converged, replicates)
 
     def _point(self, values: Sequence[float]) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -71,10 +71,14 @@ def _rows(run: "Run", clock: Clock) -> Rows:
     if "sampling_windows" in run.tables:
         moved = run.table("sampling_windows")
         of_plan = moved[moved["name"] == best.name].to_dict("records")
+        allowed = sorted({each // number for each in problem_of(run).feasible.allowed})
+        order = {instant: place for place, instant in enumerate(allowed)}
         for percent in (STRICT, WIDE):
             for window in windows_of(of_plan, percent, clock.unit):
                 [at] = clock.measurements([window.measurement])
-                [stretch] = [each for each in runs_of(window.inside) if window.t in each]
+                # Instants that are not allowed, such as weekends, end no window.
+                inside = {t: order.get(instant, -2) for t, instant in window.inside.items()}
+                [stretch] = [each for each in runs_of(inside) if window.t in each]
                 ends = (formatted_time(t, clock.unit) for t in (stretch[0], stretch[-1]))
                 keys = f"earliest_{percent}", f"latest_{percent}"
                 windows.setdefault(at, {}).update(zip(keys, ends, strict=True))

@@ -14,8 +14,8 @@ import pytest
 SCRIPTS = Path(__file__).parents[2] / "jobs" / "slurm"
 STRANGE = 'it\'s a "job" $(touch gone) `touch gone`; * \\'
 OWN = {
-    "one-node": ["--pool", "threads", "--workers", "2"],
-    "array": ["--part", "3/200", "--pool", "threads", "--workers", "2"],
+    "one-node": ["--pool", "auto", "--workers", "2"],
+    "array": ["--part", "3/200", "--pool", "auto", "--workers", "2"],
     "nodes": ["--pool", "ray", "--address", "10.0.0.1:20007"],
 }
 PROGRAMS = {
