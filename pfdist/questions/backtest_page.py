@@ -13,6 +13,7 @@ from pfdist.questions.subject import change_of, number_of
 from pfdist.results.promise import KEPT, NOT_DECIDED, NOT_KEPT, NOTHING_FORESEEN, Promise
 
 _WORST_FIRST = (NOT_KEPT, NOT_DECIDED, NOTHING_FORESEEN, KEPT)
+_MUCH = 1000.0  # the end of an interval that says nothing
 _DEPENDENT = 0.3  # lag-1 correlation of differences
 _MEANING = (
     "Errors are squared errors of the filter's prediction, divided by the variance of what is "
@@ -119,7 +120,8 @@ def _verdicts(answer: Backtest) -> Table:
 
 
 def _ratio(ratio: float, interval: tuple[float, float]) -> str:
-    if not all(map(math.isfinite, (ratio, *interval))):
+    is_known = all(map(math.isfinite, (ratio, *interval))) and interval[1] < _MUCH
+    if not is_known:
         return f"{rounded(ratio, 2)} (any)"
     value, low, high = with_interval(ratio, *interval)
     return f"{value} ({low} to {high})"
