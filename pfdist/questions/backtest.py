@@ -1,9 +1,8 @@
 """Judge a plan by real measurements: whether the gain that the model foresees is found in them."""
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Unpack
@@ -14,58 +13,46 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import Field
 
-from pfdist.common.arguments import path_argument
-from pfdist.common.clock import Clock, Time
+from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
-from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Page
-from pfdist.common.rounding import rounded
 from pfdist.common.section import Number, Whole, checked
 from pfdist.common.shown import Shown
-from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
     JobError,
     MeasurementsError,
-    MeasurementTimesError,
     PfdistWarning,
-    shown,
 )
 from pfdist.filters.replicates import Replicate, read_replicates
-from pfdist.pools.base import Pool
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work
 from pfdist.questions.evaluate import OneSet, instants_of
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.planned_run import UserTable, planned_run, table_argument
-from pfdist.questions.planner import first_planning
+from pfdist.questions.planned_run import (
+    UserTable,
+    files_beside,
+    planned_run,
+    table_argument,
+)
 from pfdist.questions.report import write_page
+from pfdist.questions.thinned import Matched, judged_errors, matched_of, plans_of
 from pfdist.results import Run, finite
 from pfdist.results.promise import Errors, Promise, promise, real_over_foreseen
 from pfdist.runner.backtesting import (
-    PlanWork,
     ReplicateErrors,
-    ReplicateWork,
-    errors_of,
-    evaluator_for,
-    outcomes,
-    plan_of,
 )
 from pfdist.runner.build import Built, build
-from pfdist.runner.progress import Progress, Show, silent
-from pfdist.runner.searches import planning_of
+from pfdist.runner.progress import silent
 from pfdist.store import backtest_schema
 from pfdist.store.folder import check_page_replaceable
-from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
+from pfdist.store.user_tables import check_table_replaceable, write_user_table
 
 Array = NDArray[np.float64]
-DRAWS = 480
-"""Simulated systems for each replicate."""
 PLAN, FROM_START, CENTRED = "plan", "from_start", "centred"
 SHOWN = 4
 """Replicates that a report shows in full."""
 IMPROBABLE = 0.01
-_GRIDS = 2
 
 
 class ShownReplicate(NamedTuple):
@@ -265,7 +252,7 @@ def backtest(
     from pfdist.pages import backtested  # noqa: PLC0415
 
     chosen, table = Chosen(**options), table_argument("data", data)
-    files = _files(table, out)[: 3 if chosen.report is not False else 2]
+    files = files_beside(table, out, "data", "backtest")[: 3 if chosen.report is not False else 2]
     checks: Any = (lambda path: check_table_replaceable(path, backtest_schema()),
               backtested.check_figure_replaceable, check_page_replaceable)  # fmt: skip
     for file, check in zip(files, checks, strict=False):
@@ -292,18 +279,20 @@ def backtest(
         for name in {*own} & {PLAN, FROM_START, CENTRED}:
             raise ArgumentError(f"times: {name!r} is the name of another set; choose another name")
         with at_work(execution, [built.evaluator.engine], tell) as pool:
-            plans = _plans(built, replicates, pool, show) if plan is None else plan
-            matched, left_out = _matched(built, replicates, plans, own, within)
+            plans = plans_of(built, replicates, pool, show) if plan is None else plan
+            matched, left_out = matched_of(built, replicates, plans, own, within)
             if not matched:
                 why = next((f"{name}: {each}" for name, each in left_out.items()), "no rows")
                 raise MeasurementsError(f"no replicate can be judged ({why})")
-            errors = _errors(built, matched, pool, show)
+            errors = judged_errors(built, matched, pool, show)
     first = f"evenly spaced times from t = {clock.formatted(0)}"
     sets = {PLAN: "the plan", FROM_START: first, CENTRED: "centred evenly spaced times"}
     sets |= {name: f"the set {name}" for name in own}
-    result = _result(sets, matched, errors, block)
-    result = replace(
-        result,
+    result = _result(
+        sets,
+        matched,
+        errors,
+        block,
         data=Path("data") if isinstance(table, pd.DataFrame) else table,
         plan=() if plan is None else tuple(clock.written_of(plan)),
         left_out=left_out,
@@ -342,205 +331,14 @@ def _check_columns(built: Built, replicates: Iterable[Replicate]) -> None:
             )
 
 
-def _files(data: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ...]:
-    """The files of the result. A table in memory has no folder: without `out` there are none."""
-    folder = path_argument("out", out)
-    if isinstance(data, pd.DataFrame):
-        if not str(out):
-            return ()
-        data = folder / "data.csv"
-    folder = folder if str(out) else data.parent
-    suffix = "parquet" if is_parquet(data) else "csv"
-    return tuple(folder / f"{data.stem}.backtest.{end}" for end in (suffix, "png", "html"))
-
-
-# --- sets of each replicate -----------------------------------------------------------------------
-
-
-class _Matched(NamedTuple):
-    """A replicate that is judged."""
-
-    replicate: Replicate
-    sets: tuple[Times, ...]  # on the replicate's clock
-    judged: Array  # (T+1, q): the values that no set uses; NaN elsewhere
-
-    @property
-    def is_predicted(self) -> bool:
-        """Whether measurements are judged, and not known quantities of interest."""
-        return self.replicate.z is None
-
-
-_Plans = Times | Mapping[str, Times | None]
-
-
-def _plans(
-    built: Built, replicates: Sequence[Replicate], pool: Pool, show: Show
-) -> dict[str, Times | None]:
-    """The plan of each replicate on its own clock; None if it is not judged.
-
-    It is not judged if the model was fitted to it, or if it has too few measurements.
-    """
-    feasible, job = built.feasible, built.job
-    if feasible.measurement_budget is None:
-        raise JobError("plan_each needs problem.measurement_budget, got a total price")
-    if built.evaluator.scenarios:
-        raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
-    planning = first_planning(planning_of(job, built.evaluator.cheapest_estimator))
-    works = dict[str, PlanWork]()
-    plans: dict[str, Times | None] = dict.fromkeys(each.name for each in replicates)
-    for each in replicates:
-        if each.is_training:
-            continue
-        measured = {*each.measured(built.evaluator.model)}
-        on = each.clock if each.has_own_clock or feasible.clock else None
-        possible = range(len(each.y) * feasible.sensors)
-        lacking = tuple(number for number in possible if number not in measured)
-        if each.has_own_clock:
-            rest = replace(
-                feasible, horizon=each.clock.horizon, clock=on, forbidden=(), required=()
-            )
-        else:
-            rest = feasible
-        with suppress(MeasurementTimesError):  # too few measurements
-            rest = replace(rest, forbidden=tuple(sorted({*rest.forbidden, *lacking})))
-            evaluator = evaluator_for(built, each, is_predicted=False)
-            stream = stream_of("backtest", job.seed, "plan", each.name)
-            works[each.name] = PlanWork(evaluator, rest, planning, stream)
-    names = [*works]
-    for done, (place, times) in enumerate(
-        outcomes(pool, plan_of, [*works.values()], "the plans"), 1
-    ):
-        plans[names[place]] = times
-        show(
-            Progress("plan", done, len(names), doing=f"Planning: {done} of {len(names)} replicates")
-        )
-    return plans
-
-
-def _matched(
-    built: Built,
-    replicates: Sequence[Replicate],
-    plans: _Plans,
-    own: Mapping[str, Times],
-    within: float,
-) -> tuple[list[_Matched], dict[str, str]]:
-    """The replicates that are judged, and why the others are not, by name.
-
-    `plans` is the plan on the clock of the job, or the plan of each replicate on its own clock.
-    """
-    clock, model = built.job.problem.clock, built.evaluator.model
-    matched, left_out = list[_Matched](), dict[str, str]()
-    for each in replicates:
-        plan = plans.get(each.name) if isinstance(plans, Mapping) else plans
-        on = each.clock if isinstance(plans, Mapping) else clock
-        if each.is_training or plan is None:
-            why = "the model was fitted to it", "it has too few measurements for a plan"
-            left_out[each.name] = why[plan is None and not each.is_training]
-            continue
-        wanted = [_wanted(plan, on), *_grids(on, len(plan), built.feasible.cheapest)]
-        wanted += [_wanted(times, clock) for times in own.values()]
-        measured = each.measured(model)
-        try:
-            sets = tuple(each.nearest(times, measured, within) for times in wanted)
-        except MeasurementsError as error:
-            left_out[each.name] = str(error)
-            continue
-        judged = (each.y if each.z is None else each.z).copy()
-        judged[sorted({number // len(model.parts) for number in chain(*sets)})] = np.nan
-        if np.isnan(judged).all():
-            left_out[each.name] = "no value is left to judge"
-            continue
-        matched.append(_Matched(each, sets, judged))
-    return matched, left_out
-
-
-def _wanted(times: Times, clock: Clock) -> list[tuple[float, int]]:
-    """The time and the sensor of each possible measurement."""
-    sensors = max(1, len(clock.sensors))
-    return [(clock.times[number // sensors], number % sensors) for number in times]
-
-
-def _grids(clock: Clock, number: int, sensor: int) -> Iterator[list[tuple[float, int]]]:
-    """Yield the beginnings and the middles of equal parts of the horizon.
-
-    On an even clock, the last instant is a step long, too.
-    """
-    first, last = clock.times[0], clock.times[-1]
-    whole = (last - first) * (1 + clock.is_even / clock.horizon)
-    for offset in (0.0, 0.5):
-        yield [(first + whole * (part + offset) / number, sensor) for part in range(number)]
-
-
-# --- errors and verdicts --------------------------------------------------------------------------
-
-
-def _errors(
-    built: Built, matched: Sequence[_Matched], pool: Pool, show: Show
-) -> list[ReplicateErrors]:
-    """The errors of each replicate, relative to the variance of what is judged."""
-    evaluators, works = dict[Any, Any](), list[ReplicateWork]()
-    is_predicted = matched[0].is_predicted
-    for each in matched:
-        if each.replicate.key not in evaluators:
-            evaluator = evaluator_for(built, each.replicate, is_predicted=is_predicted)
-            evaluators[each.replicate.key] = evaluator
-    angles = next(iter(evaluators.values())).model.is_angle
-    variances = _variances(np.concatenate([each.judged for each in matched]), angles)
-    for each in matched:
-        parts = "backtest", built.job.seed, each.replicate.name
-        work = ReplicateWork(
-            evaluators[each.replicate.key],
-            each.replicate.y,
-            each.judged,
-            variances,
-            each.sets,
-            DRAWS,
-            (stream_of(*parts), stream_of(*parts, "filter")),
-            built.comparing,
-            is_predicted,
-        )
-        works.append(work)
-    errors = dict[int, ReplicateErrors]()
-    for done, (place, result) in enumerate(outcomes(pool, errors_of, works, "the backtest"), 1):
-        if not np.isfinite([*result.real, *np.nanmean(result.foreseen, axis=1)]).all():
-            raise MeasurementsError(
-                f"replicate {shown(matched[place].replicate.name)}: errors must be finite, got "
-                f"{rounded(result.real[0], 3)} with the plan, foreseen "
-                f"{rounded(float(np.mean(result.foreseen[0])), 3)}: see its values and parameters"
-            )
-        errors[place] = result
-        doing = f"Backtest: {done} of {len(works)} replicates"
-        show(Progress("backtest", done, len(works), doing=doing))
-    return [errors[place] for place in range(len(works))]
-
-
-def _variances(values: Array, is_angle: Sequence[bool]) -> Array:
-    """The variance of each component, (q,); that of angles around their mean direction."""
-    variances = np.ones(values.shape[1])
-    for k, (column, angle) in enumerate(zip(values.T, is_angle, strict=True)):
-        known = column[~np.isnan(column)]
-        if not known.size:
-            continue
-        centre = np.angle(np.exp(1j * known).mean()) if angle else known.mean()
-        apart = known - centre
-        apart = np.angle(np.exp(1j * apart)) if angle else apart
-        with np.errstate(over="ignore"):
-            variances[k] = np.mean(apart**2)
-        if not 0.0 < variances[k] < np.inf:
-            rule = "must differ from each other, by less than 1e150"
-            raise MeasurementsError(
-                f"judged values of component {k} {rule}, got {known.min():.4g} to {known.max():.4g}"
-            )
-    return variances
-
-
 def _result(
     sets: Mapping[str, str],
-    matched: Sequence[_Matched],
+    matched: Sequence[Matched],
     errors: Sequence[ReplicateErrors],
     block: int,
+    **known: Any,
 ) -> Backtest:
-    """The result, without what is known before it."""
+    """The result, given the fields that are known before it."""
     of_sets = {
         name: Errors(
             np.array([each.real[k] for each in errors]),
@@ -571,30 +369,20 @@ def _result(
             matched[place].replicate.name,
             np.array(matched[place].replicate.clock.times, np.float64),
             matched[place].replicate.y if matched[place].is_predicted else matched[place].judged,
-            tuple(number // _sensors(matched[place]) for number in matched[place].sets[0]),
+            matched[place].instants_of_plan,
             errors[place],
         )
         for place in dict.fromkeys(places)
     ]
     surprises = np.concatenate([each.surprises for each in errors])
     return Backtest(
-        data=Path(),
-        plan=(),
         sets=sets,
         promises={name: promise(plan, each, block) for name, each in others},
         ratios={name: real_over_foreseen(each, len(sets), block) for name, each in of_sets.items()},
         table=pd.DataFrame(rows),
         noise=float(np.mean([each.noise for each in errors])),
         improbable=float(np.mean(surprises < IMPROBABLE)),
-        left_out={},
-        is_checked=False,
-        within=0.0,
         impossible=sum(each.impossible for each in errors),
-        files=(),
         shown=tuple(shown),
-        quantities=(),
+        **known,
     )
-
-
-def _sensors(matched: _Matched) -> int:
-    return max(1, len(matched.replicate.clock.sensors))

@@ -12,7 +12,6 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from pfdist.common.arguments import path_argument
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_of
@@ -37,6 +36,7 @@ from pfdist.models.base import within_half_turn
 from pfdist.problem.problem import JobSource
 from pfdist.questions.planned_run import (
     UserTable,
+    files_beside,
     filter_of,
     planned_run,
     table_argument,
@@ -48,7 +48,7 @@ from pfdist.runner.progress import Say, silent
 from pfdist.store import FILTERED_PERCENTS, ClockColumns, filtered_schema, frame_of
 from pfdist.store.folder import check_page_replaceable
 from pfdist.store.schema import components_in
-from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
+from pfdist.store.user_tables import check_table_replaceable, write_user_table
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 _P_DIGITS = 2
@@ -222,7 +222,7 @@ def filter_measurements(
     from pfdist.pages import filtered  # noqa: PLC0415
 
     table = table_argument("measurements", measurements)
-    files = _files(table, out)[: 3 if report else 2]
+    files = files_beside(table, out, "measurements", "filtered")[: 3 if report else 2]
     plan = planned_run(job, results, changes, say, planned, prior)
     problem = plan.built.job.problem
     clock = problem.clock
@@ -264,20 +264,6 @@ def filter_measurements(
     for line in result._page().warnings if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
-
-
-def _files(measurements: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ...]:
-    """The files of the result. A table in memory has no folder: without `out` there are none."""
-    folder = path_argument("out", out)
-    if isinstance(measurements, pd.DataFrame):
-        if not str(out):
-            return ()
-        measurements = folder / "measurements.csv"
-    folder = folder if str(out) else measurements.parent
-    suffix = "parquet" if is_parquet(measurements) else "csv"
-    return tuple(
-        folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png", "html")
-    )
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:

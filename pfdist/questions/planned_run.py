@@ -20,6 +20,7 @@ from pfdist.results import Run
 from pfdist.results.sets import best_first
 from pfdist.runner.build import Built
 from pfdist.runner.progress import Say
+from pfdist.store.user_tables import is_parquet
 
 UserTable = str | Path | pd.DataFrame
 """The path of a table in CSV or Parquet, or a table in memory."""
@@ -28,6 +29,24 @@ UserTable = str | Path | pd.DataFrame
 def table_argument(name: str, value: Any) -> Path | pd.DataFrame:
     """An argument as a path or a DataFrame; an `ArgumentError` if it is neither."""
     return value if isinstance(value, pd.DataFrame) else path_argument(name, value)
+
+
+def files_beside(
+    table: Path | pd.DataFrame, out: str | Path, name: str, ending: str
+) -> tuple[Path, ...]:
+    """The table, the figure and the report that a question writes beside a table of a user.
+
+    A table in memory has no folder: without `out` there are no files, and with it they begin with
+    `name`.
+    """
+    folder = path_argument("out", out)
+    if isinstance(table, pd.DataFrame):
+        if not str(out):
+            return ()
+        table = folder / f"{name}.csv"
+    folder = folder if str(out) else table.parent
+    suffix = "parquet" if is_parquet(table) else "csv"
+    return tuple(folder / f"{table.stem}.{ending}.{end}" for end in (suffix, "png", "html"))
 
 
 class PlannedRun(NamedTuple):

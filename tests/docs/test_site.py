@@ -146,7 +146,9 @@ def test_the_search_finds_other_words_for_a_thing(
 ) -> None:
     tab = browser.new_page()
     tab.goto(f"{address}/search.html?q={asked.replace(' ', '+')}")
-    tab.wait_for_selector(f"ul.search li a[href*='{page}.html']")
+    link = f"ul.search li a[href*='{page}.html']"
+    tab.wait_for_selector(link)
+    assert tab.locator(link).first.is_visible()
     tab.close()
 
 

@@ -1,0 +1,219 @@
+"""The sets of times of each replicate of a backtest, and its errors with them.
+
+A replicate has measurements near the wanted times, or it is left out. Values that no set uses are
+judged.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.common.clock import Clock
+from pfdist.common.measurement_times import Times
+from pfdist.common.rounding import rounded
+from pfdist.common.streams import stream_of
+from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError, shown
+from pfdist.filters.replicates import Replicate
+from pfdist.pools.base import Pool
+from pfdist.questions.planner import first_planning
+from pfdist.runner.backtesting import (
+    PlanWork,
+    ReplicateErrors,
+    ReplicateWork,
+    errors_of,
+    evaluator_for,
+    outcomes,
+    plan_of,
+)
+from pfdist.runner.build import Built
+from pfdist.runner.progress import Progress, Show
+from pfdist.runner.searches import planning_of
+
+Array = NDArray[np.float64]
+DRAWS = 480
+"""Simulated systems for each replicate."""
+
+
+class Matched(NamedTuple):
+    """A replicate that is judged."""
+
+    replicate: Replicate
+    sets: tuple[Times, ...]  # on the replicate's clock
+    judged: Array  # (T+1, q): the values that no set uses; NaN elsewhere
+
+    @property
+    def is_predicted(self) -> bool:
+        """Whether measurements are judged, and not known quantities of interest."""
+        return self.replicate.z is None
+
+    @property
+    def instants_of_plan(self) -> tuple[int, ...]:
+        """The instants at which the plan measures."""
+        sensors = max(1, len(self.replicate.clock.sensors))
+        return tuple(number // sensors for number in self.sets[0])
+
+
+Plans = Times | Mapping[str, Times | None]
+
+
+def plans_of(
+    built: Built, replicates: Sequence[Replicate], pool: Pool, show: Show
+) -> dict[str, Times | None]:
+    """The plan of each replicate on its own clock; None if it is not judged.
+
+    It is not judged if the model was fitted to it, or if it has too few measurements.
+    """
+    feasible, job = built.feasible, built.job
+    if feasible.measurement_budget is None:
+        raise JobError("plan_each needs problem.measurement_budget, got a total price")
+    if built.evaluator.scenarios:
+        raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
+    planning = first_planning(planning_of(job, built.evaluator.cheapest_estimator))
+    works = dict[str, PlanWork]()
+    plans: dict[str, Times | None] = dict.fromkeys(each.name for each in replicates)
+    for each in replicates:
+        if each.is_training:
+            continue
+        measured = {*each.measured(built.evaluator.model)}
+        on = each.clock if each.has_own_clock or feasible.clock else None
+        possible = range(len(each.y) * feasible.sensors)
+        lacking = tuple(number for number in possible if number not in measured)
+        if each.has_own_clock:
+            rest = replace(
+                feasible, horizon=each.clock.horizon, clock=on, forbidden=(), required=()
+            )
+        else:
+            rest = feasible
+        with suppress(MeasurementTimesError):  # too few measurements
+            rest = replace(rest, forbidden=tuple(sorted({*rest.forbidden, *lacking})))
+            evaluator = evaluator_for(built, each, is_predicted=False)
+            stream = stream_of("backtest", job.seed, "plan", each.name)
+            works[each.name] = PlanWork(evaluator, rest, planning, stream)
+    names = [*works]
+    for done, (place, times) in enumerate(
+        outcomes(pool, plan_of, [*works.values()], "the plans"), 1
+    ):
+        plans[names[place]] = times
+        show(
+            Progress("plan", done, len(names), doing=f"Planning: {done} of {len(names)} replicates")
+        )
+    return plans
+
+
+def matched_of(
+    built: Built,
+    replicates: Sequence[Replicate],
+    plans: Plans,
+    own: Mapping[str, Times],
+    within: float,
+) -> tuple[list[Matched], dict[str, str]]:
+    """The replicates that are judged, and why the others are not, by name.
+
+    `plans` is the plan on the clock of the job, or the plan of each replicate on its own clock.
+    """
+    clock, model = built.job.problem.clock, built.evaluator.model
+    matched, left_out = list[Matched](), dict[str, str]()
+    for each in replicates:
+        plan = plans.get(each.name) if isinstance(plans, Mapping) else plans
+        on = each.clock if isinstance(plans, Mapping) else clock
+        if each.is_training or plan is None:
+            why = "the model was fitted to it", "it has too few measurements for a plan"
+            left_out[each.name] = why[plan is None and not each.is_training]
+            continue
+        wanted = [_wanted(plan, on), *_grids(on, len(plan), built.feasible.cheapest)]
+        wanted += [_wanted(times, clock) for times in own.values()]
+        measured = each.measured(model)
+        try:
+            sets = tuple(each.nearest(times, measured, within) for times in wanted)
+        except MeasurementsError as error:
+            left_out[each.name] = str(error)
+            continue
+        judged = (each.y if each.z is None else each.z).copy()
+        judged[sorted({number // len(model.parts) for number in chain(*sets)})] = np.nan
+        if np.isnan(judged).all():
+            left_out[each.name] = "no value is left to judge"
+            continue
+        matched.append(Matched(each, sets, judged))
+    return matched, left_out
+
+
+def _wanted(times: Times, clock: Clock) -> list[tuple[float, int]]:
+    """The time and the sensor of each possible measurement."""
+    sensors = max(1, len(clock.sensors))
+    return [(clock.times[number // sensors], number % sensors) for number in times]
+
+
+def _grids(clock: Clock, number: int, sensor: int) -> Iterator[list[tuple[float, int]]]:
+    """Yield the beginnings and the middles of equal parts of the horizon.
+
+    On an even clock, the last instant is a step long, too.
+    """
+    first, last = clock.times[0], clock.times[-1]
+    whole = (last - first) * (1 + clock.is_even / clock.horizon)
+    for offset in (0.0, 0.5):
+        yield [(first + whole * (part + offset) / number, sensor) for part in range(number)]
+
+
+def judged_errors(
+    built: Built, matched: Sequence[Matched], pool: Pool, show: Show
+) -> list[ReplicateErrors]:
+    """The errors of each replicate, relative to the variance of what is judged."""
+    evaluators, works = dict[Any, Any](), list[ReplicateWork]()
+    is_predicted = matched[0].is_predicted
+    for each in matched:
+        if each.replicate.key not in evaluators:
+            evaluator = evaluator_for(built, each.replicate, is_predicted=is_predicted)
+            evaluators[each.replicate.key] = evaluator
+    angles = next(iter(evaluators.values())).model.is_angle
+    variances = _variances(np.concatenate([each.judged for each in matched]), angles)
+    for each in matched:
+        parts = "backtest", built.job.seed, each.replicate.name
+        work = ReplicateWork(
+            evaluators[each.replicate.key],
+            each.replicate.y,
+            each.judged,
+            variances,
+            each.sets,
+            DRAWS,
+            (stream_of(*parts), stream_of(*parts, "filter")),
+            built.comparing,
+            is_predicted,
+        )
+        works.append(work)
+    errors = dict[int, ReplicateErrors]()
+    for done, (place, result) in enumerate(outcomes(pool, errors_of, works, "the backtest"), 1):
+        if not np.isfinite([*result.real, *np.nanmean(result.foreseen, axis=1)]).all():
+            raise MeasurementsError(
+                f"replicate {shown(matched[place].replicate.name)}: errors must be finite, got "
+                f"{rounded(result.real[0], 3)} with the plan, foreseen "
+                f"{rounded(float(np.mean(result.foreseen[0])), 3)}: see its values and parameters"
+            )
+        errors[place] = result
+        doing = f"Backtest: {done} of {len(works)} replicates"
+        show(Progress("backtest", done, len(works), doing=doing))
+    return [errors[place] for place in range(len(works))]
+
+
+def _variances(values: Array, is_angle: Sequence[bool]) -> Array:
+    """The variance of each component, (q,); that of angles around their mean direction."""
+    variances = np.ones(values.shape[1])
+    for k, (column, angle) in enumerate(zip(values.T, is_angle, strict=True)):
+        known = column[~np.isnan(column)]
+        if not known.size:
+            continue
+        centre = np.angle(np.exp(1j * known).mean()) if angle else known.mean()
+        apart = known - centre
+        apart = np.angle(np.exp(1j * apart)) if angle else apart
+        with np.errstate(over="ignore"):
+            variances[k] = np.mean(apart**2)
+        if not 0.0 < variances[k] < np.inf:
+            rule = "must differ from each other, by less than 1e150"
+            raise MeasurementsError(
+                f"judged values of component {k} {rule}, got {known.min():.4g} to {known.max():.4g}"
+            )
+    return variances
