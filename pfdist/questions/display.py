@@ -124,7 +124,8 @@ class Display:
             self._start, self._start_time, self._answered = state, now, not begins
         self._last = state.evaluations
         line = one_line("  ".join([*_position(state), *self._rate(state, now)]))
-        percent, left = 100 * state.done / state.total, self._time_left(state, now)
+        share = state.done / state.total if state.total else 1.0  # exact errors take no particles
+        percent, left = 100 * share, self._time_left(state, now)
         if now < self._begins:
             return
         if self._cell is None and self._may_be_cell:
