@@ -9,9 +9,11 @@ import math
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
@@ -66,14 +68,14 @@ def measure(quick: bool, say: Say) -> Tables:
         draws = simulate(model, HORIZON, range(DRAWS // 20 if quick else DRAWS), 1)
         timed = draws[: max(1, TIMED_STEPS // (particles * (HORIZON + 1)))]
         turns: dict[Any, Any] = {}
-        found: dict[Any, Any] = {}
+        found: dict[tuple[str, str], NDArray[np.float64]] = {}
         for estimator in ESTIMATORS:
             for scheme in SCHEMES:
                 settings, sets = Estimation(particles, scheme, estimator), [GOOD, NEAR]
                 turns[estimator, scheme] = partial(
                     filter_checked_sets, model, timed, [GOOD], [HORIZON], 2, settings
                 )
-                found[estimator, scheme] = filter_checked_sets(
+                found[estimator, scheme], _ = filter_checked_sets(
                     model, draws, sets, [HORIZON] * 2, 2, settings
                 )
                 say(f"{particles} particles, {estimator}, {scheme}")
@@ -100,7 +102,7 @@ def measure(quick: bool, say: Say) -> Tables:
     return {"estimators": table}
 
 
-def _statistics(mse: Any, squared_error: Any) -> dict[str, float]:
+def _statistics(mse: NDArray[np.float64], squared_error: NDArray[np.float64]) -> dict[str, float]:
     """Give the statistical columns of a row, from estimates (D, 2) of both sets."""
     root = math.sqrt(len(mse))
     bias = (mse - squared_error)[:, 0] / squared_error[:, 0].mean()

@@ -174,7 +174,7 @@ def _instants_of_text(text: str, clock: Clock, name: str) -> Sequence[int]:
     except ValueError as error:
         if names_dates(text):
             raise MeasurementTimesError(
-                f"{name} must name times, because the clock has no start; got {shown(text)}"
+                f"{name} must name times, because clock.start is not given; got {shown(text)}"
             ) from error
         if ":" in text:
             raise MeasurementTimesError(f"{name} {error}") from error

@@ -14,6 +14,7 @@ from pfdist.results.promise import KEPT, NOT_DECIDED, NOT_KEPT, NOTHING_FORESEEN
 
 _WORST_FIRST = (NOT_KEPT, NOT_DECIDED, NOTHING_FORESEEN, KEPT)
 _MUCH = 1000.0  # the end of an interval that says nothing
+_FAR_TOO_MANY = 100  # times as many replicates as there are
 _DEPENDENT = 0.3  # lag-1 correlation of differences
 _MEANING = (
     "Errors are squared errors of the filter's prediction, divided by the variance of what is "
@@ -87,9 +88,12 @@ def _sentence(other: str, promised: Promise) -> str:
     if verdict == NOTHING_FORESEEN:
         return f"No gain was foreseen against {other} (foreseen: {foreseen}); {found}."
     said = f"{verdict.capitalize()} against {other}: {found}; the model foresaw {foreseen}"
-    if verdict == NOT_DECIDED and promised.deciding:
-        return f"{said}. It takes about {promised.deciding:,} replicates to decide."
-    return f"{said}."
+    if verdict != NOT_DECIDED or not promised.deciding:
+        return f"{said}."
+    if promised.deciding > _FAR_TOO_MANY * promised.replicates:
+        found_part = f"{100 * promised.ratio:.0f} % of the foreseen difference of the errors"
+        return f"{said}. Found was {found_part}, so near half that more replicates hardly decide."
+    return f"{said}. It takes about {promised.deciding:,} replicates to decide."
 
 
 def _foreseen(gain: float, interval: tuple[float, float]) -> str:

@@ -335,6 +335,25 @@ def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Ite
     if isinstance(model, BatchedModel) and evaluator.believed == model:
         given = times, estimation, seconds_of_a_step
         yield Check("engines", *_engines(evaluator, model.as_formulas, *given))
+        if not model.coupled and model.together > work.estimation.particles:
+            yield from _together(evaluator, model, *given)
+
+
+def _together(
+    evaluator: Evaluator, model: BatchedModel, times: Times, estimation: Estimation, seconds: float
+) -> Iterator[Check]:
+    """A note if arrays with the particles of one draw are filtered in half the time."""
+    small = replace(model, together=estimation.particles)
+    fewer = seconds_a_step(replace(evaluator, model=small, filter_model=None), times, estimation)
+    if fewer < seconds / 2:
+        now, then = (f"{rounded(1e9 * each, 2)} ns" for each in (seconds, fewer))
+        yield Check(
+            "together",
+            "note",
+            f"{now} a particle-step with few draws, because arrays always have about "
+            f"{model.together:,} particles; {then} with BatchedModel(..., "
+            f"together={small.together}), the particles of a draw",
+        )
 
 
 def _engines(

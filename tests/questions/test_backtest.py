@@ -28,6 +28,7 @@ from pfdist.errors import (
     PfdistWarning,
     StoreError,
 )
+from pfdist.questions.backtest_page import answer_of
 from pfdist.results.promise import KEPT, NOT_DECIDED, NOTHING_FORESEEN
 from pfdist.store import backtest_schema
 
@@ -218,6 +219,21 @@ def test_the_command_says_the_verdict_and_gives_json(
     promise = answer["promises"]["centred"]
     assert promise["verdict"] in {"kept", "not kept", "not decided", "no gain was foreseen"}
     assert promise["interval"][0] <= promise["ratio"] <= promise["interval"][1]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "says"),
+    [(0.51, "Found was 51 % of the foreseen difference"), (1.0, "takes about 32")],
+)
+def test_a_number_of_replicates_that_nobody_has_is_not_named(
+    planned: Path, ratio: float, says: str
+) -> None:
+    """With a limit of 0, the width must fall (ratio / (ratio - .5))^2 times: 2,601 or 4 times."""
+    found = judged(planned, days(8))
+    unsure = replace(found.promises["centred"], ratio=ratio, interval=(0.0, 2 * ratio),
+                     foreseen=0.2, foreseen_interval=(0.1, 0.3))  # fmt: skip
+    answer = replace(found, promises={**found.promises, "centred": unsure})
+    assert says in answer_of(answer).sections[0].blocks[0].text
 
 
 def test_replicates_that_cannot_be_judged_are_named(planned: Path) -> None:
