@@ -17,9 +17,8 @@ from scipy import stats
 
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from benchmarks.search_runs import filtered, search
+from benchmarks.search_runs import best_known, filtered, search
 from pfdist import load_job
-from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.pages.style import COLUMN_INCHES, GREY, RED
 from pfdist.problem.sections import Execution
@@ -65,7 +64,7 @@ def measure(quick: bool, say: Say) -> Tables:
             rows.append({"name": str(seed), **found})
             say(f"seed {seed}: {found['seconds']:.0f} s")
         regular = job.problem.feasible.regular()
-        rows += [{"name": BEST, "times": regular if quick else _best_known()}]
+        rows += [{"name": BEST, "times": regular if quick else best_known("paper")[0]}]
         rows += [{"name": REGULAR, "times": regular}]
         sets = [row["times"] for row in rows]
         streams = [stream_of("comparison", 0, "filter", row["name"]) for row in rows]
@@ -74,11 +73,6 @@ def measure(quick: bool, say: Say) -> Tables:
     judged = [_judged(column, mse[:, -2], mse[:, -1]) for column in mse.T]
     table = pd.DataFrame([row | costs for row, costs in zip(rows, judged, strict=True)])
     return {"genetic": table.assign(times=[" ".join(map(str, times)) for times in sets])}
-
-
-def _best_known() -> Times:
-    rows = pd.read_csv(HERE / "best_known.csv", comment="#").set_index("problem")
-    return tuple(map(int, str(rows.loc["paper", "times"]).split()))
 
 
 def _judged(

@@ -6,7 +6,6 @@ latency is the processor time of `update` and `next_time` together, on one core.
 """
 
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
+from benchmarks.search_runs import best_known
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.work import Work
@@ -86,7 +86,7 @@ def _measured(wanted: tuple[str, str, bool]) -> dict[str, object]:
     changes = [*(SMALL if quick else []), *SETTINGS[setting], "online.draws=2"]
     built = build(pfdist.load_job(HERE.parent / "jobs" / f"{PROBLEMS[problem]}.toml", changes))
     feasible = built.job.problem.feasible
-    fixed = feasible.regular() if quick else _best_known(problem)
+    fixed = feasible.regular() if quick else best_known(problem)[0]
     _planned(built, fixed, 0)  # compiled before the clock runs
     mse, latencies, plans, changed = [], [], 0, 0
     for system in range(4 if quick else SYSTEMS):
@@ -139,12 +139,6 @@ def _errors(built: Built, system: int, sets: tuple[Times, ...]) -> NDArray[np.fl
     )
     errors: NDArray[np.float64] = built.evaluator.filtered(work).mse[0]
     return errors
-
-
-@cache
-def _best_known(problem: str) -> Times:
-    rows = pd.read_csv(HERE / "best_known.csv", comment="#").set_index("problem")
-    return tuple(map(int, str(rows.loc[problem, "times"]).split()))
 
 
 def summary(tables: Tables) -> str:

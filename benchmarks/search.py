@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
-from benchmarks.search_runs import fresh_costs, search
+from benchmarks.search_runs import best_known, fresh_costs, search
 from pfdist import Job, load_job
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
@@ -128,7 +128,9 @@ def measure(quick: bool, say: Say) -> Tables:
                         _keep(row)
                 rows.append(row)
             texts = [row["times"] for row in rows if row["problem"] == problem]
-            texts = list(dict.fromkeys([*texts, *(() if quick else _best_known(problem))]))
+            texts = list(
+                dict.fromkeys([*texts, *(() if quick else map(_text, best_known(problem)))])
+            )
             fresh = fresh_costs(built, pool, list(map(_times, texts)), 2 if quick else ROUNDS)
             sets.append(fresh.assign(problem=problem, times=texts))
             say(f"{problem}: {len(texts)} sets on fresh draws")
@@ -198,11 +200,6 @@ def _kept(about: dict[str, Any]) -> dict[str, Any] | None:
 def _keep(row: dict[str, Any]) -> None:
     KEPT.parent.mkdir(exist_ok=True)
     pd.DataFrame([row]).to_csv(KEPT, mode="a", header=not KEPT.exists(), index=False)
-
-
-def _best_known(problem: str) -> list[str]:
-    rows = pd.read_csv(HERE / "best_known.csv", comment="#")
-    return list(rows.loc[rows["problem"] == problem, "times"])
 
 
 def _text(times: Times) -> str:

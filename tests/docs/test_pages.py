@@ -454,6 +454,19 @@ def test_a_figure_of_a_benchmark_is_drawn_from_the_tables_that_lie_in_the_folder
     assert matplotlib.image.imread(tmp_path / "genetic.png").shape[0] > 400
 
 
+@pytest.mark.parametrize(
+    ("problem", "count"), [("paper", 21), ("tumour", 11), ("linear_gaussian, short", 5)]
+)
+def test_benchmarks_read_the_best_set_known(problem: str, count: int) -> None:
+    from benchmarks.search_runs import best_known  # no part of the package
+
+    sets = best_known(problem)
+    assert sets
+    for times in sets:
+        assert len(times) == count
+        assert list(times) == sorted({*times})
+
+
 def test_contributing_names_every_mark_of_tests() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
     marks = {mark.partition(":")[0] for mark in settings["markers"]}
