@@ -149,12 +149,24 @@ def test_a_long_judgement_keeps_nobody_waiting(port: int) -> None:
 # --- the command ----------------------------------------------------------------------------------
 
 
+# As a terminal starts it: SIGINT is not ignored, as it is behind a shell's &.
+BEGINS = """
+import signal
+import sys
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from pfdist.cli.main import main
+
+sys.exit(main())
+"""
+
+
 @pytest.fixture
 def command(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started = list[subprocess.Popen[str]]()
 
     def start(*options: str) -> subprocess.Popen[str]:
-        words = [sys.executable, "-m", "pfdist", "explore", str(SMALL), "--no-browser", *options]
+        words = [sys.executable, "-c", BEGINS, "explore", str(SMALL), "--no-browser", *options]
         started.append(
             subprocess.Popen(
                 words, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
