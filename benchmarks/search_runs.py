@@ -28,7 +28,7 @@ from pfdist.store import Store
 STANDARD_ERROR = 0.12  # wanted standard error of an excess, in per cent
 ROUND = 5000  # draws of a round
 RACE_DRAWS = 1000  # draws of the first round of a race
-_TABLES = "draws:", "error_sums:"  # the keys of a search's tasks begin so
+_TABLES = ":draws:", ":error_sums:"  # in the keys of a search's tasks
 STEPS_A_TASK = 200_000_000
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ class Counting:
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Give the outcomes as they come."""
         for outcome in self._pool.run(tasks):
-            if outcome.task.key.startswith(_TABLES):
+            if any(table in outcome.task.key for table in _TABLES):
                 self.steps += sum(work.steps for work in outcome.task.work)
             yield outcome
 
