@@ -128,9 +128,8 @@ def measure(quick: bool, say: Say) -> Tables:
                         _keep(row)
                 rows.append(row)
             texts = [row["times"] for row in rows if row["problem"] == problem]
-            texts = list(
-                dict.fromkeys([*texts, *(() if quick else map(_text, best_known(problem)))])
-            )
+            known = [] if quick else [*map(_text, best_known(problem))]
+            texts = list(dict.fromkeys([*texts, *known]))
             fresh = fresh_costs(built, pool, list(map(_times, texts)), 2 if quick else ROUNDS)
             sets.append(fresh.assign(problem=problem, times=texts))
             say(f"{problem}: {len(texts)} sets on fresh draws")
