@@ -148,7 +148,7 @@ def summary(tables: Tables) -> str:
         "sd of a draw's difference",
         "bias, %",
         "bias of the difference",
-        "saved, one cost",
+        "saved, one MSE",
         "saved, a difference",
         f"ms to ± {PRECISION}",
     ]

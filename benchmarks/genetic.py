@@ -112,7 +112,7 @@ def summary(tables: Tables) -> str:
     """Give a summary of the found sets in Markdown."""
     table = tables["genetic"].set_index("name")
     found = table.drop([BEST, REGULAR])
-    excess, cost, gain, positive, believed = (
+    excess, mse, gain, positive, bias = (
         Spread(column.to_numpy(np.float64))
         for column in (
             found["excess"], found["cost"], 100 * found["gain"], 100 * found["positive"],
@@ -131,10 +131,10 @@ def summary(tables: Tables) -> str:
     return (
         f"{len(found)} searches of `jobs/paper.toml`, a seed each; all sets judged on the same "
         f"{DRAWS:,} fresh draws, each with its own filter noise. Excess over the best set known: "
-        f"{excess.text('.2f')} %. Expected MSE: {cost.text('.2f')}. Mean relative gain: "
-        f"{gain.text('.1f')} %. Draws with a positive gain: {positive.text('.1f')} %. The cost "
-        f"that a search believes of its own result differs from that on fresh draws by "
-        f"{believed.text('.1f')} %.\n\n{markdown(header, lines)}"
+        f"{excess.text('.2f')} %. Expected MSE: {mse.text('.2f')}. Mean relative gain: "
+        f"{gain.text('.1f')} %. Draws with a positive gain: {positive.text('.1f')} %. A "
+        f"search's own estimate differs from the expected MSE on fresh draws by "
+        f"{bias.text('.1f')} %.\n\n{markdown(header, lines)}"
     )
 
 

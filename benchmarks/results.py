@@ -109,20 +109,15 @@ def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
         The text.
     """
     parts: list[str] = []
-    machine = ""
     for name, benchmark in benchmarks.items():
         tables = _read(folder, benchmark)
         if tables is None:
             continue
         known = _provenance(folder / f"{benchmark.TABLES[0]}.csv")
-        on = f"{known['machine']}. {known['versions']}."
-        if on != machine:  # repeated only if it changes
-            parts.append(f"Measured on: {on}\n")
-            machine = on
         parts += [
             f"## {benchmark.TITLE}\n",
             f"{benchmark.summary(tables)}\n",
-            f"{known['date']}.\n",
+            f"Measured on {known['date']}: {known['machine']}. {known['versions']}.\n",
             f"![{benchmark.TITLE}]({name}.png)\n",
         ]
     title = "# Benchmarks\n\nWritten by `python -m benchmarks`; the CSV files hold every figure. "

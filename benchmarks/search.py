@@ -212,10 +212,10 @@ def _times(text: str) -> Times:
 def _found(tables: Tables) -> pd.DataFrame:
     """Give means and ranges over the seeds, a row for each search and its settings."""
     rows = tables["search"].merge(tables["search_sets"], on=["problem", "times"])
-    believed = 100 * (rows["believed"] / rows["cost"] - 1)
-    rows = rows.assign(believed=believed, way=rows["way"].fillna(""))
+    bias = 100 * (rows["believed"] / rows["cost"] - 1)
+    rows = rows.assign(bias=bias, way=rows["way"].fillna(""))
     ways = rows.groupby(["problem", "search", "way"], sort=False)
-    found = ways[["steps", "excess", "believed"]].mean()
+    found = ways[["steps", "excess", "bias"]].mean()
     return found.join(ways["excess"].agg(["min", "max", "size"])).reset_index()
 
 
@@ -223,12 +223,12 @@ def summary(tables: Tables) -> str:
     """Give a summary of excess and work of each search in Markdown."""
     found, sets = _found(tables), tables["search_sets"]
     parts = [
-        "Excess over the best set known, in per cent of its cost: mean over the seeds, in brackets "
-        "the least and the largest; measured on fresh draws common to all sets of a problem, with "
-        f"standard errors of at most {sets['excess_error'].max():.2f}. Work is that of the whole "
-        "search and its shortlist, in particle-steps; where the Kalman filter knows each cost, in "
-        "its steps. Believed is by how much the cost that the search has seen differs from that on "
-        "fresh draws: the winner's curse, and the bias of fewer particles."
+        "Excess over the best set known, in per cent of its expected MSE: mean over the seeds, in "
+        "brackets the least and the largest; measured on fresh draws common to all sets of a "
+        f"problem, with standard errors of at most {sets['excess_error'].max():.2f}. Work is that "
+        "of the whole search and its shortlist, in particle-steps, or in steps of the Kalman "
+        "filter, whose errors are exact. Bias is by how much the search's own estimate differs "
+        "from the expected MSE on fresh draws: the winner's curse, and that of fewer particles."
     ]
     for problem in found["problem"].unique():
         ways = found[found["problem"] == problem].set_index(["search", "way"])
@@ -239,11 +239,11 @@ def summary(tables: Tables) -> str:
                 f"{row['size']:.0f}",
                 f"{row['steps']:.2g}",
                 f"{row['excess']:.2f} ({row['min']:.2f} to {row['max']:.2f})",
-                f"{row['believed']:+.1f}",
+                f"{row['bias']:+.1f}",
             ]
             for name, row in ways.iterrows()
         ]
-        header = [problem, "seeds", "work", "excess, %", "believed, %"]
+        header = [problem, "seeds", "work", "excess, %", "bias, %"]
         parts.append(
             f"{markdown(header, lines)}\n\nBest known: {best['times']}; expected MSE "
             f"{best['cost']:.5g} ± {best['standard_error']:.2g}."

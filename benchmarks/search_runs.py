@@ -132,7 +132,7 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
     if built.evaluator.exact:
         costs = built.evaluator.expected_mse(sets)
         excess = 100 * (costs / costs.min() - 1)
-        rows = {"price": costs, "standard_error": 0.0, "excess": excess, "excess_error": 0.0}
+        rows = {"cost": costs, "standard_error": 0.0, "excess": excess, "excess_error": 0.0}
         return pd.DataFrame({"times": sets, **rows, "draws": 0, "best": excess == 0})
     best = _winner(built, pool, sets)
     known = {times: np.empty(0) for times in sets}

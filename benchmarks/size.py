@@ -3,7 +3,6 @@
 The memory is the largest of the process. Kernels are on disk: a small problem runs first.
 """
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -23,6 +22,13 @@ TABLES: tuple[str, ...] = ("size",)
 
 JOB = Path(__file__).parents[1] / "jobs" / "plan.toml"
 _MIB = 1024  # the kernel counts in KiB
+# A process keeps the largest memory of the one that it was forked from, so a small one starts it.
+_LARGEST = """
+import resource, subprocess, sys
+quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+subprocess.run(sys.argv[1:], check=True, **quiet)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
 
 
 @dataclass(frozen=True)
@@ -87,16 +93,10 @@ def measure(quick: bool, say: Say) -> Tables:
 def _timed(case: Case, results: Path) -> tuple[float, float]:
     """Seconds of a command, and the largest memory of its process."""
     words = (case.command, str(JOB), *case.words, "--results", str(results), "--no-report")
+    program = (sys.executable, "-c", _LARGEST, sys.executable, "-m", "pfdist")
     start = perf_counter()
-    process = subprocess.Popen(  # noqa: S603  our own text
-        [sys.executable, "-m", "pfdist", *words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    _, status, used = os.wait4(process.pid, 0)
-    if status:
-        raise RuntimeError(f"{case.command} of {case.varied} {case.value:,} failed")
-    return perf_counter() - start, used.ru_maxrss / _MIB
+    done = subprocess.run([*program, *words], check=True, stdout=subprocess.PIPE)  # noqa: S603  our own text
+    return perf_counter() - start, int(done.stdout) / _MIB
 
 
 def summary(tables: Tables) -> str:

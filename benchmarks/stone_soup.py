@@ -147,7 +147,10 @@ def summary(tables: Tables) -> str:
         )
         for row in tables["stone_soup"].to_dict("records")
     ]
-    return markdown(header, rows)
+    return (
+        "A target whose position or velocity is measured. Rotation takes both in turn, at regular "
+        f"times.\n\n{markdown(header, rows)}"
+    )
 
 
 def plot(tables: Tables) -> Figure:

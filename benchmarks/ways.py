@@ -220,7 +220,7 @@ def summary(tables: Tables) -> str:
     for way, seconds, same, killed in tables["ways"].itertuples(index=False):
         rows.append([str(way), words[same], words.get(killed, ""), f"{seconds:.1f}"])
     header = ("way", "bytes", "bytes after a node was killed", "s until workers are ready")
-    return markdown(header, rows)
+    return f"The same job in several ways: are its tables the same?\n\n{markdown(header, rows)}"
 
 
 def plot(tables: Tables) -> Figure:

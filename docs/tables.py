@@ -314,10 +314,14 @@ def wall() -> str:
     runs = pd.read_csv(BENCHMARKS / "wall.csv", comment="#")
     medians = runs.pivot_table("seconds", "command", "version", "median", sort=False)
     rows = [
-        [f"`{command}`", f"{before:.1f}", f"{now:.1f}", f"{now / before:.2f}"]
+        [f"`{command}`", *map(_seconds, (before, now)), f"{now / before:.2f}"]
         for command, before, now in medians[["before", "now"]].itertuples()
     ]
     return _table(["command", "before, s", "now, s", "ratio"], rows)
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.1f}" if value >= 1.0 else f"{value:.2f}"
 
 
 def seconds_of_plan() -> str:
@@ -375,7 +379,7 @@ def guided() -> str:
                     f"{100 * row['excess']:+.1f} ± {100 * row['excess_error']:.1f} %"
                     for row in (plain, other)
                 ),
-                *(f"{row['bound']:.3f}" for row in (plain, other)),
+                *(f"{row['bound']:.3f} ± {row['bound_error']:.3f}" for row in (plain, other)),
                 f"{other['ns'] / plain['ns']:.1f}",
             ]
         )

@@ -122,7 +122,7 @@ def _printable(character: str) -> str:
 
 
 class PfdistError(Exception):
-    """Base class of all errors of pfdist. The command line prints one line and exits with code 1.
+    """Base class of all errors of pfdist; the command line prints one line, and ends with 1 or 75.
 
     Parameters
     ----------

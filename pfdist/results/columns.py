@@ -204,8 +204,8 @@ _DECLARED = [
     Column(name="gain_draws", dtype="Int64", meaning="draws whose relative gain is a number"),
     Column(
         name="gains_disagree", dtype="object",
-        meaning="whether mean_relative_gain and gain_of_means disagree: see "
-        "`pfdist.results.moments.disagree`",
+        meaning="whether mean_relative_gain and gain_of_means differ in sign or by more than 5 "
+        "percentage points, beyond their intervals",
     ),
     Column(
         name="gain_over_itself", has_interval=True, is_percent=True,

@@ -42,11 +42,11 @@ def read_user_table(
     `names` has the texts that some columns may hold; such a column becomes indices of its texts.
     `readers` has what reads the texts and dates of some columns as numbers.
 
-    A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
-    columns. The index of a table in memory counts as a column if it has a name. `check_header`
-    raises an error if the names of the columns are wrong, and may return those that hold texts.
-    With `only`, other columns are left out, and may hold anything. Errors count rows from 1,
-    without the line of names and blank lines.
+    A file is Parquet if its name ends in ``.parquet``, else CSV. The first line of CSV names the
+    columns; lines before it that begin with ``#`` are comments. The index of a table in memory
+    counts as a column if it has a name. `check_header` raises an error if the names of the columns
+    are wrong, and may return those that hold texts. With `only`, other columns are left out, and
+    may hold anything. Errors count rows from 1, without the line of names and blank lines.
 
     Raises `ValueError` if the file is too large, is not such a table, or holds anything but
     numbers. Raises `OSError` if it cannot be read.
@@ -102,6 +102,10 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
 
 def _in_csv(path: Path) -> tuple[list[str], pd.DataFrame]:
     with path.open(encoding="utf-8-sig", newline="") as file:
+        start = 0
+        while file.readline().startswith("#"):  # comments
+            start = file.tell()
+        file.seek(start)
         # With a header, pandas would rename equal columns and make an index of further values.
         lines = pd.read_csv(file, header=None, dtype=str, keep_default_na=False)
     header = [str(name).strip() for name in lines.iloc[0]]

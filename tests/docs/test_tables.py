@@ -141,6 +141,11 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables(
         assert answer[0] in start
 
 
+def test_the_tables_of_benchmarks_lack_no_number() -> None:
+    text = (DOCS.parent / "benchmarks" / "results" / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^.*\bnan\b.*$", text, re.MULTILINE) == []
+
+
 def test_the_gallery_shows_eight_systems_that_can_be_loaded_quickly() -> None:
     table = pd.read_csv(DOCS / "gallery.csv")
     page = (DOCS / "gallery.md").read_text(encoding="utf-8")

@@ -47,11 +47,12 @@ def test_rows_in_any_order_are_read_in_the_order_of_time(
     np.testing.assert_array_equal(found.y, [[1.5, NAN], [1e-3, 0.1], [2.0, 0.5]])
 
 
-def test_spaces_a_mark_of_byte_order_and_words_for_missing_are_read(
+def test_spaces_comments_a_mark_of_byte_order_and_words_for_missing_are_read(
     tmp_path: Path, ship: StateSpaceModel
 ) -> None:
     (tmp_path / "ship.csv").write_bytes(
-        b"\xef\xbb\xbft, y0 ,y1\r\n 3 ,NaN, 1e-1\r\n4,NA,\r\n5.0,-2,null\r\n"
+        b'\xef\xbb\xbf# ship.csv\r\n#, "by hand\r\n'
+        b"t, y0 ,y1\r\n 3 ,NaN, 1e-1\r\n4,NA,\r\n5.0,-2,null\r\n"
     )
     found = read_measurements(tmp_path / "ship.csv", ship, Clock.counting(10))
     assert found.t == (3, 5)
