@@ -312,6 +312,16 @@ def test_each_name_of_the_library_has_an_example_that_could_run() -> None:
                 inspect.signature(function).bind_partial(*call.args, **keywords)
 
 
+def test_no_line_of_the_manual_is_a_comment_that_nobody_sees() -> None:
+    """A line that begins with %, for instance that of ``95 % limit``, is a comment of the site."""
+    hidden = {
+        page.name: lines
+        for page in [*DOCS.glob("*.md"), *ROOT.glob("*.md")]
+        if (lines := re.findall(r"^ *%.*$", page.read_text(encoding="utf-8"), re.MULTILINE))
+    }
+    assert hidden == {}
+
+
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
 
@@ -366,7 +376,7 @@ def test_the_example_of_the_page_about_python_runs_and_its_run_goes_on(
     exec(compile(code, script, "exec"), scope)
     run: Any = scope["run"]
     assert isinstance(run, pfdist.Run)
-    assert run.path == Path("results/robot").absolute()
+    assert run.path == Path("results/drifting").absolute()
     for times in run.sets.values():
         assert len(times) == 5
         assert not set(times) & set(range(8, 12))
