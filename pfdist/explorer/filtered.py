@@ -93,12 +93,8 @@ class Filtered:
         return Errors(result.mse[:, 0], result.degenerate[:, 0], at)
 
     def _exact(self, times: Times) -> Errors:
-        """The exact error at each instant, without the instant's weight."""
-        evaluators = self._evaluator.of_scenarios if self._built.is_worst else (self._evaluator,)
-        at = max((each.expected_errors([times])[0] for each in evaluators), key=np.mean)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            at = at / np.array(self._evaluator.weights or 1.0)
-        return Errors(np.empty(0), np.empty(0, np.bool_), at[None, :, None])
+        at = self._built.exact_over_time(times)
+        return Errors(np.empty(0), np.empty(0, np.bool_), at[..., None])
 
     def evaluations(self, sets: Sequence[Times], draws: int) -> list[Evaluation]:
         """The evaluations of sets on the first draws, of which nothing is kept."""
@@ -130,8 +126,7 @@ class Filtered:
     def typical(self, evaluation: Evaluation, errors: Errors) -> str:
         """The typical error of each component of z over all instants, in words."""
         mean = self._mean(evaluation, errors)
-        known = np.nan_to_num(mean)  # an instant of weight 0 has no exact error
-        typical = self._typical(np.average(known, axis=0, weights=self._evaluator.weights))
+        typical = self._typical(np.average(mean, axis=0, weights=self._evaluator.weights))
         parts, angles = self.components, self._evaluator.model.is_angle
         names = [each.name or f"z{each.suffix}" for each in parts] if len(parts) > 1 else [""]
         return ", ".join(

@@ -228,15 +228,20 @@ class Evaluator:
         weights = self.instant_weights
         return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior, weights)
 
-    def expected_errors(self, sets: Sequence[Times]) -> NDArray[np.float64]:
+    def expected_errors(
+        self, sets: Sequence[Times], *, weighted: bool = False
+    ) -> NDArray[np.float64]:
         """Exact expected error of each instant with each set, (S, T+1), from an exact engine.
 
-        The errors are weighted: their mean over all instants is the expected MSE.
+        The expected MSE is the mean over all instants of the weighted errors.
         """
         if self.scenarios:
-            return self._mean([each.expected_errors(sets) for each in self.of_scenarios])
-        errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
-        return errors if self.instant_weights is None else weighed(errors, self.instant_weights)
+            errors = [each.expected_errors(sets, weighted=weighted) for each in self.of_scenarios]
+            return self._mean(errors)
+        of_instants = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
+        if weighted and self.instant_weights is not None:
+            return weighed(of_instants, self.instant_weights)
+        return of_instants / self.scale
 
     def _mean(self, of_scenarios: list[NDArray[np.float64]]) -> NDArray[np.float64]:
         parts = zip(self.scenarios, of_scenarios, strict=True)
@@ -432,8 +437,8 @@ class Evaluator:
             mse, degenerate = self.mse_of_sets(draws, sets, ends, stream, estimation)
             return mse, degenerate, np.empty((*mse.shape, 0))
         given = draws, sets, ends, stream, self.settings(estimation)
-        found: tuple[Any, ...] = self.computed_by.filters.errors_over_time(self.believed, *given)
-        return found
+        mse, degenerate, errors = self.computed_by.filters.errors_over_time(self.believed, *given)
+        return mse, degenerate, errors / self.scale
 
     def results(self, works: Iterable[Work]) -> list[Result]:
         """Results of works, as a task computes them; the caller has checked settings and times.
@@ -443,9 +448,8 @@ class Evaluator:
         return [work.result(self._for(work)).in_ranges(work) for work in works]
 
     def _for(self, work: Work) -> "Evaluator":
-        """The evaluator with the filter's model and the weights of a work."""
-        evaluator = self.truth if work.knows_truth else self
-        return evaluator if work.weighted else replace(evaluator, weights=None, estimations=())
+        """The evaluator with the filter's model of a work."""
+        return self.truth if work.knows_truth else self
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
         """The parts of a work, cut between draws, each of about this many seconds."""

@@ -185,7 +185,7 @@ def sums_of_sets(each_set: EachSet, draws: Draws, estimator: Estimator) -> Array
     sums = list[Array]()
     for some, filters in each_set:
         with np.errstate(all="ignore"):
-            errors = _errors(filters, some, estimator).sum(axis=0)
+            errors = weighed(_errors(filters, some, estimator), some.instant_weights).sum(axis=0)
         row = np.zeros(draws.z.shape[1])
         row[: errors.size] = errors
         is_known = np.isfinite(errors).all() and not np.isnan([f.mse for f in filters]).any()
@@ -234,7 +234,7 @@ def errors_by_variance(
 
 
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
-    """The estimated error of each draw at each instant, (D, T+1)."""
+    """The estimated error of each draw at each instant, (D, T+1), without its weight."""
     model = draws.model
     estimates, variances = (
         np.array([getattr(each, name) for each in filters]) for name in ("estimate", "variance")
@@ -251,7 +251,7 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
             ]
             squared = np.concatenate([np.broadcast_to(each, shape) for each in columns], axis=1)
             errors = errors + estimator.weights.squared_error * squared
-    return weighed(errors, draws.instant_weights)
+    return errors
 
 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
@@ -260,5 +260,6 @@ def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Arr
     if estimator.for_any_filter:
         return estimator.weights.squared_error * mse
     with np.errstate(all="ignore"):
-        mean = np.mean(_errors(filters, draws, estimator), axis=1)
+        errors = weighed(_errors(filters, draws, estimator), draws.instant_weights)
+        mean = np.mean(errors, axis=1)
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))

@@ -140,8 +140,8 @@ def errors_over_time(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
     """The results of `filter_checked_sets`, and the error of each draw at each instant.
 
-    The errors are (D, S, T+1). Their mean over the instants is the MSE, also if that is infinite
-    or NaN. Values after the end of a set are arbitrary.
+    The errors are (D, S, T+1). The MSE is their mean over the instants, weighted as the draws say,
+    also if it is infinite or NaN. Values after the end of a set are arbitrary.
     """
     planned, columns, givers = _planned(draws, sets, ends)
     errors = np.zeros((len(draws.index), len(planned.measured), draws.z.shape[1]))

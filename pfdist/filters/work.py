@@ -111,8 +111,6 @@ class Work:
     since: tuple[int, ...] = ()
     # whether the filter uses the true model, whatever the evaluator's filter model is
     knows_truth: bool = False
-    # whether errors of instants have the evaluator's weights; otherwise all count alike
-    weighted: bool = True
     sensors: int = 1  # a time is the number of a possible measurement, t * sensors + sensor
     # whether the control variate of each error is wanted, too; the filter must know the truth
     controlled: bool = False
@@ -208,8 +206,8 @@ class Result:
     # (D, S): control variate of each error, a number of expectation 0, if it is wanted; else empty.
     # 0 where the truth itself does not explain a measurement, or where a particle is infinite
     control: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    # (D, S, T+1): error of each draw at each instant, less its control variate if that is wanted,
-    # or (R, S, T+1): sums over ranges of draws; if they are wanted; else empty
+    # (D, S, T+1): error of each draw at each instant, not weighted, less its control variate if it
+    # is wanted, or (R, S, T+1): sums over ranges of draws; if they are wanted; else empty
     errors: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     def in_ranges(self, work: Work) -> "Result":

@@ -435,9 +435,9 @@ def _estimate(instant):
             for c in range(quantities):
                 batch.moments[c * batch.row + d] = z[c]
         of_draws(at, ERROR, t, batch.moments, batch.distance)
-        weight = request.instant_weights[t] * weights.squared_error
         for d in range(at.draws):
-            _add(at, s, t, d, batch.distance[d], weight)
+            error = weights.squared_error * batch.distance[d]
+            _add(at, s, t, d, error, request.instant_weights[t])
     for d in range(at.draws):
         if not batch.error[d] < np.inf:
             batch.error[d] = np.inf
@@ -538,9 +538,10 @@ def _measure_distance(at, t, s, mean):
 
 @compiled
 def _add(at, s, t, d, error, weight):
-    """Add a weighted error to those of a draw that has not ended, and to those of the instant.
+    """Add an error, by the instant's weight, to those of a draw that has not ended.
 
-    An instant of weight 0 does not count, even if its error is infinite.
+    An instant of weight 0 does not count, even if its error is infinite. If they are wanted, add it
+    also to the errors at the instant: weighted to a sum over the draws, and else as it is.
     """
     request, results, wanted, batch = (
         request_of(at.work),
@@ -548,10 +549,15 @@ def _add(at, s, t, d, error, weight):
         wanted_of(at.work),
         batch_of(at.work),
     )
-    if batch.error[d] < np.inf and weight != 0.0:
+    if not batch.error[d] < np.inf:
+        return
+    apart = wanted.errors_apart
+    place = (at.first + d) * apart + s * request.instants + t
+    if apart > 0:
+        results.errors[place] += error
+    if weight != 0.0:
         batch.error[d] += weight * error
-        if wanted.errors:
-            place = (at.first + d) * wanted.errors_apart + s * request.instants + t
+        if wanted.errors and apart == 0:
             results.errors[place] += weight * error
 
 

@@ -85,16 +85,18 @@ def _title(run: Run, profile: pd.DataFrame, best: str, reference: str) -> str:
     at_times = rows[best]["t"].tolist()
     difference, error = difference_over_time(run, best, reference)
     lower = np.nan_to_num(-difference, posinf=0.0, neginf=0.0)
+    weight = rows[best]["weight"].to_numpy()
     unit = f" {profile.attrs.get('error_unit', '')}²" if profile.attrs.get("error_unit") else ""
     parts = list[str]()
-    for word, change in (("falls", lower), ("rises", -lower)):
+    for word, change in (("falls", weight * lower), ("rises", -weight * lower)):
         if not (change > 0).any():
             continue
         total = np.cumsum([0.0, *(change - max(0.0, change.mean()))])  # no stretch is all of time
         stretches = np.triu(total - total[:, None], 1)  # from one instant to before another
         first, end = np.unravel_index(stretches.argmax(), stretches.shape)
+        here = slice(first, end)
         before, now = (
-            f"{rows[name]['error'].iloc[first:end].mean():#.3g}".rstrip(".")
+            f"{np.average(rows[name]['error'][here], weights=weight[here]):#.3g}".rstrip(".")
             for name in (reference, best)
         )
         ends = dict.fromkeys([at_times[first], at_times[end - 1]])

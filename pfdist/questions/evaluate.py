@@ -12,7 +12,6 @@ import numpy as np
 from pfdist.common.calendar import calendar_of
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
-from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
@@ -30,7 +29,7 @@ from pfdist.questions.compared_page import parameters_text
 from pfdist.questions.options import following
 from pfdist.questions.subject import change_of, is_clear, mse_cell, number_of
 from pfdist.results import Gain
-from pfdist.results.over_time import profile_of
+from pfdist.results.over_time import Range, profile_of
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, silent
@@ -100,8 +99,9 @@ def evaluate(
         ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and the per-draw
         values ``mse``; of sets with names, by name. With ``profile``, also the DataFrame
         ``profile`` with a row for each instant: t, measured (whether the set measures then), draws
-        (0: exact), error and standard_error. Errors are weighted and scaled as in the MSE, so
-        their mean over time is ``expected_mse``. ``pfdist.plots.error_profile`` draws it.
+        (0: exact), weight (of the instant in the MSE; the mean is 1), error and standard_error.
+        Errors are scaled as in the MSE, and their weighted mean over time is ``expected_mse``.
+        ``pfdist.plots.error_profile`` draws it.
 
     Raises
     ------
@@ -194,19 +194,15 @@ def _with_profiles(
 
     If the worst scenario decides, its draws count. An exact engine has no draws.
     """
-    evaluators = built.evaluator.of_scenarios if built.is_worst else (built.evaluator,)
     evaluations = dict[str, Evaluation]()
     for place, (name, each) in enumerate(found.items()):
         if each.exact is not None:
-            exact = [evaluator.expected_errors([sets[name]])[0] for evaluator in evaluators]
-            estimates, draws = [Estimate(error) for error in max(exact, key=np.mean)], 0
+            ranges = [Range(0, 0, built.exact_over_time(sets[name]))]
         else:
             rows = errors[:, place]
             rows = rows[each.scenarios == each.worst_scenario] if each.is_worst else rows
-            estimates, draws = [Estimate.of_mean(at_instant) for at_instant in rows.T], len(rows)
-        error, standard_error = np.array([(at.value, at.standard_error) for at in estimates]).T
-        clock = built.job.problem.clock
-        table = profile_of(clock, sets[name], error, standard_error, draws)
+            ranges = [Range(draw, 1, error[None]) for draw, error in enumerate(rows)]
+        table = profile_of(built.job.problem, sets[name], ranges, 0)
         if name:
             table.insert(0, "name", name)
         evaluations[name] = replace(each, profile=table)
@@ -217,6 +213,7 @@ def _with_profiles(
 
 _ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
 _OVER_TIME = ("error", "standard_error")
+_OF_INSTANT = ("t", "date", "weight")
 _HEAD = ("times", "number", "expected MSE ± standard error", "draws")
 
 
@@ -339,14 +336,14 @@ def evaluated(
 
 
 def _quantity(built: Built) -> Component | None:
-    """The only component of z, if errors are its squared differences, neither weighted nor scaled.
+    """The only component of z, if errors are its squared differences, not scaled.
 
     Its typical error is the root of the expected MSE.
     """
     evaluator, quantities = built.evaluator, built.evaluator.model.named("z")
     is_squared = evaluator.model.error is squared_error and not any(evaluator.model.is_angle)
     is_scaled = any(each.scale != 1.0 for each in evaluator.scenarios)
-    is_plain = is_squared and not (is_scaled or evaluator.weights or built.is_worst)
+    is_plain = is_squared and not (is_scaled or built.is_worst)
     return quantities[0] if is_plain and len(quantities) == 1 else None
 
 
@@ -375,7 +372,7 @@ def _columns_of(evaluation: Evaluation) -> dict[str, Any]:
     profile = evaluation.profile
     if profile is None:
         return {}
-    shown = [each for each in ("t", "date", *_OVER_TIME) if each in profile]
+    shown = [each for each in (*_OF_INSTANT, *_OVER_TIME) if each in profile]
     return {"profile": profile[shown].to_dict("list")}
 
 
@@ -385,17 +382,23 @@ def _over_time(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     tables = {name or "expected error": each for name, each in profiles.items() if each is not None}
     if not tables:
         return []
-    times, unit = next((each["t"], each.attrs.get("time_unit", "")) for each in tables.values())
+    first = next(iter(tables.values()))
+    unit, weights = first.attrs.get("time_unit", ""), first["weight"]
     columns = [
         [mse_cell(*at) for at in each[[*_OVER_TIME]].itertuples(index=False)]
         for each in tables.values()
     ]
+    head, caption = [*tables], "Expected error at each instant ± standard error"
+    if (weights != 1.0).any():
+        columns.insert(0, [Cell(rounded(weight, 3), weight) for weight in weights])
+        head.insert(0, "weight")
+        caption += "; their weighted mean is the expected MSE"
     rows = [
         [Cell(formatted_time(t, unit), t), *cells]
-        for t, *cells in zip(times, *columns, strict=True)
+        for t, *cells in zip(first["t"], *columns, strict=True)
     ]
-    head = ("date" if calendar_of(unit) else f"t [{unit}]" if unit else "t", *tables)
-    return [Table("Expected error at each instant ± standard error", head, rows)]
+    head.insert(0, "date" if calendar_of(unit) else f"t [{unit}]" if unit else "t")
+    return [Table(caption, head, rows)]
 
 
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
-from pfdist.filters.work import Result, Work
+from pfdist.filters.work import Result, Work, ranges_of
 from pfdist.problem.feasible import Feasible
 from pfdist.results import Moments
+from pfdist.results.over_time import Range, joined_ranges, longest_range, profile_of
 from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
@@ -56,27 +57,37 @@ def worth_of(
     sets += [other for _, _, other in changed]
     ends = (*range(instants), *(evaluator.horizon,) * len(changed))
     work = _work(session, name, sets, draws, ends=ends)
-    (mse, *estimates), degenerate = yield from _means(session, work)
-    at, alone = {t // sensors for t in times}, _work(session, name, (times,), draws)
+    (mse, *rises), degenerate = yield from _means(session, work)
+    alone = _work(session, name, (times,), draws)
+    ranges = yield from _ranges(session, alone)
     sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
-    weights = built.job.problem.weights or (1.0,) * instants
-    profile = [
-        {
-            "t": t,
-            "measured": t in at,
-            "error": mean,
-            "standard_error": error,
-            "weight": weights[t],
-            "degenerate_draws": degenerate[t],
-            "effective_sample_size": sizes.get(t, math.nan),
-        }
-        for t, (mean, error) in enumerate(estimates[:instants])
-    ]
+    columns = ["t", "measured", "weight", "error", "standard_error"]
+    profile = profile_of(built.job.problem, times, ranges, 0)[columns].assign(
+        t=range(instants),
+        degenerate_draws=degenerate,
+        effective_sample_size=[sizes.get(t, math.nan) for t in range(instants)],
+    )
     worth = {t: {"t": t} | dict.fromkeys(_COLUMNS, math.nan) for t in times}
-    for (t, change, _), (mean, error) in zip(changed, estimates[instants:], strict=True):
+    for (t, change, _), (mean, error) in zip(changed, rises, strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
     summary = {"expected_mse": mse[0], "standard_error": mse[1]}
-    return summary | {"degenerate_draws": degenerate[-1]}, profile, [*worth.values()]
+    rows: list[Row] = profile.to_dict("records")  # type: ignore[assignment]
+    return summary | {"degenerate_draws": degenerate[-1]}, rows, [*worth.values()]
+
+
+def _ranges(session: Session, work: Work) -> Generator[Batch, None, list[Range]]:
+    """The errors of the sets of a work at each instant, over ranges of draws."""
+    evaluator, (_, draws), ranges = session.built.evaluator, work.draws, list[Range]()
+    if evaluator.exact:
+        return [Range(0, 0, evaluator.expected_errors(work.measurement_times))]
+    work = replace(work, over_time=longest_range(draws))
+
+    def learn(piece: Work, result: Result) -> None:
+        of_piece = ranges_of(*piece.draws, piece.over_time)
+        ranges.extend(map(Range, *zip(*of_piece, strict=True), result.errors))
+
+    yield Batch(session, "why", evaluator.pieces(work, MOST_SECONDS), None, learn)
+    return joined_ranges(sorted(ranges, key=lambda each: each.first), work.over_time)
 
 
 def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **others: Any) -> Work:
@@ -104,21 +115,19 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
 def _means(
     session: Session, work: Work
 ) -> Generator[Batch, None, tuple[list[tuple[float, float]], list[int]]]:
-    """Mean and standard error of each column of `_columns`, and degenerate draws up to each t."""
+    """Mean and standard error of each column of `_columns`, and degenerate draws up to each t.
+
+    The first T+1 sets of the work are the set up to each instant.
+    """
     evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
     pieces = [work] if evaluator.exact else evaluator.pieces(work, MOST_SECONDS)
-    columns = [Moments() for _ in range(1 + len(work.ends))]
+    columns = [Moments() for _ in work.ends[instants - 1 :]]
     degenerate = np.zeros(instants, np.int64)
     for piece in pieces:
         mse, flags = yield from _mse(session, piece)
-        prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
-        if evaluator.weights is None:
-            unweighted = mse[:, :instants]
-        else:
-            unweighted, _ = yield from _mse(session, prefixes)
         degenerate += flags[:, :instants].sum(axis=0)
-        for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
+        for moments, values in zip(columns, _columns(mse[:, instants - 1 :]).T, strict=True):
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
@@ -134,8 +143,7 @@ def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, ND
     """
     (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:
-        exact = evaluator if work.weighted else replace(evaluator, weights=None)
-        errors = exact.expected_mse(work.measurement_times, work.ends)[None]
+        errors = evaluator.expected_mse(work.measurement_times, work.ends)[None]
         return errors, np.zeros(errors.shape, np.bool_)
     mse = np.empty((last - first, len(work.ends)))
     degenerate = np.empty(mse.shape, np.bool_)
@@ -149,18 +157,11 @@ def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, ND
     return mse, degenerate
 
 
-def _columns(mse: Array, unweighted: Array) -> Array:
-    """MSE, error at every instant, and rise of the MSE by each change, (D, 1+T+1+V).
-
-    `mse`, (D, T+1+V), has the sum of the weighted errors up to every instant over T+1, then the MSE
-    of each of V changed sets. `unweighted`, (D, T+1), has the same sums of errors without weights.
-    """
-    instants = unweighted.shape[1]
-    whole = mse[:, instants - 1 : instants]
+def _columns(mse: Array) -> Array:
+    """MSE, and its rise by each change, (D, 1+V), from that of the set and of V changed sets."""
+    whole = mse[:, :1]
     with np.errstate(invalid="ignore"):  # infinite errors have no difference
-        errors = np.diff(unweighted, axis=1, prepend=0.0) * instants
-        rises = mse[:, instants:] - whole
-    return np.concatenate([whole, errors, rises], axis=1)
+        return np.concatenate([whole, mse[:, 1:] - whole], axis=1)
 
 
 # --- sampling windows -----------------------------------------------------------------------------

@@ -190,7 +190,7 @@ _DECLARED = [
         name="typical_error", dtype="object",
         meaning="root of the expected MSE of each component of z, in its unit, of several "
         "components by their shares in the trajectories; a circular deviation of an angle, in "
-        "radians; missing where errors are weighted or scaled, or the model has its own error",
+        "radians; missing where errors are scaled, or the model has its own error",
     ),
     Column(
         name="evenly_spaced", dtype="object",

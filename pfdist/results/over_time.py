@@ -1,9 +1,9 @@
-"""The error of each compared set over time, on all draws of the comparison.
+"""The error of sets over time, from sums of the errors at each instant over ranges of draws.
 
-The table ``range_sums`` has sums of the errors at each instant over ranges of draws. The number of
-draws of a range is a power of 2 and divides its first draw, and a sum is that over its first half
-plus that over its second. So the table does not depend on how draws were cut into tasks. Ranges
-also give standard errors, and those of differences of two sets.
+The table ``range_sums`` has those of all draws of the comparison. The number of draws of a range is
+a power of 2 and divides its first draw, and a sum is that over its first half plus that over its
+second. So the table does not depend on how draws were cut into tasks. Ranges also give standard
+errors, and those of differences of two sets. `evaluate` and `why` have ranges of their own draws.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.clock import Clock
 from pfdist.common.measurement_times import Times
-from pfdist.results.stored_run import StoredRun, problem_of
+from pfdist.problem.problem_section import ProblemSection
+from pfdist.results.stored_run import StoredRun, problem_of, schema_version_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 RANGE_SUMS = "range_sums"
 """Name of the table."""
+_UNWEIGHTED_SINCE = 4  # schema version
 _FEWEST = 32  # ranges of a comparison, if it has so many draws: standard errors are as good as that
 
 
@@ -75,16 +76,15 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
     """A row for each compared set and instant: the expected error then.
 
     The columns are name (of the set); t; measured (whether the set measures then); draws (all of
-    the comparison; 0: exact); error and standard_error. Errors are weighted and scaled as in the
-    MSE, and less their controls if there are any: their mean over time is the expected MSE.
+    the comparison; 0: exact); weight (of the instant in the MSE; the mean is 1); error and
+    standard_error. Errors are scaled as in the MSE, and less their controls if there are any. Their
+    weighted mean over time is the expected MSE.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    ranges, clock = read_ranges(run.table(RANGE_SUMS)), problem_of(run).clock
-    draws, tables = sum(each.draws for each in ranges), list[pd.DataFrame]()
+    ranges, problem, tables = _ranges_of(run), problem_of(run), list[pd.DataFrame]()
     for place, (name, times) in enumerate(run.sets.items()):
-        estimates = _estimates(ranges, place)
-        tables.append(profile_of(clock, clock.measurements(times), *estimates, draws))
+        tables.append(profile_of(problem, problem.clock.measurements(times), ranges, place))
         tables[-1].insert(0, "name", name)
     table = pd.concat(tables, ignore_index=True)
     table.attrs.update(tables[0].attrs)
@@ -93,28 +93,38 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
 
 def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
     """The error of a set at each instant less that of another, and its standard error, (T+1,)."""
-    ranges, names = read_ranges(run.table(RANGE_SUMS)), run.names
-    places = names.index(name), names.index(reference)
-    return _estimates(ranges, *places)
+    return errors_of(_ranges_of(run), run.names.index(name), run.names.index(reference))
+
+
+def _ranges_of(run: StoredRun) -> list[Range]:
+    """The ranges of a comparison; the sums in a run of schema version 3 are weighted."""
+    ranges, weights = read_ranges(run.table(RANGE_SUMS)), problem_of(run).weights
+    if weights is None or schema_version_of(run) >= _UNWEIGHTED_SINCE:
+        return ranges
+    with np.errstate(divide="ignore", invalid="ignore"):  # weight 0: the error is unknown
+        return [each._replace(sums=each.sums / np.array(weights)) for each in ranges]
 
 
 def profile_of(
-    clock: Clock, times: Times, error: Array, standard_error: Array, draws: int
+    problem: ProblemSection, times: Times, ranges: Sequence[Range], place: int
 ) -> pd.DataFrame:
-    """A row for each instant, from the expected error of a set then and its standard error, (T+1,).
+    """A row for each instant, with the error of the set at a place of some ranges.
 
     The columns are those of `error_over_time` but the name. The times are possible measurements of
-    the clock.
+    the problem's clock.
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
+    clock = problem.clock
+    error, standard_error = errors_of(ranges, place)
     at = {time // max(1, len(clock.sensors)) for time in times}
     table = pd.DataFrame(
         {
             "t": clock.times,
             **clock.columns_of_dates(range(len(clock.times))),
             "measured": [t in at for t in range(len(clock.times))],
-            "draws": draws,
+            "draws": sum(each.draws for each in ranges),
+            "weight": problem.weights or 1.0,
             "error": error,
             "standard_error": standard_error,
         }
@@ -124,9 +134,7 @@ def profile_of(
     return table
 
 
-def _estimates(
-    ranges: Sequence[Range], place: int, other: int | None = None
-) -> tuple[Array, Array]:
+def errors_of(ranges: Sequence[Range], place: int, other: int | None = None) -> tuple[Array, Array]:
     """The error of a set at each instant, less that of another, and its standard error, (T+1,).
 
     Ranges count by their draws. With one draw each, this is the standard error of a mean.

@@ -203,13 +203,14 @@ def _shares(run: StoredRun, angles: Sequence[bool]) -> dict[str, list[float]]:
     """The shares of the components of z in the error of each set, by the trajectories."""
     if "trajectories" not in run.tables:
         return {}
-    rows = run.table("trajectories")
+    rows, problem = run.table("trajectories"), problem_of(run)
     suffixes = [each.suffix for each in components_in(rows, "z_")]
-    shares = {}
+    weights = dict(zip(problem.clock.times, problem.weights or (), strict=False))
+    weight, shares = rows["t"].map(weights) if weights else 1.0, dict[str, list[float]]()
     for name in run.names:
         differences = [rows[f"z_{each}"] - rows[f"estimate_{name}_{each}"] for each in suffixes]
         errors = [
-            float((1 - np.cos(each) if is_angle else each**2).mean())
+            float((weight * (1 - np.cos(each) if is_angle else each**2)).mean())
             for each, is_angle in zip(differences, angles, strict=True)
         ]
         shares[name] = [error / sum(errors) for error in errors] if sum(errors) else []

@@ -138,15 +138,20 @@ def angles_of(run: StoredRun) -> list[bool]:
     """Whether each component of z is an angle.
 
     Empty if errors are not in the unit of z, because the model defines its own error, or because
-    errors are weighted or scaled.
+    errors are scaled.
     """
-    is_scaled = problem_of(run).weights or run.job.get("scenarios", {}).get("scales")
+    is_scaled = run.job.get("scenarios", {}).get("scales")
     return [] if is_scaled else [*run._about["provenance"].get("angles", ())]
 
 
 def version_of(run: StoredRun) -> str:
     """Version of pfdist that started the run."""
     return str(run._about["pfdist"])
+
+
+def schema_version_of(run: StoredRun) -> int:
+    """Version of the schema of the run's tables."""
+    return int(run._about["schema_version"])
 
 
 def problem_of(run: StoredRun) -> ProblemSection:

@@ -137,7 +137,8 @@ class BlockSums:
         A set with an infinite draw has NaN.
         """
         if self._evaluator.exact:
-            return self._counted.of_instants(self._evaluator.expected_errors(self._counted.sets))
+            errors = self._evaluator.expected_errors(self._counted.sets, weighted=True)
+            return self._counted.of_instants(errors)
         sums = np.zeros(self._counted.set_of.size)
 
         def add(_block: int, errors: Array) -> None:

@@ -87,6 +87,12 @@ class Built:
         worst: NDArray[np.float64] = np.max(errors, axis=0)
         return worst
 
+    def exact_over_time(self, times: Times) -> NDArray[np.float64]:
+        """The exact error of a set at each instant, (1, T+1); the worst scenario may decide."""
+        evaluators = self.evaluator.of_scenarios if self.is_worst else (self.evaluator,)
+        worst = max(evaluators, key=lambda each: float(each.expected_mse([times])[0]))
+        return worst.expected_errors([times])
+
     @property
     def phases(self) -> list[str]:
         """Names of all phases of the searches."""

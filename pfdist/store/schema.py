@@ -24,7 +24,9 @@ from pfdist.errors import StoreError
 if TYPE_CHECKING:
     import pandas as pd
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
+_READ = (3, SCHEMA_VERSION)
+"""Versions that are read; a run of the former version is not resumed."""
 _RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions
 RUN_KEY = b"pfdist_run"
 """Name of the entry of a file's metadata with the key of its run."""
@@ -107,7 +109,7 @@ _OF_A_SET = (
 )
 _LEFT_OUT = "whether no particle explains a measurement, which is left out"
 _CONTROL = "of expectation 0, if the job asks for it; the printed mean is that of mse - control"
-_SUMS = "errors at t = 0, 1, ..., less the control of each, weighted as in mse, over the draws"
+_SUMS = "errors at t = 0, 1, ..., less the control of each, not weighted, over the draws"
 _DEGENERATE = _column("degenerate", pa.bool_(), "", _LEFT_OUT)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
@@ -281,7 +283,7 @@ def check_schema_version(path: Path, version: object) -> None:
     `path` is the run's folder or the file, for the error. If the version is not a number, nothing
     is raised.
     """
-    if not isinstance(version, int) or version == SCHEMA_VERSION:
+    if not isinstance(version, int) or version in _READ:
         return
     if version > SCHEMA_VERSION:
         raise StoreError(

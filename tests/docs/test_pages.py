@@ -141,6 +141,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 )
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert _blocks(DOCS / f"{page}.md", "console|python")
+    if page == "start":  # its first command computes this run; the committed one is of version 0.4
+        shutil.rmtree("results/quick")
     _play(page, capsys)
 
 

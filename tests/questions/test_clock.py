@@ -172,6 +172,39 @@ def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
     assert (more.sets, more.draws_compared) == (run.sets, 300)
 
 
+LAST = [0, 0, 0, 0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("weights", [[], [f"problem.instant_weights={LAST}"]])
+@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+def test_evaluate_and_the_comparison_show_the_error_itself_and_the_typical_error(
+    engine: str, weights: list[str], job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither is weighted: at the last instant the error is the variance then."""
+    changes = [f"filter.engine={engine}", "filter.particles=500", "seed=3", *weights]
+    asked, times = pfdist.load_job(job, changes), [0.5, 5, 8]
+    evaluated = pfdist.evaluate(asked, times, draws=1000, profile=True)
+    sets = {"a": times, "b": [0, 1]}
+    run = pfdist.compare(asked, times=sets, results=tmp_path / "run", draws=1000, figures=False)
+    row, table = run.table("sets").set_index("name").loc["a"], run.table("error_over_time")
+    for profile, mse in (
+        (evaluated.profile, evaluated.expected_mse),
+        (table[table["name"] == "a"], row["expected_mse"]),
+    ):
+        apart = np.abs(profile["error"] - MEASURED) - 0.01 * MEASURED * (engine != "kalman")
+        assert (apart <= 4 * profile["standard_error"] + 1e-9).all()
+        assert (profile["weight"] * profile["error"]).mean() == pytest.approx(mse)
+        gaps = np.diff(TIMES)
+        given = LAST if weights else (np.append(0, gaps) + np.append(gaps, 0)) / 2
+        np.testing.assert_allclose(profile["weight"], np.divide(given, np.mean(given)))
+    assert row["typical_error"] == [pytest.approx(np.sqrt(row["expected_mse"]))]
+    words = [word for change in changes for word in ("--set", change)]
+    assert main(["evaluate", str(job), "--times", "0.5,5,8", "--profile", *words]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"typical error \d", shown)
+    assert re.search(r"^\[h\] +weight +error$", shown, re.MULTILINE)
+
+
 def _profile(run: pfdist.Run, found: Why) -> tuple[pd.DataFrame, float, NDArray[np.float64]]:
     """Errors of the best set at each instant, its expected MSE, and its exact errors."""
     profile = found.profile[found.profile["name"] == "exhaustive"]

@@ -1,4 +1,7 @@
-"""The expected error of any set over time, by `pfdist.evaluate` and ``pfdist evaluate``."""
+"""The expected error of any set over time, by `pfdist.evaluate` and ``pfdist evaluate``.
+
+Its mean with the column ``weight`` is the expected MSE.
+"""
 
 import json
 from pathlib import Path
@@ -51,9 +54,10 @@ def test_that_of_the_compiled_filter_is_that_of_its_plain_twin(
         for column in ("error", "standard_error"):
             expected = plain[name].profile[column]
             np.testing.assert_allclose(found.profile[column], expected, rtol=1e-9)
-        assert found.profile["error"].mean() == pytest.approx(found.expected_mse, rel=1e-12)
+        mean = (found.profile["weight"] * found.profile["error"]).mean()
+        assert mean == pytest.approx(found.expected_mse, rel=1e-12)
         assert (found.profile["name"] == name).all()
-        assert (found.profile["error"][0] == 0) == bool(changes)
+        assert (found.profile["weight"][0] == 0) == bool(changes)
         assert (found.profile["draws"] == 30).all()
     without = pfdist.evaluate(small_job.with_changes(changes), SETS)
     assert without["few"].profile is None
@@ -92,7 +96,7 @@ def test_the_command_has_it_as_a_table_and_as_json(
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)["sets"]
     found = pfdist.evaluate(Path(path), SETS, profile=True)
     for name, each in found.items():
-        profile = each.profile[["t", "error", "standard_error"]].to_dict("list")
+        profile = each.profile[["t", "weight", "error", "standard_error"]].to_dict("list")
         assert answer[name]["profile"] == profile
     assert main([*words, "--json"]) == 0
     assert "profile" not in json.loads(capsys.readouterr().out)["sets"]["few"]

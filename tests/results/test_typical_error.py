@@ -54,12 +54,22 @@ def test_an_angle_has_a_circular_deviation(tmp_path: Path) -> None:
 
 def test_it_is_unknown_where_errors_are_not_squares_in_the_unit_of_z(tmp_path: Path) -> None:
     own = dataclasses.replace(WALKS, error=lambda z, e, t, p: abs(z[0] - e[0]))
-    weights = [1.0] * 8 + [5.0]
-    for number, run in enumerate(
-        (_run(own, tmp_path / "own"), _run(WALKS, tmp_path / "w", instant_weights=weights))
-    ):
-        assert Subject(run).rows["early"].typical_error is None, number
-        assert Subject(run).typical_errors(Subject(run).rows["early"]) == ""
+    run = _run(own, tmp_path / "own")
+    assert Subject(run).rows["early"].typical_error is None
+    assert Subject(run).typical_errors(Subject(run).rows["early"]) == ""
+
+
+def test_components_share_a_weighted_error_by_their_weighted_errors(tmp_path: Path) -> None:
+    run = _run(WALKS, tmp_path / "run", instant_weights=[0.0] * 8 + [1.0])
+    rows = run.table("trajectories")
+    last = rows[rows["t"] == 8]
+    errors = [
+        float(((last[f"z_{each}"] - last[f"estimate_early_{each}"]) ** 2).mean())
+        for each in ("place", "angle")
+    ]
+    row = Subject(run).rows["early"]
+    shares = [error / sum(errors) * row.expected_mse for error in errors]
+    assert row.typical_error == pytest.approx(np.sqrt(shares).tolist())
 
 
 def test_evaluate_says_it_unless_errors_are_scaled(small_job: Job) -> None:

@@ -138,5 +138,5 @@ def test_an_exact_engine_tells_errors_without_draws(
     phase = Phase("mine", search, "search", exact.searches[0].settings, exact)
     completed(run_phase(phase, Session(exact, Store(tmp_path / "run"))))
     assert not handed
-    errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS))
+    errors = COUNTED.of_instants(exact.evaluator.expected_errors(SETS, weighted=True))
     assert_alike([evaluation.errors_of_instants for evaluation in search.told[1:]], errors)
