@@ -109,8 +109,9 @@ def _looping(name: str, *, draws: bool) -> Callable[[], None]:
 
     def call() -> None:
         blocks = compiled.blocks
+        address, shared = int(blocks.addresses[0, 0]), blocks.table[blocks.places[0, 0] :]
         for _ in range(CALLS):
-            run(int(blocks.addresses[0, 0]), out, arrays, blocks.table[blocks.places[0, 0] :])
+            run(compiled.code, address, out, arrays, shared)
 
     return call
 

@@ -293,12 +293,12 @@ def of_particles(at, block, t, source, target):
     blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
     which, stride = block * request.instants + t, batch.stride
     call_block(
-        blocks.addresses[which],
+        blocks,
+        which,
         (target, stride),
         (source, stride),
         (batch.noise, batch.spacious),
         (batch.means, 0, 0),
-        ahead(blocks.table, blocks.places[which]),
         (1, at.draws * batch.width),
     )
 
@@ -309,12 +309,12 @@ def with_given(at, block, t, source, target, given, of_draw, of_component):
     blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
     which, stride = block * request.instants + t, batch.stride
     call_block(
-        blocks.addresses[which],
+        blocks,
+        which,
         (target, stride),
         (source, stride),
         (batch.noise, batch.spacious),
         (given, of_draw, of_component),
-        ahead(blocks.table, blocks.places[which]),
         (at.draws, batch.width),
     )
 
@@ -325,12 +325,12 @@ def of_draws(at, block, t, source, target):
     blocks, request, batch = blocks_of(at.work), request_of(at.work), batch_of(at.work)
     which, row = block * request.instants + t, batch.row
     call_block(
-        blocks.addresses[which],
+        blocks,
+        which,
         (target, row),
         (source, row),
         (batch.noise, 0),
         (batch.means, 0, 0),
-        ahead(blocks.table, blocks.places[which]),
         (1, row),
     )
 

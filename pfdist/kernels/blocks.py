@@ -16,6 +16,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from pfdist.kernels.cached import compiled
 from pfdist.kernels.callbacks import Callback
 from pfdist.kernels.lowering import (
     ARGUMENTS,
@@ -28,6 +29,7 @@ from pfdist.kernels.lowering import (
     machine_code,
     split,
 )
+from pfdist.kernels.memory import ahead
 from pfdist.kernels.vectors import LANES
 from pfdist.models.parameters import Parameter
 from pfdist.models.program import Array, evaluate, merged
@@ -42,6 +44,7 @@ class Blocks(NamedTuple):
     addresses: NDArray[np.int64]  # (blocks, instants): of the machine code
     places: NDArray[np.int64]  # (blocks, instants): where the row of the table begins
     table: NDArray[np.float64]
+    memory: NDArray[np.float64]  # in which the machine code works: that of the caller alone
 
 
 class Source(NamedTuple):
@@ -58,9 +61,14 @@ class Source(NamedTuple):
 class Compiled:
     """Blocks with their machine code and callbacks, which must live as long as the blocks."""
 
-    blocks: Blocks
+    shared: Blocks
     code: Code = field(repr=False)
     callbacks: Sequence[Callback] = ()
+
+    @property
+    def blocks(self) -> Blocks:
+        """The blocks, with new memory, so that threads can run in parallel."""
+        return self.shared._replace(memory=self.code.new_memory())
 
     @property
     def together(self) -> int | None:
@@ -100,7 +108,7 @@ def compile_blocks(sources: Sequence[Source | Callback | None], instants: range)
     for number, callback in callbacks.items():  # it reads the instant from the table
         addresses[number], places[number] = callback.address, size + np.arange(len(instants))
     table.append(np.array(instants, np.float64))
-    blocks = Blocks(addresses, places, np.concatenate(table))
+    blocks = Blocks(addresses, places, np.concatenate(table), np.empty(0))
     return Compiled(blocks, code, [*callbacks.values()])
 
 
@@ -140,7 +148,7 @@ class _Program:
         for row, values in zip(slots, self._leaves(self.split.leaves), strict=False):
             row[:count], row[count:] = values, values[0]
         out = np.empty((len(shared.outputs), slots.shape[1]))
-        run(code.addresses[shared], out, slots)
+        run(code, code.addresses[shared], out, slots)
         return np.ascontiguousarray(out[:, :count].T)
 
 
@@ -150,28 +158,35 @@ _CALL = ctypes.CFUNCTYPE(
 )
 
 
-def run(address: int, out: Array, slots: Array, shared: Array | None = None) -> None:
+def run(code: Code, address: int, out: Array, slots: Array, shared: Array | None = None) -> None:
     """Call a block that needs only rows of slots, (rows, a multiple of `LANES`).
 
     `shared` has the numbers of its instant, if it needs any.
     """
-    width = slots.shape[1]
+    width, memory = slots.shape[1], code.new_memory()
     rows, results = slots.ctypes.data, out.ctypes.data
     numbers = rows if shared is None else shared.ctypes.data
-    _CALL(address)(results, width, rows, width, rows, 0, rows, 0, 0, numbers, 1, width)
+    kept = memory.ctypes.data
+    _CALL(address)(results, width, rows, width, rows, 0, rows, 0, 0, numbers, kept, 1, width)
 
 
 # --- calls of blocks from compiled functions ------------------------------------------------------
 
 
-@intrinsic
-def call_block(context, address, out, slots, noise, given, shared, size):
-    """Call a block by its address; see `pfdist.kernels.lowering.ARGUMENTS`.
+@compiled
+def call_block(blocks, which, out, slots, noise, given, size):
+    """Call a block by its number in `Blocks`; see `pfdist.kernels.lowering.ARGUMENTS`.
 
-    `out`, `slots` and `noise` are a pointer and a stride, `given` a pointer and two strides,
-    `shared` is a pointer, and `size` the numbers of draws and of slots of each.
+    `out`, `slots` and `noise` are a pointer and a stride, `given` a pointer and two strides, and
+    `size` the numbers of draws and of slots of each.
     """
-    arguments = address, out, slots, noise, given, shared, size
+    shared = ahead(blocks.table, blocks.places[which])
+    _call(blocks.addresses[which], out, slots, noise, given, shared, blocks.memory, size)
+
+
+@intrinsic
+def _call(context, address, out, slots, noise, given, shared, memory, size):
+    arguments = address, out, slots, noise, given, shared, memory, size
 
     def generate(context, builder, signature, values):
         numbers = []

@@ -40,6 +40,7 @@ class _Given(NamedTuple):
     draw_stride: int
     component_stride: int
     shared: int
+    memory: int
     draws: int
     width: int
 

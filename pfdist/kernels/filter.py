@@ -342,13 +342,13 @@ def _fill_log_weights(instant):
     if request.threshold < np.inf:
         which = LOGARITHM * request.instants
         call_block(
-            blocks.addresses[which],
+            blocks,
+            which,
             (batch.log_carried, batch.stride),
             (batch.cloud, 0),
             (batch.weight, 0),
             (batch.means, 0, 0),
-            ahead(blocks.table, blocks.places[which]),
-            (1, used),
+                (1, used),
         )
         for d in range(at.draws):
             if batch.weighted[d]:

@@ -173,12 +173,12 @@ def _call(path, block, t, source, target, noise):
     )
     which = block * request.instants + (t if t > 0 else np.int64(0))
     call_block(
-        blocks.addresses[which],
+        blocks,
+        which,
         (target, CHUNK),
         (source, CHUNK),
         (noise, batch.spacious),
         (batch.means, 0, 0),
-        ahead(blocks.table, blocks.places[which]),
         (1, path.particles),
     )
 
@@ -254,12 +254,12 @@ def _look(instant, path):
     component = request.first_components[sensor]
     y = measured_at(at, path.draw * request.instants + t, component)
     call_block(
-        blocks.addresses[which],
+        blocks,
+        which,
         (ahead(_record(path, path.steps), request.states * CHUNK), CHUNK),
         (_record(path, path.steps + 1), CHUNK),
         (batch.noise, batch.spacious),
         (y, 0, 1),
-        ahead(blocks.table, blocks.places[which]),
         (1, path.particles),
     )
 

@@ -7,7 +7,7 @@ functions; `split` separates these two halves of a program.
 import math
 import re
 import struct
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -17,6 +17,7 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 from llvmlite import ir
+from numpy.typing import NDArray
 
 from pfdist.kernels.singles import function_of
 from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, entries, outlined, splat
@@ -43,7 +44,7 @@ DOUBLES = Precision()
 _SHARED = ("t", "parameter", "covariate", "constant")  # leaves with one value for all particles
 _INDEX, _DOUBLE, _FLOAT = ir.IntType(64), ir.DoubleType(), ir.FloatType()
 _MOST_COMPILED = 32
-MOST_TOGETHER = 300  # operations of a function; a longer program is compiled in pieces
+MOST_TOGETHER = 300  # values that a function needs; a longer program is compiled in pieces
 _MOST_INLINED = 4  # long operations of one kind in a function
 _LEAVES = ("slots", "noise", "given", "shared", "number")
 
@@ -77,12 +78,13 @@ class _Writer:
 
     def __init__(self) -> None:
         self.operations: list[Operation] = []
-        self._numbers: dict[Operation, int] = {}
+        self._numbers: dict[Any, int] = {}
 
     def add(self, name: str, arguments: tuple[int, ...] = (), which: Any = None) -> int:
         """The number of an operation, which is written if it is new."""
         operation = Operation(name, arguments, which)
-        number = self._numbers.setdefault(operation, len(self.operations))
+        key = (operation, len(self.operations)) if name == "repeat" else operation  # loops differ
+        number = self._numbers.setdefault(key, len(self.operations))
         if number == len(self.operations):
             self.operations.append(operation)
         return number
@@ -169,7 +171,8 @@ class Code:
     """The machine code of some functions, which lives as long as this object."""
 
     def __init__(self, halves: tuple[Half, ...]) -> None:
-        parsed, machine = llvm.parse_assembly(str(module_of(halves))), _machine()
+        module, self._size = module_of(halves)
+        parsed, machine = llvm.parse_assembly(str(module)), _machine()
         options = llvm.create_pipeline_tuning_options(speed_level=2)
         options.loop_vectorization = options.slp_vectorization = False
         passes = llvm.create_pass_builder(machine, options)
@@ -181,14 +184,21 @@ class Code:
             for number, half in enumerate(halves)
         }
 
+    def new_memory(self) -> NDArray[np.float64]:
+        """Memory in which one thread can run the functions; it begins at a line of the cache."""
+        memory = np.empty(self._size + 8)
+        return memory[-memory.ctypes.data // 8 % 8 :]
 
-def module_of(halves: tuple[Half, ...]) -> ir.Module:
-    """LLVM's module of a function for each half of a program."""
-    module = ir.Module("blocks")
+
+def module_of(halves: tuple[Half, ...]) -> tuple[ir.Module, int]:
+    """LLVM's module of a function for each half of a program, and the numbers that one keeps."""
+    module, most = ir.Module("blocks"), 0
     module.triple = llvm.get_process_triple()
     for number, half in enumerate(halves):
-        _Function(module, f"block{number}", half).write()
-    return module
+        arranged = _Arranged(half)
+        _Function(module, f"block{number}", half, arranged).write()
+        most = max(most, arranged.size * LANES)
+    return module, most
 
 
 @lru_cache(maxsize=_MOST_COMPILED)
@@ -225,185 +235,308 @@ ARGUMENTS = (
     *(("out", _DOUBLE), ("out_stride", _INDEX), ("slots", _DOUBLE), ("slots_stride", _INDEX)),
     *(("noise", _FLOAT), ("noise_stride", _INDEX)),
     *(("given", _DOUBLE), ("draw_stride", _INDEX), ("component_stride", _INDEX)),
-    *(("shared", _DOUBLE), ("draws", _INDEX), ("width", _INDEX)),
+    *(("shared", _DOUBLE), ("memory", _DOUBLE), ("draws", _INDEX), ("width", _INDEX)),
 )
 """Arguments of a block.
 
 Component c of the particle i of draw d is ``slots[c * slots_stride + d * width + i]``, and the same
 holds for noise and results. ``given[d * draw_stride + c * component_stride]`` is that of a draw.
 """
-POINTERS = ("out", "slots", "noise", "given", "shared")
+POINTERS = ("out", "slots", "noise", "given", "shared", "memory")
 """The arguments that are addresses of arrays."""
-FUNCTION = ir.FunctionType(
-    ir.VoidType(), [kind.as_pointer() if name in POINTERS else kind for name, kind in ARGUMENTS]
-)
+_PIECE = (*ARGUMENTS, ("position", _INDEX), ("step", _INDEX))
+"""Arguments of a piece of a block; `given` is that of its draw."""
+
+
+def _signature(arguments: Sequence[tuple[str, Any]]) -> ir.FunctionType:
+    kinds = [kind.as_pointer() if name in POINTERS else kind for name, kind in arguments]
+    return ir.FunctionType(ir.VoidType(), kinds)
+
+
+FUNCTION = _signature(ARGUMENTS)
+
+
+class _Arranged:
+    """The operations of half a program in the order of machine code, and their places in memory.
+
+    LLVM's time grows faster than a function, and values for which no register is left lie on the
+    stack. So a long program is cut into pieces, which are functions. A value that another piece
+    needs is kept in memory. So are the entries of which each step of a loop takes one, and the
+    states of a loop that is longer than a piece.
+
+    Further operations are ("put", (value,), place), ("out", (value,), row) and ("kept",), a value
+    that was put.
+    """
+
+    def __init__(self, half: Half) -> None:
+        self.operations, self.size = [*half.operations], 0  # vectors in memory
+        self.rows, self.often = _rows_of_steps(half), _often(half)
+        self.places = dict[int, int]()  # of values in memory
+        self.entries = dict[int, int]()  # the place of the first entry of each "nth"
+        self.bodies = dict[int, list[list[int]]]()  # the pieces of a step of each long loop
+        outputs = [[self._add("out", (each,), row)] for row, each in enumerate(half.outputs)]
+        self.pieces = self._cut([*self._groups(half), *outputs])
+        pieces = [*self.pieces, *(piece for body in self.bodies.values() for piece in body)]
+        piece_of = {number: k for k, piece in enumerate(pieces) for number in piece}
+        for number, k in piece_of.items():
+            for each in self._taken(number):
+                if piece_of.get(each, k) != k and each not in self.places:
+                    self.places[each] = self._place()
+
+    @property
+    def is_short(self) -> bool:
+        """Whether one function computes all."""
+        return len(self.pieces) == 1 and not self.bodies
+
+    def needed(self, numbers: Sequence[int]) -> set[int]:
+        """Some operations, and what they take; numbers that are part of the code do not count."""
+        taken = {each for number in numbers for each in self._taken(number)}
+        return {*numbers, *(each for each in taken if self.operations[each].name != "number")}
+
+    def _taken(self, number: int) -> tuple[int, ...]:
+        """The values that an operation takes, besides those of its loop."""
+        name, arguments, _ = self.operations[number]
+        if name in ("state", "step", "nth", "final"):
+            return ()
+        return arguments[:1] if number in self.bodies else arguments
+
+    def _add(self, name: str, arguments: tuple[int, ...], which: int) -> int:
+        self.operations.append(Operation(name, arguments, which))
+        return len(self.operations) - 1
+
+    def _place(self, count: int = 1) -> int:
+        """The first of some places in memory."""
+        self.size += count
+        return self.size - count
+
+    def _put(self, values: Sequence[int], first: int) -> list[list[int]]:
+        """Operations that put values at successive places."""
+        return [[self._add("put", (each,), first + k)] for k, each in enumerate(values)]
+
+    def _groups(self, half: Half) -> Iterator[list[int]]:
+        """What is not cut, in order: operations and loops."""
+        ends, finals = dict[int, int](), defaultdict[int, list[int]](list)
+        for number, (name, arguments, _) in enumerate(half.operations):
+            if name == "again":
+                ends[arguments[0]] = number
+            elif name == "final":
+                finals[arguments[0]].append(number)
+        behind = 0
+        for number, (name, *_) in enumerate(half.operations):
+            if name == "repeat":
+                end, behind = ends[number], ends[number] + 1
+                step = [k for k in range(number + 1, end) if half.operations[k].name not in _LEAVES]
+                yield from self._loop(number, step, end, finals[end])
+            elif number >= behind and name not in (*_LEAVES, "final"):
+                yield [number]
+
+    def _loop(self, begin: int, step: list[int], end: int, last: list[int]) -> list[list[int]]:
+        """A loop, behind what must be in memory; its last values stand beside it."""
+        groups = list[list[int]]()
+        for each in step:
+            name, arguments, _ = self.operations[each]
+            if name == "nth" and each not in self.rows:
+                self.entries[each] = self._place(len(arguments) - 1)
+                groups += self._put(arguments[1:], self.entries[each])
+        if len(self.needed([begin, *step, end, *last])) <= MOST_TOGETHER:
+            return [*groups, [begin, *step, end, *last]]
+        values, following = self.operations[begin].arguments[1:], self.operations[end].arguments[1:]
+        first, behind = self._place(len(values)), self._place(len(values))
+        for each in (*step, *last):
+            if self.operations[each].name in ("state", "final"):
+                self.places[each] = first + self.operations[each].which
+        kept = [self._add("kept", (), behind + k) for k in range(len(values))]
+        self.places.update((each, behind + k) for k, each in enumerate(kept))
+        body = [[each] for each in step if each not in self.places]
+        body += [*self._put(following, behind), *self._put(kept, first)]
+        self.bodies[begin] = self._cut(body)
+        return [*groups, *self._put(values, first), [begin]]
+
+    def _cut(self, groups: Iterable[list[int]]) -> list[list[int]]:
+        """Pieces that need few values each; a long loop is a piece."""
+        pieces, needed = list[list[int]](), set[int]()
+        for group in groups:
+            more = self.needed(group)
+            is_full = len(needed) + len(more - needed) > MOST_TOGETHER
+            if not pieces or is_full or {group[0], pieces[-1][0]} & self.bodies.keys():
+                pieces.append([])
+                needed = set[int]()
+            pieces[-1] += group
+            needed |= more
+        return pieces
 
 
 class _Function:
-    """Writes the function of half a program."""
+    """Writes a function of half a program: its block, or a piece."""
 
-    def __init__(self, module: ir.Module, name: str, half: Half) -> None:
-        function = ir.Function(module, FUNCTION, name)
-        self._given = dict(zip((name for name, _ in ARGUMENTS), function.args, strict=True))
-        self._given["out"].add_attribute("noalias")
-        self._builder = ir.IRBuilder(function.append_basic_block("entry"))
-        self._half, self._values, self._often = half, dict[int, Vector](), _often(half)
-        self._precision = half.precision
-        self._computed = [
-            number for number, each in enumerate(half.operations) if each.name not in _LEAVES
-        ]
-        self._rows = _rows_of_steps(half)
-        used = {
-            each
-            for number in self._computed
-            for each in half.operations[number].arguments
-            if number not in self._rows
-        }
-        self._loaded = [
-            number
-            for number, each in enumerate(half.operations)
-            if each.name in ("slots", "noise") and (number in used or number in half.outputs)
-        ]
+    def __init__(
+        self,
+        module: ir.Module,
+        name: str,
+        half: Half,
+        arranged: _Arranged,
+        arguments: Sequence[tuple[str, Any]] = ARGUMENTS,
+    ) -> None:
+        self.function = ir.Function(module, _signature(arguments), name)
+        names = (name for name, _ in arguments)
+        self._given = dict(zip(names, self.function.args, strict=True))
+        for name in ("out", "memory"):
+            self._given[name].add_attribute("noalias")
+        self._builder = ir.IRBuilder(self.function.append_basic_block("entry"))
+        self._half, self._arranged, self._values = half, arranged, dict[int, Vector]()
+        self._kind = half.precision.computed
 
     def write(self) -> None:
-        """Write loops over draws and over particles; what does not change is loaded before them."""
-        builder, given = self._builder, self._given
-        for number, operation in enumerate(self._half.operations):
-            if operation.name == "number":
-                self._values[number] = _numeral(builder, self._half, number)
-            elif operation.name == "shared":
-                self._values[number] = self._spread("shared", _index(operation.which))
+        """Write loops over draws and over particles.
+
+        If the program is short, what does not change is loaded before them.
+        """
+        builder, given, arranged = self._builder, self._given, self._arranged
+        self._load("shared")
         with _loop(builder, given["draws"], 1) as draw:
             first = builder.mul(draw, given["draw_stride"])
-            for number, operation in enumerate(self._half.operations):
-                if operation.name == "given":
-                    component = builder.mul(_index(operation.which), given["component_stride"])
-                    self._values[number] = self._spread("given", builder.add(first, component))
+            given["given"] = builder.gep(given["given"], [first])
+            self._load("given")
             origin = builder.mul(draw, given["width"])
             with _loop(builder, given["width"], LANES) as particle:
-                self._compute(builder.add(origin, particle))
+                given["position"] = builder.add(origin, particle)
+                self._load("slots", "noise")
+                if arranged.is_short:
+                    self._compute(arranged.pieces[0])
+                else:
+                    self._call_pieces()
         builder.ret_void()
+
+    def _load(self, *arrays: str) -> None:
+        """Load what a short program takes from some arrays."""
+        if self._arranged.is_short:
+            for number in sorted(self._arranged.needed(self._arranged.pieces[0])):
+                if self._arranged.operations[number].name in arrays:
+                    self._value(number)
+
+    def _call_pieces(self) -> None:
+        """Write the calls of pieces, and the loops over these."""
+        for piece in self._arranged.pieces:
+            body = self._arranged.bodies.get(piece[0])
+            if body is None:
+                self._call(piece, _index(0))
+                continue
+            _, (count, *_), most = self._arranged.operations[piece[0]]
+            with _loop(self._builder, _steps(self._value(count), most), 1) as step:
+                for each in body:
+                    self._call(each, step)
+
+    def _call(self, piece: list[int], step: Any) -> None:
+        """Write a piece, and its call."""
+        name = f"{self.function.name}piece{piece[0]}"
+        module, given = self._builder.module, self._given
+        inner = _Function(module, name, self._half, self._arranged, _PIECE)
+        inner.function.linkage = "internal"
+        inner.function.attributes.add("noinline")
+        inner._compute(piece)
+        inner._builder.ret_void()
+        values = [given[name] for name, _ in _PIECE[:-1]]
+        self._builder.call(inner.function, [*values, step])
+
+    # --- values -----------------------------------------------------------------------------------
+
+    def _value(self, number: int) -> Vector:
+        """The value of an operation; one that is not computed here is loaded."""
+        if number not in self._values:
+            name, _, which = self._arranged.operations[number]
+            if name == "number":
+                value = _numeral(self._builder, self._half, number)
+            elif name in ("slots", "noise"):
+                value = self._loaded_row(name, _index(which))
+            elif name == "shared":
+                value = self._spread("shared", _index(which))
+            elif name == "given":
+                row = self._builder.mul(_index(which), self._given["component_stride"])
+                value = self._spread("given", row)
+            else:
+                value = self._kept(_index(self._arranged.places[number]))
+                value = value.differs(0.0) if name in MASKS else value.to(self._kind)
+            self._values[number] = value
+        return self._values[number]
 
     def _spread(self, array: str, place: Any) -> Vector:
         number = self._array(array).load(Vector(self._builder, place, "i8"), 0)
-        return splat(number.to(self._precision.computed), LANES)
+        return splat(number.to(self._kind), LANES)
 
     def _array(self, name: str) -> Array:
-        kinds = {"noise": "f4", "slots": self._precision.slots, "out": self._precision.computed}
+        kinds = {"noise": "f4", "slots": self._half.precision.slots, "out": self._kind}
         kind, address = kinds.get(name, "f8"), self._given[name]
         return Array(self._builder, self._builder.bitcast(address, KINDS[kind].as_pointer()), kind)
 
-    def _row(self, array: str, row: Any, position: Any) -> Vector:
+    def _row(self, array: str, row: Any) -> Vector:
         """The place of a vector in a row."""
-        stride = self._given[f"{array}_stride"]
-        place = self._builder.add(self._builder.mul(row, stride), position)
-        return Vector(self._builder, place, "i8")
+        place = self._builder.mul(row, self._given[f"{array}_stride"])
+        return Vector(self._builder, self._builder.add(place, self._given["position"]), "i8")
 
-    def _compute(self, position: Any) -> None:
-        """Write what is done for some particles."""
-        for number in self._loaded:
-            name, _, which = self._half.operations[number]
-            self._values[number] = self._loaded_row(name, _index(which), position)
-        if len(self._computed) <= MOST_TOGETHER:
-            self._compute_each(self._computed, position)
-        else:
-            self._compute_in_pieces(position)
-        for row, output in enumerate(self._half.outputs):
-            value = self._values[output]
-            self._array("out").store(
-                self._row("out", _index(row), position), value.to(self._precision.computed)
-            )
-
-    def _loaded_row(self, array: str, row: Any, position: Any) -> Vector:
+    def _loaded_row(self, array: str, row: Any) -> Vector:
         """The values of some particles in a row."""
-        vector = self._array(array).load(self._row(array, row, position), LANES)
-        return vector.to(self._precision.computed)
+        return self._array(array).load(self._row(array, row), LANES).to(self._kind)
 
-    def _compute_each(self, numbers: Iterable[int], position: Any) -> None:
+    def _place(self, place: Any) -> Vector:
+        return Vector(self._builder, self._builder.mul(place, _index(LANES)), "i8")
+
+    def _kept(self, place: Any) -> Vector:
+        """A value in memory."""
+        return self._array("memory").load(self._place(place), LANES)
+
+    def _keep(self, place: int, value: Vector) -> None:
+        """Keep a value in memory; a mask as 1 and 0."""
+        self._array("memory").store(self._place(_index(place)), value.to("f8"))
+
+    # --- operations -------------------------------------------------------------------------------
+
+    def _compute(self, numbers: Sequence[int]) -> None:
         """Compute operations, one after another."""
-        values = self._values
         loop: Any = None
         for number in numbers:
-            name, arguments, which = self._half.operations[number]
-            if name not in LOOPS:
-                values[number] = _applied(self._half, number, values, self._often)
-            elif name == "repeat":
-                given = [values[each] for each in arguments]
-                loop = _Loop(given[0], given[1:], which)
-            elif name == "nth" and number in self._rows:
-                first, stride = self._rows[number]
-                row = self._builder.mul(_index(stride), loop.step.value)
-                row = self._builder.add(row, _index(first))
-                values[number] = self._loaded_row("noise", row, position)
-            elif name == "nth":
-                values[number] = loop.nth([values[each] for each in arguments[1:]])
+            name, arguments, which = self._arranged.operations[number]
+            if name == "repeat":
+                count, *values = map(self._value, arguments)
+                loop = _Loop(count, values, which)
+                self._given["step"] = loop.step.value
             elif name == "again":
-                loop.end([values[each] for each in arguments[1:]])
-            elif name == "step":
-                values[number] = splat(loop.step.to(self._precision.computed), LANES)
+                loop.end([self._value(each) for each in arguments[1:]])
+            elif name == "put":
+                self._keep(which, self._value(arguments[0]))
+            elif name == "out":
+                place = self._row("out", _index(which))
+                self._array("out").store(place, self._value(arguments[0]).to(self._kind))
             else:
-                values[number] = loop.values[which]
+                is_of_loop = name in ("state", "final")
+                value = loop.values[which] if is_of_loop else self._computed(number)
+                self._values[number] = value
+                if number in self._arranged.places:
+                    self._keep(self._arranged.places[number], value)
 
-    def _compute_in_pieces(self, position: Any) -> None:
-        """Compute by several functions: LLVM takes a time that grows faster than a function does.
+    def _computed(self, number: int) -> Vector:
+        """The value of an operation; that of a long operation which is used often, by a call."""
+        name, arguments, which = self._arranged.operations[number]
+        if name in ("step", "nth"):
+            return self._of_step(number)
+        given = [self._value(each) for each in arguments]
+        if name == "take":
+            return _take(self._half, given[0], which)
+        function = function_of(name, self._kind)
+        if name in self._arranged.often:
+            return outlined(f"vector_{name}_{self._kind}", function, given)
+        return function(*given)
 
-        Values that another piece needs are kept in memory. A loop is not cut.
-        """
-        operations = self._half.operations
-        pieces, loops = _pieces(self._half, self._computed)
-        piece_of = {number: k for k, piece in enumerate(pieces) for number in piece}
-        kept = {
-            each
-            for number in self._computed
-            for each in operations[number].arguments
-            if piece_of.get(each) != piece_of[number]
-            and operations[each].name != "number"
-            and number not in self._rows
-        } | {each for each in self._half.outputs if each in piece_of}
-        places = {number: place for place, number in enumerate(sorted(kept))}
-        with self._builder.goto_entry_block():
-            memory = self._builder.alloca(KINDS["f8"], size=len(places) * LANES)
-        for number in places.keys() - piece_of.keys():
-            _store(memory, places[number], self._values[number])
-        for k, piece in enumerate(pieces):
-            if k not in loops:
-                function = self._piece(f"piece{k}", piece, places)
-                self._builder.call(function, [memory])
-                continue
-            for number in {each for some in piece for each in operations[some].arguments}:
-                if number in places and number in piece_of and piece_of[number] != k:
-                    self._values[number] = _load(
-                        self._builder, memory, places[number], self._half, number
-                    )
-            self._compute_each(piece, position)
-            for number in piece:
-                if number in places:
-                    _store(memory, places[number], self._values[number])
-        for number in self._half.outputs:
-            if number in piece_of:
-                self._values[number] = _load(
-                    self._builder, memory, places[number], self._half, number
-                )
-
-    def _piece(self, name: str, piece: list[int], places: Mapping[int, int]) -> ir.Function:
-        """A function that computes some operations, from values in memory to others."""
-        kind = ir.FunctionType(ir.VoidType(), [KINDS["f8"].as_pointer()])
-        function = ir.Function(self._builder.module, kind, f"{self._builder.function.name}{name}")
-        function.linkage = "internal"
-        function.attributes.add("noinline")
-        builder = ir.IRBuilder(function.append_basic_block("entry"))
-        (memory,), operations, values = function.args, self._half.operations, dict[int, Vector]()
-        for number in piece:
-            for each in operations[number].arguments:
-                if each not in values and operations[each].name == "number":
-                    values[each] = _numeral(builder, self._half, each)
-                elif each not in values:
-                    values[each] = _load(builder, memory, places[each], self._half, each)
-            values[number] = _applied(self._half, number, values, self._often)
-            if number in places:
-                _store(memory, places[number], values[number])
-        builder.ret_void()
-        return function
+    def _of_step(self, number: int) -> Vector:
+        """The number of a step, or its entry of some values."""
+        builder, step = self._builder, self._given["step"]
+        if number in self._arranged.entries:
+            first = _index(self._arranged.entries[number])
+            return self._kept(builder.add(first, step)).to(self._kind)
+        if number in self._arranged.rows:
+            first, stride = self._arranged.rows[number]
+            row = builder.mul(_index(stride), step)
+            return self._loaded_row("noise", builder.add(row, _index(first)))
+        return splat(Vector(builder, step, "i8").to(self._kind), LANES)
 
 
 class _Loop:
@@ -414,29 +547,15 @@ class _Loop:
 
     def __init__(self, count: Vector, values: list[Vector], most: int) -> None:
         builder = self._builder = count.builder
-        first = Vector(builder, builder.extract_element(count.value, _index(0)), count.kind)
-        first = (first >= 1.0).select(first, first.number(1.0))
-        self._count = (first <= most).select(first, first.number(most)).to("i8")
-        self._before, self._body = builder.block, builder.append_basic_block("step")
+        self._count = _steps(count, most)
+        before, self._body = builder.block, builder.append_basic_block("step")
         builder.branch(self._body)
         builder.position_at_end(self._body)
         self.step = Vector(builder, builder.phi(_INDEX), "i8")
-        self.step.value.add_incoming(_index(0), self._before)
+        self.step.value.add_incoming(_index(0), before)
         self.values = [Vector(builder, builder.phi(each.value.type), each.kind) for each in values]
         for phi, value in zip(self.values, values, strict=True):
-            phi.value.add_incoming(value.value, self._before)
-
-    def nth(self, values: list[Vector]) -> Vector:
-        """The value with the number of the step; all values are there before the loop."""
-        builder, kind, width = self._builder, values[0].kind, LANES
-        with builder.goto_entry_block():
-            memory = builder.alloca(KINDS[kind], size=len(values) * width)
-        with builder.goto_block(self._before):
-            array = Array(builder, memory, kind)
-            for place, value in enumerate(values):
-                array.store(Vector(builder, _index(place * width), "i8"), value)
-        position = Vector(builder, builder.mul(self.step.value, _index(width)), "i8")
-        return Array(builder, memory, kind).load(position, width)
+            phi.value.add_incoming(value.value, before)
 
     def end(self, values: list[Vector]) -> None:
         """Begin the next step with other values, or end."""
@@ -446,10 +565,17 @@ class _Loop:
         for phi, value in zip(self.values, values, strict=True):
             phi.value.add_incoming(value.value, builder.block)
         behind = builder.append_basic_block("behind")
-        is_next = builder.icmp_signed("<", following, self._count.value)
+        is_next = builder.icmp_signed("<", following, self._count)
         builder.cbranch(is_next, self._body, behind)
         builder.position_at_end(behind)
         self.values = values
+
+
+def _steps(count: Vector, most: int) -> Any:
+    """The number of steps of a loop, from a number that is the same for all particles."""
+    first = Vector(count.builder, count.builder.extract_element(count.value, _index(0)), count.kind)
+    first = (first >= 1.0).select(first, first.number(1.0))
+    return (first <= most).select(first, first.number(most)).to("i8").value
 
 
 def _rows_of_steps(half: Half) -> dict[int, tuple[int, int]]:
@@ -465,38 +591,10 @@ def _rows_of_steps(half: Half) -> dict[int, tuple[int, int]]:
     return found
 
 
-def _pieces(half: Half, computed: Sequence[int]) -> tuple[list[list[int]], set[int]]:
-    """Operations that one function computes, and which of these are loops."""
-    pieces, loops, inside = [list[int]()], set[int](), False
-    for number in computed:
-        name, last = half.operations[number].name, len(pieces) - 1
-        follows = inside or (name == "final" and last in loops)
-        is_full = last in loops or len(pieces[-1]) >= MOST_TOGETHER
-        if pieces[-1] and not follows and (name == "repeat" or is_full):
-            pieces.append([])
-        if name == "repeat":
-            loops.add(len(pieces) - 1)
-        inside = (inside or name == "repeat") and name != "again"
-        pieces[-1].append(number)
-    return pieces, loops
-
-
 def _often(half: Half) -> frozenset[str]:
     """The long operations that half a program uses often."""
     counts = Counter(each.name for each in half.operations)
     return frozenset(name for name, count in counts.items() if count > _MOST_INLINED) & _LONG
-
-
-def _applied(
-    half: Half, number: int, values: Mapping[int, Vector], often: frozenset[str]
-) -> Vector:
-    """The value of an operation; the long operations `often` are called."""
-    name, arguments, which = half.operations[number]
-    given = [values[each] for each in arguments]
-    if name == "take":
-        return _take(half, given[0], which)
-    function, kind = function_of(name, half.precision.computed), half.precision.computed
-    return outlined(f"vector_{name}_{kind}", function, given) if name in often else function(*given)
 
 
 _LONG = frozenset(
@@ -514,20 +612,6 @@ _LONG = frozenset(
 def _numeral(builder: ir.IRBuilder, half: Half, number: int) -> Vector:
     """A number that is the same for all particles and at all instants."""
     return constant(builder, half.precision.computed, LANES, _value(half.operations[number]))
-
-
-def _store(memory: Any, place: int, value: Vector) -> None:
-    """Keep a value in memory; a mask as 1 and 0."""
-    index = Vector(value.builder, _index(place * LANES), "i8")
-    Array(value.builder, memory, "f8").store(index, value.to("f8"))
-
-
-def _load(builder: ir.IRBuilder, memory: Any, place: int, half: Half, number: int) -> Vector:
-    """Load a value from memory."""
-    index = Vector(builder, _index(place * LANES), "i8")
-    value = Array(builder, memory, "f8").load(index, LANES)
-    is_mask = half.operations[number].name in MASKS
-    return value.differs(0.0) if is_mask else value.to(half.precision.computed)
 
 
 def _take(half: Half, index: Vector, which: int) -> Vector:

@@ -144,8 +144,8 @@ def _evaluate(work, block, k, states, values, noise):
     """Call a block for all draws that are simulated side by side."""
     blocks, which = _blocks(work), block * _request(work).instants + k
     call_block(
-        blocks.addresses[which], (values, TOGETHER), (states, TOGETHER), (noise, TOGETHER),
-        (states, 0, 0), ahead(blocks.table, blocks.places[which]), (1, TOGETHER),
+        blocks, which, (values, TOGETHER), (states, TOGETHER), (noise, TOGETHER),
+        (states, 0, 0), (1, TOGETHER),
     )  # fmt: skip
 
 

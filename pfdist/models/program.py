@@ -159,7 +159,8 @@ def merged(program: Program) -> Program:
         if name == "constant":
             attribute = columns.setdefault(program.constants[:, which].tobytes(), len(columns))
         operation = Operation(name, tuple(moved[each] for each in arguments), attribute)
-        moved.append(numbers.setdefault(operation, len(operations)))
+        key = (operation, len(operations)) if name == "repeat" else operation  # loops differ
+        moved.append(numbers.setdefault(key, len(operations)))
         if moved[-1] == len(operations):
             operations.append(operation)
     constants = np.empty((len(program.constants), len(columns)))

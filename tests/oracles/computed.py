@@ -7,10 +7,10 @@ import llvmlite.binding as llvm
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.kernels.blocks import Source, call_block, compile_blocks, run
+from pfdist.kernels.blocks import Blocks, Source, call_block, compile_blocks, run
 from pfdist.kernels.cached import entry
 from pfdist.kernels.lowering import Half, Precision, machine_code, module_of, split
-from pfdist.kernels.memory import ahead, read
+from pfdist.kernels.memory import read
 from pfdist.kernels.vectors import LANES
 from pfdist.models.program import MASKS, Operation, merged
 from pfdist.models.tracing import Formula, trace
@@ -28,7 +28,8 @@ def computed(name, *arguments, dtype=np.float64):
         operations.append(Operation("float", (len(leaves),)))
     half = Half(tuple(operations), (len(operations) - 1,), (), Precision(kind, kind))
     out = np.empty((1, slots.shape[1]), dtype)
-    run(machine_code((half,)).addresses[half], out, slots)
+    code = machine_code((half,))
+    run(code, code.addresses[half], out, slots)
     return out[0, :size]
 
 
@@ -40,7 +41,8 @@ def in_singles(function, *arguments):
     source = _source(function, len(arguments))._replace(precision=Precision("f4", "f4"))
     compiled = compile_blocks([source], range(1))
     blocks, out = compiled.blocks, np.empty_like(slots[:1])
-    run(int(blocks.addresses[0, 0]), out, slots, blocks.table[blocks.places[0, 0] :].copy())
+    shared = blocks.table[blocks.places[0, 0] :].copy()
+    run(compiled.code, int(blocks.addresses[0, 0]), out, slots, shared)
     return out[0, :size]
 
 
@@ -75,17 +77,23 @@ def libraries_of(function, arguments):
 
 def called_elsewhere(halves, triple="x86_64-unknown-linux-gnu", processor="haswell"):
     """Names of the functions outside that the machine code of some halves of programs calls."""
+    text = assembly(halves, triple, processor)
+    names = re.findall(r"^\s+(?:bl|call\w*)\s+(\S+)", text, re.MULTILINE)
+    return {*names} - {*re.findall(r"^(\w+):", text, re.MULTILINE)}
+
+
+def assembly(halves, triple="x86_64-unknown-linux-gnu", processor="haswell"):
+    """The machine code of some halves of programs as text, for a processor."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
-    module = module_of(tuple(dict.fromkeys(each for each in halves if each.outputs)))
+    module, _ = module_of(tuple(dict.fromkeys(each for each in halves if each.outputs)))
     module.triple = triple
     machine = llvm.Target.from_triple(triple).create_target_machine(
         cpu=processor, opt=2, codemodel="small"
     )
-    assembly = machine.emit_assembly(llvm.parse_assembly(str(module)))
-    assert "ret" in assembly
-    names = re.findall(r"^\s+(?:bl|call\w*)\s+(\S+)", assembly, re.MULTILINE)
-    return {*names} - {*re.findall(r"^(\w+):", assembly, re.MULTILINE)}
+    text = machine.emit_assembly(llvm.parse_assembly(str(module)))
+    assert "ret" in text
+    return text
 
 
 def called(blocks, t, x, w, y, outputs):
@@ -93,19 +101,17 @@ def called(blocks, t, x, w, y, outputs):
     draws, width = x.shape[1:]
     out = np.empty((outputs, draws, width))
     x, w, y = (np.ascontiguousarray(each) for each in (x, w, y))
-    address, place = int(blocks.addresses[0, t]), int(blocks.places[0, t])
-    _call(_Arrays(address, place, out, x, w, y, blocks.table, y.shape[1], draws, width))
+    _call(_Arrays(blocks, t, out, x, w, y, y.shape[1], draws, width))
     return out
 
 
 class _Arrays(NamedTuple):
-    address: int
-    place: int
+    blocks: Blocks
+    t: int
     out: NDArray[np.float64]
     x: NDArray[np.float64]
     w: NDArray[np.float32]
     y: NDArray[np.float64]
-    table: NDArray[np.float64]
     components: int
     draws: int
     width: int
@@ -116,6 +122,6 @@ def _call(arrays):
     given = read(arrays)
     stride = given.draws * given.width
     call_block(
-        given.address, (given.out, stride), (given.x, stride), (given.w, stride),
-        (given.y, given.components, 1), ahead(given.table, given.place), (given.draws, given.width),
+        given.blocks, given.t, (given.out, stride), (given.x, stride), (given.w, stride),
+        (given.y, given.components, 1), (given.draws, given.width),
     )  # fmt: skip
