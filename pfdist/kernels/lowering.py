@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.singles import function_of
 from pfdist.kernels.vectors import KINDS, LANES, Array, Vector, constant, entries, outlined, splat
-from pfdist.models.program import GROUPS, LOOPS, MASKS, Operation, Program
+from pfdist.models.program import GROUPS, MASKS, Operation, Program
 
 Layout = Mapping[str, tuple[str, int]]
 """The place of a formula's arguments: for each group, an array and the first row.
@@ -172,12 +172,8 @@ class Code:
 
     def __init__(self, halves: tuple[Half, ...]) -> None:
         module, self._size = module_of(halves)
-        parsed, machine = llvm.parse_assembly(str(module)), _machine()
-        options = llvm.create_pipeline_tuning_options(speed_level=2)
-        options.loop_vectorization = options.slp_vectorization = False
-        passes = llvm.create_pass_builder(machine, options)
-        passes.getModulePassManager().run(parsed, passes)
-        self._engine = llvm.create_mcjit_compiler(parsed, machine)
+        machine = _machine()
+        self._engine = llvm.create_mcjit_compiler(optimised(module, machine), machine)
         self._engine.finalize_object()
         self.addresses = {
             half: self._engine.get_function_address(f"block{number}")
@@ -199,6 +195,16 @@ def module_of(halves: tuple[Half, ...]) -> tuple[ir.Module, int]:
         _Function(module, f"block{number}", half, arranged).write()
         most = max(most, arranged.size * LANES)
     return module, most
+
+
+def optimised(module: ir.Module, machine: Any) -> Any:
+    """The module as it becomes machine code of a processor."""
+    parsed = llvm.parse_assembly(str(module))
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    options.loop_vectorization = options.slp_vectorization = False
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(parsed, passes)
+    return parsed
 
 
 @lru_cache(maxsize=_MOST_COMPILED)
@@ -380,8 +386,8 @@ class _Function:
         self.function = ir.Function(module, _signature(arguments), name)
         names = (name for name, _ in arguments)
         self._given = dict(zip(names, self.function.args, strict=True))
-        for name in ("out", "memory"):
-            self._given[name].add_attribute("noalias")
+        for each in ("out", "memory"):
+            self._given[each].add_attribute("noalias")
         self._builder = ir.IRBuilder(self.function.append_basic_block("entry"))
         self._half, self._arranged, self._values = half, arranged, dict[int, Vector]()
         self._kind = half.precision.computed

@@ -43,7 +43,9 @@ MASKS = frozenset({*OPERATORS[6:], *LOGICAL, "isnan", "isinf", "isfinite", "sign
 LOOPS = ("repeat", "state", "step", "nth", "again", "final")
 """Operations of loops; see `Operation`."""
 MOST_STEPS: Final = 10_000  # of a loop
-MOST_TAKEN: Final = 10_000  # arguments of all operations "nth" of a program
+MOST_IN_STEP: Final = 10_000  # operations between "repeat" and "again"
+MOST_TAKEN: Final = 10_000  # values that all loops of a program take: arguments of `_TAKING`
+_TAKING = ("repeat", "nth", "again")
 
 TAKES = (
     dict.fromkeys((*GROUPS, "t", "parameter", "constant"), "")
@@ -168,6 +170,20 @@ def merged(program: Program) -> Program:
         constants[:, column] = np.frombuffer(content)
     outputs = tuple(moved[each] for each in program.outputs)
     return Program(tuple(operations), outputs, constants, program.tables)
+
+
+def excess_of_loops(operations: Sequence[Operation]) -> str:
+    """What is too large in the loops of a program; empty if nothing is."""
+    taken = sum(len(each.arguments) for each in operations if each.name in _TAKING)
+    if taken > MOST_TAKEN:
+        return f"the loops of a formula must take at most {MOST_TAKEN:,} values, got {taken:,}"
+    for number, (name, arguments, _) in enumerate(operations):
+        if name == "again" and number - arguments[0] - 1 > MOST_IN_STEP:
+            return (
+                f"a step of a loop must have at most {MOST_IN_STEP:,} operations, got "
+                f"{number - arguments[0] - 1:,} (the loop of operation {arguments[0]:,})"
+            )
+    return ""
 
 
 def groups_of(program: Program, outputs: Sequence[int]) -> set[str]:

@@ -12,7 +12,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from pfdist.models.program import BINARY, MASKS, OPERATORS, UNARY, Operation, Program
+from pfdist.models.program import (
+    BINARY,
+    MASKS,
+    OPERATORS,
+    UNARY,
+    Operation,
+    Program,
+    excess_of_loops,
+)
 from pfdist.models.program import take as take_entries
 
 MOST_OPERATIONS: Final = 50_000
@@ -133,11 +141,13 @@ class Recording:
         order = self._in_order()
         place = {number: k for k, number in enumerate(order)}
         operations = (self.operations[number] for number in order)
-        moved = (
+        moved = tuple(
             Operation(name, tuple(place[each] for each in arguments), which)
             for name, arguments, which in operations
         )
-        return Program(tuple(moved), tuple(place[each] for each in numbers), constants, tables)
+        if excess := excess_of_loops(moved):
+            raise RefusedError(excess)
+        return Program(moved, tuple(place[each] for each in numbers), constants, tables)
 
 
 class Symbol:

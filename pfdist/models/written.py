@@ -19,11 +19,11 @@ from pfdist.models.checks import MEASURING, MOST_COMPONENTS, own_formulas
 from pfdist.models.program import (
     GROUPS,
     MOST_STEPS,
-    MOST_TAKEN,
     TAKES,
     Array,
     Operation,
     Program,
+    excess_of_loops,
     kind_of,
 )
 from pfdist.models.programs import Declared, Programs, Untraced
@@ -275,10 +275,9 @@ def _read_program(data: Mapping[str, Any]) -> Program:
     constants = _read_array(rows, len(rows[0]) if rows else 0)
     _need(len(constants) > 0, "a program has no row of constants")
     _need(all(isinstance(taken, list) for _, taken, _ in operations), "arguments must be lists")
-    taken_each = sum(len(taken) for name, taken, _ in operations if name == "nth")
-    _need(taken_each <= MOST_TAKEN, f"steps take {taken_each:,} values")
     read = [Operation(name, tuple(taken), which) for name, taken, which in operations]
-    loops = _loops_of(read)
+    loops, excess = _loops_of(read), excess_of_loops(read)
+    _need(not excess, excess)
     for number, operation in enumerate(read):
         _check_operation(read, number, operation)
         _check_loops(read, number, loops)
