@@ -350,8 +350,8 @@ export function mount(element, connection) {
   function show(found) {
     answer = found;
     paint();
-    const [first, ...others] = found.facts.map(([head, text]) =>
-      make("div", {}, make("dt", {}, head), make("dd", {}, text)));
+    const [first, ...others] = found.facts.map(([head, text], place) =>
+      make("div", {}, make("dt", {}, place ? head : `expected MSE ${head}`), make("dd", {}, text)));
     verdict.replaceChildren(first); // the paired difference: errors on few draws mislead
     readout.replaceChildren(...others);
     mark.textContent = found.mark;

@@ -315,11 +315,11 @@ class Session:
         return job_toml(job.identity())
 
     def command_line(self, sets: Mapping[str, Iterable[int]]) -> str:
-        """The command that compares named sets with the evenly spaced times."""
+        """The command that compares named sets with the evenly spaced times and the plan."""
         self.job_text(sets)  # checks the names
         written = {
             name: ",".join(map(formatted_time, self._clock.written_of(self._checked(times))))
-            for name, times in sets.items()
+            for name, times in (({PLAN: self.plan} if self.plan else {}) | {**sets}).items()
         }
         place = self._source or (self.run.path if self.run else self.job.path)
         if self._source is None and self.run is None and not self.job.origin.is_file:

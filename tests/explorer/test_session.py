@@ -246,6 +246,9 @@ def test_with_a_plan_sets_are_judged_against_it(small_run: pfdist.Run) -> None:
     assert row["gain"] == pytest.approx(1 - mine.mean() / plan.mean(), rel=1e-12)
     with pytest.raises(JobError, match="these are the times of the plan"):
         session.judge("plan", session.plan)
+    plan = ",".join(map(str, session.plan))
+    expected = f" --times regular --times plan={plan} --times mine=1,4,6,12"
+    assert session.command_line({"mine": MINE}).endswith(expected)
 
 
 def test_a_job_file_finds_its_run(finished: Callable[..., Path], tmp_path: Path) -> None:
