@@ -8,7 +8,7 @@ from typing import Any
 
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
-from pfdist.common.percent import percent
+from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import with_interval
 from pfdist.problem.set_key import EVENLY_SPACED, PLAN
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of
@@ -50,7 +50,7 @@ def _answer(subject: Subject) -> list[Text]:
     most = max(regular, key=lambda row: int(row.measurements))
     if most.expected_mse is None or math.isinf(most.expected_mse):
         return []
-    reached = subject.reaching(most.expected_mse)["found"]
+    reached = subject.reaching(most.expected_mse, most.standard_error)["found"]
     if reached["measurements"] is None:
         return []
     number = reached["measurements"]
@@ -64,6 +64,8 @@ def _answer(subject: Subject) -> list[Text]:
             "No plan of fewer measurements that was tried does as well as "
             f"{most.measurements} evenly spaced ones."
         )
+        if more := _with_more_particles(subject, FOUND, reached):
+            text += f" {more[0].upper()}{more[1:]}."
     if reached["impossible"] is not None:
         too_few = number_of(reached["impossible"], "measurement")
         text += f" Proved: {too_few} cannot, at any times (95 % confidence)."
@@ -84,6 +86,7 @@ def _target(subject: Subject) -> Iterator[Text]:
         number, impossible = reached["measurements"], reached.get("impossible")
         where = _of_number(subject, number) if number and kind == FOUND else ""
         texts = [_reached(kind, reached, subject.target, where)]
+        texts.append(_with_more_particles(subject, kind, reached))
         if impossible is not None:
             texts.append(f"{impossible} {'is' if impossible == 1 else 'are'} provably too few")
             texts.append(_undecided(subject, reached))
@@ -112,6 +115,17 @@ def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -
     if others := reached["larger_that_do_not"]:
         text += f", but {', '.join(map(str, others))} do not reach it"
     return text
+
+
+def _with_more_particles(subject: Subject, kind: str, reached: Mapping[str, Any]) -> str:
+    """Say which number may reach an error with more particles, and what these particles lose."""
+    if (number := reached["with_more_particles"]) is None:
+        return ""
+    rows = [row for row in subject.rows.values() if row.kind == kind]
+    row = next(row for row in rows if row.measurements == number)
+    loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
+    particles = subject.run.job["filter"]["particles"]
+    return f"with more particles {number} may: these {particles:,} lose {loss}"
 
 
 def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
