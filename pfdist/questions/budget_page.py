@@ -10,7 +10,7 @@ from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import with_interval
-from pfdist.problem.set_key import EVENLY_SPACED, PLAN
+from pfdist.problem.set_key import EVENLY_SPACED, PLAN, phrase_of
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row
@@ -39,6 +39,7 @@ def budget(subject: Subject) -> Section | None:
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(rows),
         *_estimated([row for row in rows if row.kind == FOUND]),
+        *_lost(rows),
         all_sets(subject),
     ]
     return Section("How many measurements are enough?", blocks)
@@ -96,8 +97,7 @@ def _target(subject: Subject) -> Iterator[Text]:
 
 def _of_number(subject: Subject, number: int) -> str:
     """The times and the typical error of the plan of so many measurements."""
-    rows = [row for row in subject.rows.values() if row.kind == FOUND]
-    row = next(row for row in rows if row.measurements == number)
+    row = _row(subject, FOUND, number)
     typical = subject.typical_errors(row)
     error = f" (typical error {typical})" if typical else ""
     return f": t = {subject.listed(row.measurement_times)}{error}"
@@ -121,11 +121,14 @@ def _with_more_particles(subject: Subject, kind: str, reached: Mapping[str, Any]
     """Say which number may reach an error with more particles, and what these particles lose."""
     if (number := reached["with_more_particles"]) is None:
         return ""
-    rows = [row for row in subject.rows.values() if row.kind == kind]
-    row = next(row for row in rows if row.measurements == number)
+    row, particles = _row(subject, kind, number), subject.run.job["filter"]["particles"]
     loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
-    particles = subject.run.job["filter"]["particles"]
     return f"with more particles {number} may: these {particles:,} lose {loss}"
+
+
+def _row(subject: Subject, kind: str, number: int) -> Row:
+    rows = [row for row in subject.rows.values() if row.kind == kind]
+    return next(row for row in rows if row.measurements == number)
 
 
 def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
@@ -193,6 +196,15 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
                 f"More measurements are worse, {label} (95 % for all pairs together): "
                 f"{', '.join(worse)}."
             )
+
+
+def _lost(rows: Sequence[Row]) -> Iterator[Text]:
+    """The largest particle loss of all sets."""
+    if known := [row for row in rows if row.particle_loss_limit is not None]:
+        row = max(known, key=lambda row: float(row.particle_loss_limit))
+        loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
+        text = f"The particles lose most with {phrase_of(row.label)}: {loss}."
+        yield Text(text, detail=True)
 
 
 def _estimated(rows: Sequence[Row]) -> Iterator[Text]:

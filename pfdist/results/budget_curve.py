@@ -100,9 +100,7 @@ def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     }
 
 
-def reaching(
-    table: pd.DataFrame, target: float, error: float = 0.0
-) -> dict[str, dict[str, Any]]:
+def reaching(table: pd.DataFrame, target: float, error: float = 0.0) -> dict[str, dict[str, Any]]:
     """The least number of measurements whose expected MSE is at most a target, and its interval.
 
     Parameters

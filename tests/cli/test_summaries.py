@@ -171,6 +171,7 @@ class Budget:
                     "measurements": 16,
                     "expected_mse": scale * mse,
                     "standard_error": scale * error,
+                    "label": "plan of 16",
                     "particle_loss": 0.15,
                     "particle_loss_limit": 0.3,
                 }

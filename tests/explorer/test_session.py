@@ -80,7 +80,12 @@ def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run
     session.answer(session.plan, 3840)  # what a user has seen before the move
     answer = session.answer(MINE, 120)
     heads, texts = zip(*answer["facts"], strict=True)
-    assert heads[:4] == ("against the plan", "against evenly spaced", "expected MSE", "typical error")
+    assert heads[:4] == (
+        "against the plan",
+        "against evenly spaced",
+        "expected MSE",
+        "typical error",
+    )
     means = [session.played.errors(times, 120).mse.mean() for times in sets]
     shown = re.findall(r"(yours|the plan|evenly spaced) ([\d.]+) ± ([\d.]+)", texts[2])
     assert [name for name, *_ in shown] == ["yours", "the plan", "evenly spaced"]

@@ -19,7 +19,8 @@ from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.questions.run_page import answer_of
+from pfdist.problem.set_key import phrase_of
+from pfdist.questions.run_page import answer_of, page_of
 from pfdist.results import reaching
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.progress import Progress
@@ -129,6 +130,10 @@ def test_few_particles_that_reach_no_target_say_that_more_may(
     loss = particle_loss_text(own["particle_loss"], own["particle_loss_limit"])
     assert f"reaches an MSE of {target:g}; with more particles 3 may: these 4 lose {loss}" in said
     assert len(sets["warnings"].explode().dropna()) == 1  # of the set with the largest loss
+    worst = sets.loc[sets["particle_loss_limit"].idxmax(), "label"]
+    assert f"The particles lose most with {phrase_of(worst)}: at most" in " ".join(
+        str(page_of(run)).split()
+    )
 
 
 def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
