@@ -123,7 +123,7 @@ def _with_more_particles(subject: Subject, kind: str, reached: Mapping[str, Any]
         return ""
     row, particles = _row(subject, kind, number), subject.run.job["filter"]["particles"]
     loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
-    return f"with more particles {number} may: these {particles:,} lose {loss}"
+    return f"with more particles {number} may be enough: these {particles:,} lose {loss}"
 
 
 def _row(subject: Subject, kind: str, number: int) -> Row:

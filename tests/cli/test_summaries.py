@@ -242,8 +242,8 @@ AT = f": t = {[*range(16)]} (typical error {{}} g/L)"  # as `Budget` gives it
         (
             {"measurements": None, "with_more_particles": 16},
             "None of these numbers of measurements reaches an MSE of 25; with more particles 16 "
-            "may: these 400 lose at most 30.00 % of the expected MSE (95 % confidence; estimate "
-            f"15.00 %); {FEW}.",
+            "may be enough: these 400 lose at most 30.00 % of the expected MSE (95 % confidence; "
+            f"estimate 15.00 %); {FEW}.",
         ),
     ],
 )
