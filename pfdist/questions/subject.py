@@ -111,9 +111,9 @@ class Subject:
         )
         return [Text(text)] if others else []
 
-    def reaching(self, target: float) -> dict[str, dict[str, Any]]:
+    def reaching(self, target: float, error: float = 0.0) -> dict[str, dict[str, Any]]:
         """How many measurements reach an expected MSE; see `pfdist.results.reaching`."""
-        return reaching(self.sets, target)
+        return reaching(self.sets, target, error)
 
     @property
     def reference(self) -> str:

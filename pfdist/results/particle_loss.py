@@ -191,8 +191,7 @@ def particle_losses_of(
 ) -> dict[str, ParticleLoss]:
     """The particle loss of each compared set, by name.
 
-    It is empty for exact engines, errors other than the squared norm, and several numbers of
-    measurements.
+    It is empty for exact engines, and errors other than the squared norm.
     """
     if not (run._store.has("filter_distance") and run._store.has("filter_variance")):
         return {}

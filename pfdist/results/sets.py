@@ -303,12 +303,14 @@ def _add_particle_losses(
     if not losses:
         return
     unmeasured = float(run.table("filter_variance")["unmeasured"].mean())
+    # A budget curve has many sets: the largest loss speaks for all.
+    worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():
         row = rows[name]
         row |= loss.columns() | {"unmeasured_mse": unmeasured}
         hardly = hardly_measured(row["expected_mse"], unmeasured)
         warnings = [loss.warning, hardly if name in statistics.gains else ""]
-        row["warnings"] += [text for text in warnings if text]
+        row["warnings"] += [text for text in warnings if text and worst in ("", name)]
 
 
 def _gain_over_itself(run: StoredRun) -> Results:

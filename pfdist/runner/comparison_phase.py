@@ -65,8 +65,8 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     references = references_of(names, job.identity())
     interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
-    tables = (trajectories, repeated, distances, variances) if built.study.has_details else ()
-    for table in tables:
+    details = (trajectories, repeated) if built.study.has_details else ()
+    for table in (*details, distances, variances):
         first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
