@@ -132,6 +132,7 @@ class Filtered:
         mean = self._mean(evaluation, errors)
         known = np.nan_to_num(mean)  # an instant of weight 0 has no exact error
         typical = self._typical(np.average(known, axis=0, weights=self._evaluator.weights))
+        typical[np.isinf(typical)] = np.nan  # of an angle of which nothing is known
         parts, angles = self.components, self._evaluator.model.is_angle
         names = [each.name or f"z{each.suffix}" for each in parts] if len(parts) > 1 else [""]
         return ", ".join(

@@ -205,7 +205,8 @@ def ode(
     method : {"rk4", "heun"}
         The classical method of Runge and Kutta, of order 4, or that of Heun, of order 2.
     substeps : int, optional
-        Number of steps between two instants; by default 10.
+        Number of steps between two instants; by default 10. `pfdist.check_model` doubles it, and
+        says what changes.
     largest_step : float, optional
         Alternatively, the largest step in the unit of time: instants that are further apart have
         more steps, at most 10,000.
@@ -291,7 +292,8 @@ def sde(
         Euler-Maruyama solves the equation in the sense of Ito, and Heun in the sense of
         Stratonovich. Both agree if the diffusion does not depend on x.
     substeps : int
-        Number of steps between two instants.
+        Number of steps between two instants. `pfdist.check_model` doubles it, and says what
+        changes.
     dt : float or str, optional
         The time between two instants, or the name of the parameter that has it, if the job has no
         clock; by default 1.
