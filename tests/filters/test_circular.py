@@ -275,7 +275,11 @@ def test_only_a_wide_first_instant_looks_like_degrees(
 ) -> None:
     """A heading that counts its turns spreads and grows without end, and is right."""
     turned = replace(HEADING, parameters={**HEADING.parameters, "drift": drift})
-    model = replace(turned, quantity_of_interest=lambda x, t, p: (scale * x[0],))
+    model = replace(
+        turned,
+        measurement=lambda x, t, v, p: (x[0] + v[0],),
+        quantity_of_interest=lambda x, t, p: (scale * x[0],),
+    )
     first = takewhile(lambda each: each.name != "log_likelihood", check_loaded(lambda: model, 6, 5))
     said = [each.text for each in first if each.name == "angles"]
     assert len(said) == is_said
