@@ -127,6 +127,7 @@ class Filtered:
         """The typical error of each component of z over all instants, in words."""
         mean = self._mean(evaluation, errors)
         typical = self._typical(np.average(mean, axis=0, weights=self._evaluator.weights))
+        typical[np.isinf(typical)] = np.nan  # of an angle of which nothing is known
         parts, angles = self.components, self._evaluator.model.is_angle
         names = [each.name or f"z{each.suffix}" for each in parts] if len(parts) > 1 else [""]
         return ", ".join(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.measurement_times import Times, regular
+from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
@@ -19,11 +20,12 @@ from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHO
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.work import FLOAT64, Estimation, Work
+from pfdist.filters.work import FLOAT64, GUIDED, PLAIN, Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel
 from pfdist.models.batched import BatchedModel
 from pfdist.models.checks import own_formulas
+from pfdist.models.continuous import doubled
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded, with_untraced
@@ -36,7 +38,11 @@ from pfdist.runner.particles import (
     enough_particles,
     mean_effective_sizes,
     measured_loss,
+    why_plain,
 )
+
+Array = NDArray[np.float64]
+_Make = Callable[..., Evaluator]
 
 EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
@@ -81,28 +87,20 @@ def check_loaded(
     `filtered`, the checks of an evaluation are left out, and the last check of formulas that can be
     filtered is `EVERY_INSTANT`.
     """
+    name, advice = "load", ""
     try:
         model = load()
-    except ModelError as error:
-        yield Check("load", "wrong", str(error))
-        return
-    states, measurements, quantities = model.components
-    sizes = f"{states} of x, {measurements} of y, {quantities} of z"
-    yield Check("load", "ok", f"{model.name}: components {sizes}")
-    if times or model.reads_clock:
-        clock = tuple(times) or tuple(map(float, range(horizon + 1)))
-        horizon = len(clock) - 1
-        try:
-            model = model.on_clock(clock)
-        except ModelError as error:
-            yield Check("clock", "wrong", str(error))
-            return
-        yield Check("clock", *_clock(clock, not times))
-    try:
+        states, measurements, quantities = model.components
+        sizes = f"{states} of x, {measurements} of y, {quantities} of z"
+        yield Check("load", "ok", f"{model.name}: components {sizes}")
+        if times or model.reads_clock:
+            name, clock = "clock", tuple(times) or tuple(map(float, range(horizon + 1)))
+            horizon, model = len(clock) - 1, model.on_clock(clock)
+            yield Check("clock", *_clock(clock, not times))
+        name, advice = "simulate", "; give them in the model, or in a job, and check the job"
         check_lengths(model.parameters, horizon + 1)
     except ModelError as error:
-        text = f"{error}; give them in the model, or in a job, and check the job"
-        yield Check("simulate", "wrong", text)
+        yield Check(name, "wrong", f"{error}{advice}")
         return
     for part in model.parts:  # the system with each sensor alone
         if model.sensors:
@@ -114,7 +112,8 @@ def check_loaded(
     if filtered:  # the sensors measure in turn
         spread, sensors = regular(horizon, max(2, (horizon + 1) // 3)), len(model.parts)
         in_turn = tuple(t * sensors + number % sensors for number, t in enumerate(spread))
-        yield from check_filter(partial(Evaluator, model, horizon), in_turn, Estimation(particles))
+        made = partial(Evaluator, horizon=horizon)
+        yield from check_filter(made, (model,), in_turn, Estimation(particles))
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
@@ -134,9 +133,8 @@ def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, 
             return called, Check("compile", "ok", "functions are called on arrays of particles")
         return called, Check("compile", "note", slower)
     text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
-    if has_fused_multiply_add():
-        return evaluator, Check("compile", "ok", text)
-    return evaluator, Check("compile", "note", f"{text}; {WITHOUT_FMA}")
+    slower = "" if has_fused_multiply_add() else f"; {WITHOUT_FMA}"
+    return evaluator, Check("compile", "note" if slower else "ok", text + slower)
 
 
 def _in_pieces(model: StateSpaceModel, horizon: int) -> str:
@@ -173,6 +171,11 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         return
     text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
     yield Check("simulate", "ok", text)
+    first, names = draws.z[:, 0], model.named("z")
+    for k in np.flatnonzero(model.is_angle & (first.std(0) > 2.0 * np.pi)):
+        lies = f"lies in {first[:, k].min():.3g} to {first[:, k].max():.3g} at the first instant"
+        text = f"{names[k].label or f'z[{k}]'} is circular, so in radians, but {lies}: if these are"
+        yield Check("angles", "note", f"{text} degrees, convert them by np.radians")
     if model.linear_gaussian:
         yield Check("linear_gaussian", *looked(_linear_gaussian, model, draws))
     for look, is_declared, patient in (
@@ -210,10 +213,7 @@ def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[s
 
 
 def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    try:
-        matrices_of(model, draws.x.shape[1] - 1)
-    except ModelError as error:
-        return "wrong", str(error)
+    matrices_of(model, draws.x.shape[1] - 1)
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
@@ -233,7 +233,7 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     return "ok", text
 
 
-def _digits(evaluator: Evaluator, work: Work, mse: NDArray[np.float64]) -> tuple[str, str]:
+def _digits(evaluator: Evaluator, work: Work, mse: Array) -> tuple[str, str]:
     """State and text: how much the errors of draws differ from those of float64 states."""
     with np.errstate(over="ignore", invalid="ignore"):
         with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
@@ -268,6 +268,16 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
     return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
 
 
+def _guided(evaluator: Evaluator, work: Work) -> Iterator[Check]:
+    """What "auto" would choose instead of "guided", by its own measurement."""
+    if work.estimation.proposal == GUIDED:
+        plain = replace(work.estimation, proposal=PLAIN)
+        why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
+        less = "it loses less than 'plain' with a third of the particles"
+        text = f"'auto' takes 'plain': {why}" if why else less
+        yield Check("filter.proposal", "note" if why else "ok", text)
+
+
 @np.errstate(over="ignore", invalid="ignore")  # a check reports infinite errors
 def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
     """The seconds of a particle-step, from as many draws as take long enough.
@@ -287,20 +297,64 @@ def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -
 
 
 def check_filter(
-    make: Callable[[], Evaluator], times: Times, estimation: Estimation
+    make: _Make, models: Sequence[StateSpaceModel], times: Times, estimation: Estimation
 ) -> Iterator[Check]:
     """Yield checks of an evaluation with some times: its degenerate draws, its error and its time.
 
-    A slow model has fewer draws than a thousand.
+    A slow model has fewer draws than a thousand. `make` gives the evaluator of the models.
     """
     try:
-        evaluator, _ = _compiled(make(), estimation)
-        yield from _filtered(evaluator, times, estimation)
+        evaluator, _ = _compiled(make(*models), estimation)
+        yield from _filtered(evaluator, times, estimation, partial(_substeps, make, models))
     except (JobError, ModelError) as error:
         yield Check("filter", "wrong", str(error))
 
 
-def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Iterator[Check]:
+def _substeps(
+    make: _Make, models: Sequence[StateSpaceModel], evaluator: Evaluator, work: Work, mse: Array
+) -> Iterator[Check]:
+    """A check of differential equations: what changes with twice as many steps.
+
+    `mse`, (D,), are the errors of the work's draws. With more steps these have the same Brownian
+    motions, and the filter has the same noise.
+    """
+
+    def states(each: Evaluator) -> Array:
+        every, draws = each.of_scenarios or (each,), range(*work.draws)
+        return np.concatenate([one.draws(draws, work.draws_stream).x for one in every])
+
+    try:
+        first, last = doubled(models[0]), doubled(models[-1])
+        if first is models[0] and last is models[-1]:
+            return
+        twice = (first, first if models[0] == models[-1] else last)[: len(models)]
+        finer, _ = _compiled(make(*twice), work.estimation)
+        changes, x, to = finer(work).mse[:, 0] - mse, states(evaluator), states(finer)
+    except ModelError as error:
+        yield Check("substeps", "note", f"not checked with twice as many steps: {error}")
+        return
+    with np.errstate(all="ignore"):  # errors may be infinite, and components constant
+        moves, scale = np.nan_to_num(np.abs(to - x) / x.std((0, 1))), 100 / mse.mean()
+        size, most = np.sqrt((moves**2).mean((0, 1)).max()), moves.max()
+        change, own = (Estimate.of_mean(each).times(scale) for each in (changes, mse))
+        # Other particles are resampled where x moves: chance, which changes most draws' errors.
+        chance = CLEAR_ERRORS * 1.5 * scale * np.median(np.abs(changes)) / math.sqrt(mse.size)
+    text = (
+        f"twice as many steps change the expected MSE by {change.text} % (same draws and noise), x "
+        f"by {percent(size, 1)} of its standard deviation (root mean square; at most "
+        f"{percent(most, 0)})"
+    )
+    is_small = abs(change.value) <= max(_LITTLE, own.standard_error, chance)
+    advice = "" if is_small else ": give twice the substeps= (half the largest_step=), check again"
+    yield Check("substeps", "ok" if is_small else "note", text + advice)
+
+
+def _filtered(
+    evaluator: Evaluator,
+    times: Times,
+    estimation: Estimation,
+    substeps: Callable[..., Iterator[Check]],
+) -> Iterator[Check]:
     seconds_of_a_step = seconds_a_step(evaluator, times, estimation)
     work = evaluator.work((times,), 3, 3, (0, 1), estimation)
     seconds = seconds_of_a_step * work.steps_a_draw
@@ -318,18 +372,21 @@ def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Ite
     text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
     yield Check("degenerate draws", "note" if share else "ok", text)
     mean = Estimate.of_mean(result.mse[:, 0])
-    text = f"{mean.text} with these times"
-    if math.isfinite(mean.value) and math.isfinite(mean.standard_error):
-        yield Check("expected MSE", "ok", text)
-    else:
-        yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
+    wrong = (
+        ""
+        if math.isfinite(mean.value + mean.standard_error)
+        else "it must be finite, and its error, got "
+    )
+    yield Check("expected MSE", "wrong" if wrong else "ok", f"{wrong}{mean.text} with these times")
     if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
         yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
+    yield from substeps(evaluator, work, result.mse[:, 0])
     believed = evaluator.self_consistent
     if not evaluator.exact:
         yield Check("effective sample size", *_effective_sizes(believed, work))
     if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))
+        yield from _guided(believed, work)
     yield Check("an evaluation", "ok", an_evaluation)
     model = evaluator.model
     if isinstance(model, BatchedModel) and evaluator.believed == model:

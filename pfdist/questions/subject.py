@@ -148,9 +148,11 @@ class Subject:
     def typical_errors(self, row: Row, other: Row | None = None) -> str:
         """The typical error of a set, beside that of another: ``1.16 instead of 1.34 g/L``.
 
-        Empty if it is not known.
+        Empty if it is not known, or infinite: an angle of which nothing is known has no deviation.
         """
         errors = row.typical_error or ()
+        if not all(map(math.isfinite, errors)):
+            return ""
         others = (other.typical_error if other else None) or [None] * len(errors)
         parts = [
             _typical(component, angle, error, before)
@@ -180,7 +182,8 @@ class Subject:
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
     unit = component.unit or "rad" * is_angle
-    instead = "" if before is None else f" instead of {rounded(before, 3)}"
+    is_known = before is not None and math.isfinite(before)
+    instead = f" instead of {rounded(before, 3)}" * is_known
     return f"{rounded(error, 3)}{instead} {unit}".rstrip()
 
 

@@ -93,7 +93,8 @@ class ParticleLoss:
         """Sentences if the loss is large, or if few draws carry much of the error; else nothing."""
         large = (
             f"{self.particles} particles may be too few: they lose {self.text}. "
-            "pfdist check-model looks for a number that is enough."
+            "pfdist check-model looks for a number that is enough, and compares a guided filter "
+            "with a plain one."
         ) * self.is_large
         return " ".join(filter(None, (large, self.rare)))
 
