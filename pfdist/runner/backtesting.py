@@ -31,6 +31,7 @@ W = TypeVar("W")
 V = TypeVar("V")
 Array = NDArray[np.float64]
 _SECONDS = 60.0  # of a task at most: how fast a model is, is not known
+_SIGNED = 2**63  # from a key of 64 bits to a seed, which may be negative
 INTERVAL = (0.05, 0.95)
 """Quantiles between which a right model has 90 % of all values."""
 
@@ -189,8 +190,9 @@ def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
     """The p-value of each measurement of the plan, in the order of time."""
     model, sensors, plan = evaluator.believed, evaluator.sensors, work.sets[0]
     following = Filter(
-        model, work.estimation.particles, engine=evaluator.engine, horizon=evaluator.horizon
-    )
+        model, work.estimation.particles, work.streams[1] - _SIGNED,
+        engine=evaluator.engine, horizon=evaluator.horizon,
+    )  # fmt: skip
     surprises = list[float]()
     for t in sorted({number // sensors for number in plan}):
         here = tuple(number for number in plan if number // sensors == t)
