@@ -29,7 +29,8 @@ COIN = replace(  # yes or no, so that ties are broken for half of the rank
 def surprises(y: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The p-values of the plan's measurements in each replicate, (R, 4)."""
     monkeypatch.setattr(thinned, "DRAWS", 4)
-    built = build(as_job(pfdist.Problem(COIN, horizon=HORIZON, measurement_budget=4, particles=100), []))
+    problem = pfdist.Problem(COIN, horizon=HORIZON, measurement_budget=4, particles=100)
+    built = build(as_job(problem, []))
     matched = []
     for number, own in enumerate(y):
         judged = own.copy()
@@ -54,4 +55,3 @@ def test_p_values_of_a_right_model_are_uniform_over_replicates(
     for values in (*found.T, found.ravel()):
         assert stats.kstest(values, "uniform").pvalue > 0.001
     assert np.mean(found < 0.01) < 0.01 + 4 * np.sqrt(0.01 * 0.99 / found.size)
-
