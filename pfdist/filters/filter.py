@@ -61,6 +61,7 @@ LAST = 32_000  # the largest horizon of a job
 # measurements is 1 %, the level of the alarm.
 SUSPICIOUS = 1e-3
 MANY = 200_000
+LEAST = 2 / MANY  # p-values below it cannot be told apart
 
 
 class Filter:

@@ -29,7 +29,7 @@ from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
-from pfdist.filters.filter import SUSPICIOUS, Filter
+from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
 from pfdist.filters.filter_estimate import Estimate, few_particles
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.models.base import within_half_turn
@@ -338,11 +338,14 @@ def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
     """Time and p-value of the most surprising measurement, and the p-value among all."""
     if answer.most_surprising is None:
         return None
-    t, p = answer.most_surprising
-    alone, among = (rounded(each, _P_DIGITS) for each in (p, answer.surprise_of_all))
-    if answer.collapsed is not None and p < SUSPICIOUS:  # few particles miss the tails
-        return formatted_times([t], answer.time_unit), f"at most {alone}", f"at most {among}"
-    return formatted_times([t], answer.time_unit), f"= {alone}", among
+    (t, p), words = answer.most_surprising, ("= ", "")
+    if answer.collapsed is not None and p < SUSPICIOUS:  # it may lie beyond all particles
+        p, words = max(p, LEAST), ("at most ",) * 2
+    values = p, min(1.0, len(answer.measured) * p)
+    alone, among = (
+        f"{word}{rounded(each, _P_DIGITS)}" for word, each in zip(words, values, strict=True)
+    )
+    return formatted_times([t], answer.time_unit), alone, among
 
 
 def _estimate(answer: FilteredMeasurements) -> str:
