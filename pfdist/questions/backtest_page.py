@@ -8,7 +8,7 @@ from pfdist.common.calendar import unit_of_spans
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, with_interval
-from pfdist.questions.backtest import CENTRED, FROM_START, Backtest
+from pfdist.questions.backtest import CENTRED, FROM_START, Backtest, few_of
 from pfdist.questions.subject import change_of, number_of
 from pfdist.results.promise import KEPT, NOT_DECIDED, NOT_KEPT, NOTHING_FORESEEN, Promise
 
@@ -73,10 +73,14 @@ def _count(answer: Backtest) -> int:
 
 
 def _headline(answer: Backtest) -> str:
-    """Say for both grids, the worse first, whether the foreseen gain was found."""
+    """Say for both grids, the worse first, whether the foreseen gain was found.
+
+    If filters collapse, this is said first.
+    """
     grids = [(name, answer.promises[name]) for name in (FROM_START, CENTRED)]
     grids.sort(key=lambda grid: (_WORST_FIRST.index(grid[1].verdict), grid[1].ratio))
-    return " ".join(_sentence(answer.sets[name], each) for name, each in grids)
+    said = [_sentence(answer.sets[name], each) for name, each in grids]
+    return " ".join([*few_of(answer), *said])
 
 
 def _sentence(other: str, promised: Promise) -> str:

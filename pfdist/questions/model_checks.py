@@ -18,6 +18,7 @@ from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
 from pfdist.filters.work import FLOAT64, GUIDED, PLAIN, Estimation, Work
@@ -46,7 +47,6 @@ _Make = Callable[..., Evaluator]
 
 EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
-_FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
 _SAME = 1e-6  # relative difference of errors by two engines
 _LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
@@ -228,7 +228,7 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
         f"{work.estimation.particles} particles after {len(sizes)} measurements"
     )
-    if least < _FEW_EFFECTIVE:
+    if least < FEW:
         return "note", f"{text}: so few count that estimates are uncertain"
     return "ok", text
 

@@ -24,7 +24,7 @@ from pfdist.filters.estimate import Evaluation
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.problem import JobSource
-from pfdist.questions.filter_measurements import IMPROBABLE
+from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import UserTable, planned_run, table_argument
 from pfdist.questions.planner import Planner
 from pfdist.questions.subject import number_of
@@ -63,6 +63,9 @@ class NextTime(Shown):
         P-value of the most surprising among all measurements (Bonferroni), if there is one.
     time_unit : str
         The unit of the clock; empty if the job has none.
+    collapsed : int or float, optional
+        The first time at which the effective sample size falls below 5, if it does. The plan then
+        starts from a few particles.
     """
 
     run: Path
@@ -76,6 +79,7 @@ class NextTime(Shown):
     expected_before: Evaluation | None
     surprise: float | None
     time_unit: str = ""
+    collapsed: Time | None = None
 
     @property
     def next(self) -> Time | None:
@@ -106,6 +110,7 @@ class NextTime(Shown):
             "draws": self.expected.draws,
             "surprise_of_all": self.surprise,
             "is_improbable": self.is_improbable,
+            "collapsed": self.collapsed,
             **({"time_unit": self.time_unit} if self.time_unit else {}),
         }
         return finite(answer)
@@ -127,7 +132,8 @@ class NextTime(Shown):
             said = f"The budget is spent: {number}"
         else:
             said = f"No further measurement is possible after {number}"
-        section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
+        said = " ".join([*few_at(self.collapsed, unit), f"{said}."])
+        section = Section("", [Text(said, prominent=True), Facts(facts)])
         return Page("", "", [section], [_SEE_SURPRISE] * self.is_improbable)
 
     def _before(self) -> list[tuple[str, str]]:
@@ -184,7 +190,7 @@ def next_time(
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
-        measurement is a `pfdist.errors.PfdistWarning`, too.
+        measurement and an estimate of a few particles are a `pfdist.errors.PfdistWarning`, too.
 
     Returns
     -------
@@ -209,7 +215,8 @@ def next_time(
     feasible = planner.feasible
     start = clock.instants([planner.estimate().t])[0]
     rows = read_measurements(table, believed, clock, start)
-    last, surprise = _tell(planner, rows)
+    with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
+        last, surprise = _tell(planner, rows)
     if now is not None:
         instant = _instant_now(now, max(last, start), clock)
         if instant > last:
@@ -234,8 +241,10 @@ def next_time(
         expected_before[0] if expected_before else None,
         surprise,
         clock.unit,
+        planner.estimate().collapsed,
     )
-    for line in result._page().warnings if say is silent else ():
+    lines = [*few_at(result.collapsed, clock.unit), *result._page().warnings]
+    for line in lines if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 

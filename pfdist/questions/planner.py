@@ -227,9 +227,10 @@ class Planner:
         ]
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
-        """An estimate whose time is one on the clock."""
+        """An estimate whose times are on the clock."""
         time: Any = self.clock.time(estimate.t)
-        return replace(estimate, t=time)
+        few: Any = None if estimate.collapsed is None else self.clock.time(estimate.collapsed)
+        return replace(estimate, t=time, collapsed=few)
 
     def _time(self, t: Time | None) -> int:
         """The instant that is meant: that of a given time, or the next planned."""

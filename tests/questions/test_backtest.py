@@ -236,6 +236,16 @@ def test_a_number_of_replicates_that_nobody_has_is_not_named(
     assert says in answer_of(answer).sections[0].blocks[0].text
 
 
+def test_filters_that_collapse_come_first(planned: Path) -> None:
+    found = judged(planned, days(2))
+    assert found.as_json()["collapsed"] == 0  # the filter is exact
+    told = replace(found, collapsed=3)
+    assert told.as_json()["collapsed"] == 3
+    few = "<The estimate is that of a few particles, not the model's: the effective sample size "
+    few += "falls below 5 in 3 of 6 filters. What may help: more particles, filter.proposal = "
+    assert repr(told).startswith(few)
+
+
 def test_replicates_that_cannot_be_judged_are_named(planned: Path) -> None:
     data = days(5)
     data = data[~((data["day"] == "d1") & (data["t"] > 35))]

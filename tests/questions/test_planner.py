@@ -257,12 +257,23 @@ def test_measurements_that_contradict_the_model_are_told(
 ) -> None:
     file = tmp_path / "y.csv"
     file.write_text("t,y0\n0,3000.0\n")
-    with pytest.warns(PfdistWarning, match="^The model may be wrong about this system: look at"):
+    with pytest.warns(PfdistWarning) as said:
         told = pfdist.next_time(kept, file)
+    few, wrong = (str(each.message) for each in said)
+    assert few.startswith("The estimate is that of a few particles, not the model's")
+    assert wrong.startswith("The model may be wrong about this system: look at")
     assert told.is_improbable
-    assert " | The model may be wrong about this system" in repr(told)
+    assert f" | {wrong}" in repr(told)
+    assert repr(told).startswith(f"<{few} Measure next at t = ")
+    assert (told.collapsed, told.as_json()["collapsed"]) == (0, 0)
     assert main(["next", str(kept), str(file)]) == 0
-    assert "The model may be wrong about this system" in capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.startswith(f"{few} Measure next")
+    assert "The model may be wrong about this system" in text
+    planner = pfdist.Planner(kept)
+    with pytest.warns(PfdistWarning, match="^The estimate is that of a few particles"):
+        assert planner.update(3000.0, 0).collapsed == 0
+    assert planner.estimate().collapsed == 0
 
 
 def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
