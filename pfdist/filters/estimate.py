@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.estimate import Estimate
+from pfdist.common.estimate import Estimate, largest_share
 from pfdist.common.formatted_times import formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section
@@ -117,9 +117,14 @@ class Evaluation(Shown):
         return self.of_scenarios[self.worst_scenario]
 
     @cached_property
-    def top_percent_share(self) -> float:
-        """Share of `expected_mse` due to the largest 1 % of the draws; NaN with fewer than 100."""
-        return top_percent_share(self.mse, self.draws, self.expected_mse)
+    def largest_share(self) -> float:
+        """Share of the variance of `mse` that one draw has alone; 0 if it is unknown."""
+        mse = self.worst.mse if self.is_worst else self.mse
+        if not mse.size:
+            return 0.0
+        with np.errstate(invalid="ignore", over="ignore"):
+            squares = float(np.var(mse)) * mse.size
+            return largest_share(float(np.max(mse)), float(np.mean(mse)), squares)
 
     def first(self, draws: int) -> "Evaluation":
         """The evaluation on the first draws."""
@@ -149,9 +154,15 @@ class Evaluation(Shown):
         rows = [("measured at t", formatted_times(self.measurement_times))]
         if self.degenerate_draws:
             rows.append(("degenerate", self.degenerate_text))
-        if warning := heavy_tail_warning({"": self.top_percent_share}):
+        if warning := self.heavy_tail:
             rows.append(("heavy tail", warning))
         return Page("", title, [Section("", [Facts(rows)])])
+
+    @property
+    def heavy_tail(self) -> str:
+        """A warning if there are too few draws for the interval of `expected_mse`, else nothing."""
+        draws = self.worst.draws if self.is_worst else self.draws
+        return heavy_tail_warning({"": self.largest_share}, draws)
 
     @property
     def degenerate_text(self) -> str:
@@ -187,13 +198,3 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
         return Estimate(worst.expected_mse - other.expected_mse, error)
     differences = first.mse[:draws] - second.mse[:draws]
     return Estimate.of_mean(differences)
-
-
-def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
-    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
-
-    It is a point of the Lorenz curve. It is NaN with fewer than 100 draws, or if the mean is not
-    positive and finite. `largest` has at least the largest values of 1 % of the draws.
-    """
-    top = np.sort(largest)[::-1][: draws // 100]
-    return float(top.sum()) / draws / mean if top.size and 0 < mean < math.inf else math.nan

@@ -16,7 +16,6 @@ from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
-from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
@@ -215,7 +214,7 @@ def _with_profiles(
 
 # --- the command ----------------------------------------------------------------------------------
 
-_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "largest_share")
 _OVER_TIME = ("error", "standard_error")
 _HEAD = ("times", "number", "expected MSE ± standard error", "draws")
 
@@ -288,8 +287,8 @@ class Evaluated:
                 yield f"{these} a constraint: {constraint}"
             if evaluation.degenerate_draws:
                 yield f"{name}: " * bool(name) + evaluation.degenerate_text
-            if warning := heavy_tail_warning({name: evaluation.top_percent_share}):
-                yield warning
+            if evaluation.heavy_tail:
+                yield f"{name}: " * bool(name) + evaluation.heavy_tail
 
 
 def evaluated(

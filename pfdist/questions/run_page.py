@@ -164,9 +164,8 @@ def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
 
 def _warnings(subject: Subject) -> list[str]:
     warnings = [f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings]
-    heavy_tail = heavy_tail_warning(
-        {row.label: row.top_percent_share for row in subject.rows.values()}
-    )
+    shares = {row.label: row.largest_share for row in subject.rows.values()}
+    heavy_tail = heavy_tail_warning(shares, subject.run.draws_compared)
     # The last line in a terminal is the warning that nothing is proved.
     return [*warnings, *filter(None, [heavy_tail and f"{heavy_tail}.", unproved(subject.run)])]
 

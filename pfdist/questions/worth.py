@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.estimate import Interval
+from pfdist.common.estimate import Estimate, Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Result, Work
 from pfdist.problem.feasible import Feasible
-from pfdist.results import Moments
+from pfdist.results import ComparisonStatistics, Moments
 from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
@@ -56,7 +56,7 @@ def worth_of(
     sets += [other for _, _, other in changed]
     ends = (*range(instants), *(evaluator.horizon,) * len(changed))
     work = _work(session, name, sets, draws, ends=ends)
-    (mse, *estimates), degenerate = yield from _means(session, work)
+    mse, estimates, degenerate, share = yield from _means(session, work)
     at, alone = {t // sensors for t in times}, _work(session, name, (times,), draws)
     sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
     weights = built.job.problem.weights or (1.0,) * instants
@@ -75,8 +75,9 @@ def worth_of(
     worth = {t: {"t": t} | dict.fromkeys(_COLUMNS, math.nan) for t in times}
     for (t, change, _), (mean, error) in zip(changed, estimates[instants:], strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
-    summary = {"expected_mse": mse[0], "standard_error": mse[1]}
-    return summary | {"degenerate_draws": degenerate[-1]}, profile, [*worth.values()]
+    summary = {"expected_mse": mse.value, "standard_error": mse.standard_error}
+    summary |= {"degenerate_draws": degenerate[-1], "largest_share": share}
+    return summary, profile, [*worth.values()]
 
 
 def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **others: Any) -> Work:
@@ -103,50 +104,61 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
 
 def _means(
     session: Session, work: Work
-) -> Generator[Batch, None, tuple[list[tuple[float, float]], list[int]]]:
-    """Mean and standard error of each column of `_columns`, and degenerate draws up to each t."""
+) -> Generator[Batch, None, tuple[Estimate, list[tuple[float, float]], list[int], float]]:
+    """The expected MSE; mean and standard error of each further column of `_columns`.
+
+    Then the degenerate draws up to each t, and the share of the largest draw in the variance.
+    """
     evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
     pieces = [work] if evaluator.exact else evaluator.pieces(work, MOST_SECONDS)
     columns = [Moments() for _ in range(1 + len(work.ends))]
-    degenerate = np.zeros(instants, np.int64)
+    degenerate, whole = np.zeros(instants, np.int64), ComparisonStatistics([""])
     for piece in pieces:
-        mse, flags = yield from _mse(session, piece)
+        mse, flags, control = yield from _mse(session, piece)
         prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
         if evaluator.weights is None:
             unweighted = mse[:, :instants]
         else:
-            unweighted, _ = yield from _mse(session, prefixes)
+            unweighted, *_ = yield from _mse(session, prefixes)
         degenerate += flags[:, :instants].sum(axis=0)
         for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
+        own, of_own = (each[:, instants - 1 : instants] for each in (mse, control))
+        whole.add(np.hstack([own + of_own, of_own]) if work.controlled else own)
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
     errors = [0.0 if evaluator.exact else moments.standard_error for moments in columns]
-    means = [moments.mean for moments in columns]
-    return list(zip(means, errors, strict=True)), degenerate.tolist()
+    (mean, *means), (_, *errors) = [moments.mean for moments in columns], errors
+    error = 0.0 if evaluator.exact else whole.estimate("").standard_error
+    estimates = list(zip(means, errors, strict=True))
+    return Estimate(mean, error), estimates, degenerate.tolist(), whole.plain[""].largest_share
 
 
-def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
+def _mse(
+    session: Session, work: Work
+) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_], Array]]:
     """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
-    The control is subtracted from the MSE, because only means are computed from it.
+    The control is subtracted from the MSE, because only means are computed from it. The last array
+    is the control, or 0.
     """
     (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:
         exact = evaluator if work.weighted else replace(evaluator, weights=None)
         errors = exact.expected_mse(work.measurement_times, work.ends)[None]
-        return errors, np.zeros(errors.shape, np.bool_)
-    mse = np.empty((last - first, len(work.ends)))
+        return errors, np.zeros(errors.shape, np.bool_), np.zeros(errors.shape)
+    mse, control = np.zeros((2, last - first, len(work.ends)))
     degenerate = np.empty(mse.shape, np.bool_)
 
     def learn(piece: Work, result: Result) -> None:
         here = slice(piece.draws[0] - first, piece.draws[1] - first)
-        mse[here] = result.mse - result.control if work.controlled else result.mse
+        control[here] = result.control if work.controlled else 0.0
+        mse[here] = result.mse - control[here]
         degenerate[here] = result.degenerate
 
     yield Batch(session, "why", [work], None, learn)
-    return mse, degenerate
+    return mse, degenerate, control
 
 
 def _columns(mse: Array, unweighted: Array) -> Array:
@@ -230,13 +242,13 @@ def _rows(
     evaluator, reporter = session.built.evaluator, session.reporter
     work = _work(session, name, sets, draws)
     if evaluator.exact:
-        (errors,), _ = yield from _mse(session, work)
+        (errors,), *_ = yield from _mse(session, work)
         mse_unmoved, *_ = errors
         exact = (errors - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan + errors
         return [_row(loss, 0.0, (loss, loss)) for loss in exact.tolist()]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
-        mse, _ = yield from _mse(session, piece)
+        mse, *_ = yield from _mse(session, piece)
         for loss, changed in zip(losses, mse.T, strict=True):
             loss.add(changed, mse[:, 0])
         _, last = piece.draws

@@ -14,7 +14,7 @@ Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -25,10 +25,10 @@ from pfdist.common.estimate import (
     UNKNOWN,
     Estimate,
     Interval,
+    largest_share,
     student_quantile,
     wilson_interval,
 )
-from pfdist.filters.estimate import top_percent_share
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ BLOCK = 10_000
 
 @dataclass
 class Moments:
-    """Count, mean and sum of squared deviations of the values added so far.
+    """Count, mean, largest and sum of squared deviations of the values added so far.
 
     Parameters
     ----------
@@ -46,11 +46,13 @@ class Moments:
     mean : float
     squares : float
         Sum of squared deviations from the mean.
+    largest : float
     """
 
     count: int = 0
     mean: float = math.nan
     squares: float = 0.0
+    largest: float = -math.inf
 
     @classmethod
     def of_values(cls, values: Array) -> Self:
@@ -66,6 +68,7 @@ class Moments:
         with np.errstate(invalid="ignore", over="ignore"):
             mean = float(np.mean(values))
             squares = float(np.sum((values - mean) ** 2))
+        self.largest = max(self.largest, float(np.max(values)))
         if not self.count:
             self.count, self.mean, self.squares = values.size, mean, squares
             return
@@ -86,6 +89,11 @@ class Moments:
     def estimate(self) -> Estimate:
         """The mean and its standard error."""
         return Estimate(self.mean, self.standard_error, self.count - 1)
+
+    @property
+    def largest_share(self) -> float:
+        """The share of the variance that is due to the largest value alone; 0 if it is unknown."""
+        return largest_share(self.largest, self.mean, self.squares)
 
 
 @dataclass
@@ -387,8 +395,6 @@ class ComparisonStatistics:
     ----------
     names : list of str
         Names of the sets, the reference first.
-    total : int, optional
-        Number of draws that will be added; `top_percent_share` needs it.
     references : mapping of str to str, optional
         The reference of each set that has one, by name. By default the first set is the reference
         of all others.
@@ -399,6 +405,8 @@ class ComparisonStatistics:
         Number of added draws.
     mse : dict of str to Moments
         Moments of each set's MSE, less its control if there is one.
+    plain : dict of str to Moments
+        Moments of each set's MSE itself.
     has_control : bool
         Whether there are controls.
     degenerate_draws : dict of str to int
@@ -407,13 +415,10 @@ class ComparisonStatistics:
         Gain of each set over its reference.
     """
 
-    def __init__(
-        self, names: list[str], total: int = 0, references: Mapping[str, str] | None = None
-    ) -> None:
-        self.names, self.draws, self._most = names, 0, total // 100
+    def __init__(self, names: list[str], references: Mapping[str, str] | None = None) -> None:
+        self.names, self.draws = names, 0
         self.references = dict.fromkeys(names[1:], names[0]) if references is None else references
-        self._largest = {name: np.empty(0) for name in names}
-        self.mse = {name: Moments() for name in names}
+        self.mse, self.plain = ({name: Moments() for name in names} for _ in range(2))
         self.has_control, self.degenerate_draws = False, dict.fromkeys(names, 0)
         self.gains = {name: Gain() for name in self.references}
 
@@ -434,17 +439,25 @@ class ComparisonStatistics:
         )
         for place, (name, column) in enumerate(controlled.items()):
             self.mse[name].add(column)
-            self._largest[name] = _largest(np.append(self._largest[name], column), self._most)
+            self.plain[name].add(mse[name])
             if degenerate is not None:
                 self.degenerate_draws[name] += int(degenerate[:, place].sum())
         for name, reference in self.references.items():
             both = (controlled[name], controlled[reference]) if self.has_control else None
             self.gains[name].add(mse[name], mse[reference], both)
 
-    def top_percent_share(self, name: str) -> float:
-        """Share of the expected MSE of a set that 1 % of the draws carry; NaN if it is unknown."""
-        mse = self.mse[name]
-        return top_percent_share(self._largest[name], mse.count, mse.mean)
+    def estimate(self, name: str) -> Estimate:
+        """The expected MSE of a set; with a control its error counts the largest draw in addition.
+
+        A control fails where a filter loses the state. Such draws are rare and have large errors,
+        and most of the variance that a control leaves is theirs, so few draws show too little of
+        it. The variance counts one more such draw, as large as the largest, without its control.
+        """
+        mse, plain = self.mse[name].estimate, self.plain[name]
+        if not self.has_control:
+            return mse
+        apart = (plain.largest - plain.mean) / plain.count if plain.count else 0.0
+        return replace(mse, standard_error=math.hypot(mse.standard_error, apart))
 
     def half_width(self) -> float:
         """Half width of the widest interval of a mean relative gain; of means with a control."""
@@ -454,8 +467,3 @@ class ComparisonStatistics:
         )
         widths = [(high - low) / 2 for low, high in intervals]
         return math.inf if any(map(math.isnan, widths)) else max(widths)
-
-
-def _largest(values: Array, number: int) -> Array:
-    first = values.size - number
-    return np.partition(values, first)[first:] if 0 < first < values.size else values[:number]
