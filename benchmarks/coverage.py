@@ -104,7 +104,7 @@ def _rows(system: str, mse: Any, control: Any, repeats: int) -> list[dict[str, A
     }
     of_regular = control[:, 0]
     parts = map(_statistics, np.split(both["controlled"], repeats))
-    warned = [max(map(part.top_percent_share, SETS)) > WARNS for part in parts]
+    warned = [max(each.largest_share for each in part.plain.values()) > WARNS for part in parts]
     about = {
         "system": system,
         "warned": np.mean(warned),
@@ -125,15 +125,15 @@ def _rows(system: str, mse: Any, control: Any, repeats: int) -> list[dict[str, A
 
 
 def _statistics(block: Any) -> ComparisonStatistics:
-    statistics = ComparisonStatistics([*SETS], len(block))
+    statistics = ComparisonStatistics([*SETS])
     statistics.add(block)
     return statistics
 
 
 def _intervals(statistics: ComparisonStatistics) -> list[tuple[float, float]]:
     """The printed intervals: of the expected error of the regular times, and of the gain."""
-    mse, gain = statistics.mse["regular"], statistics.gains["early"]
-    return [mse.estimate.interval(), gain.of_means_interval]
+    gain = statistics.gains["early"]
+    return [statistics.estimate("regular").interval(), gain.of_means_interval]
 
 
 def summary(tables: Tables) -> str:

@@ -70,7 +70,7 @@ def heavy_tail_warning(shares: Mapping[str, float | None], draws: int) -> str:
     # Among so many draws, the same draw has the share HEAVY.
     enough = rounded_up(draws * max(heavy.values()) / HEAVY)
     few = "the 95 % interval of the expected MSE is probably too short"
-    return f"One of {draws:,} draws has {has}: {few}; take at least {enough:,.0f} draws"
+    return f"One of {draws:,} draws has {has}: {few}; take at least {enough:,.0f} draws."
 
 
 def range_of(low: str, high: str) -> str:
@@ -86,6 +86,11 @@ SPACED_IN_WINDOWS = (
     "set: the gap may be smaller."
 )
 """A note on bounds for sensors that have such a spacing."""
+
+
+CHECK_FAILS = "check-model finds that the likelihood is wrong"
+RANKS_FAIL = "the log-likelihood does not fit the measurements"
+"""How the reason for a missing bound begins if a likelihood is wrong."""
 
 
 def gap_sentence(

@@ -176,7 +176,7 @@ class Session:
             },
             "facts": [("typical error", typical), *self._facts(chosen, known)],
             "broken": self.feasible.broken(chosen),
-            "warnings": [own.degenerate_text] if own.degenerate_draws else [],
+            "warnings": [text for text in (own.degenerate_text, own.heavy_tail) if text],
             "mark": self._mark(chosen, own.draws),
         }
         json: dict[str, Any] = finite(answer)

@@ -19,6 +19,9 @@ from pfdist.common.shown import Shown
 if TYPE_CHECKING:
     import pandas as pd
 
+DOUBTFUL = 0.01
+"""The share of degenerate draws from which they put an answer in doubt."""
+
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Shown):
@@ -167,11 +170,25 @@ class Evaluation(Shown):
     @property
     def degenerate_text(self) -> str:
         """A sentence with the number of degenerate draws; empty if there are none."""
-        count, are = self.degenerate_draws, "draw is" if self.draws == 1 else "draws are"
-        return (
-            f"{count:,} of {self.draws:,} {are} degenerate: the filter leaves out measurements "
-            "that no particle explains"
-        ) * bool(count)
+        return degenerate_text(self.degenerate_draws, self.draws)
+
+    @property
+    def alarm(self) -> str:
+        """The same sentence, if so many draws are degenerate that the error is in doubt."""
+        return degenerate_text(self.degenerate_draws, self.draws, DOUBTFUL)
+
+
+def degenerate_text(count: int, draws: int, least: float = 0.0) -> str:
+    """A sentence with the number of degenerate draws; empty for none, or less than a share.
+
+    >>> degenerate_text(3, 200)
+    '3 of 200 draws are degenerate: the filter leaves out measurements that no particle explains'
+    """
+    are = "draw is" if draws == 1 else "draws are"
+    return (
+        f"{count:,} of {draws:,} {are} degenerate: the filter leaves out measurements that no "
+        "particle explains"
+    ) * (count > 0 and count >= least * draws)
 
 
 def difference(first: Evaluation, second: Evaluation) -> Estimate:

@@ -253,8 +253,10 @@ class Evaluated:
         tables = [Table("", _HEAD, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
-        return Page("", "", [Section("", [Text(f"{said}.", prominent=True), *tables])],
-                    [*self._warnings()])  # fmt: skip
+        section = Section("", [Text(f"{said}.", prominent=True), *tables])
+        doubts = ((name, each.alarm) for name, each in self.evaluations.items())
+        alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
+        return Page("", "", [section], [*self._warnings()], alarms=alarms)
 
     def _lowest(self) -> str:
         """Say which set has the lowest expected MSE, and how far below the second lowest."""
@@ -285,10 +287,9 @@ class Evaluated:
             these = f"the times of {name} break" if name else "these times break"
             for constraint in self.broken[name]:
                 yield f"{these} a constraint: {constraint}"
-            if evaluation.degenerate_draws:
-                yield f"{name}: " * bool(name) + evaluation.degenerate_text
-            if evaluation.heavy_tail:
-                yield f"{name}: " * bool(name) + evaluation.heavy_tail
+            degenerate = evaluation.degenerate_text * (not evaluation.alarm)
+            for text in filter(None, (degenerate, evaluation.heavy_tail)):
+                yield f"{name}: " * bool(name) + text
 
 
 def evaluated(

@@ -128,7 +128,7 @@ class NextTime(Shown):
         else:
             said = f"No further measurement is possible after {number}"
         section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
-        return Page("", "", [section], [_SEE_SURPRISE] * self.is_improbable)
+        return Page("", "", [section], alarms=[_SEE_SURPRISE] * self.is_improbable)
 
     def _before(self) -> list[tuple[str, str]]:
         """The plan that was made before these measurements, if it differs."""
@@ -235,7 +235,7 @@ def next_time(
         surprise,
         clock.unit,
     )
-    for line in result._page().warnings if say is silent else ():
+    for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 

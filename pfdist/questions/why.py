@@ -52,8 +52,8 @@ class Why(Shown):
     draws : int
         Number of draws; 0 if the engine is exact and needs no draws.
     sets : DataFrame
-        A row for each set: name, measurement_times, expected_mse, standard_error,
-        degenerate_draws and largest_share (the share of one draw in the variance of the MSE).
+        A row for each set: name, measurement_times, expected_mse, standard_error and
+        degenerate_draws.
     profile : DataFrame
         A row for each set and instant: position and name of the set, t, measured, draws, error (the
         expected error at t), standard_error, degenerate_draws (up to t) and effective_sample_size
@@ -104,7 +104,7 @@ class Why(Shown):
 
     def _page(self) -> Page:
         frames = {part: getattr(self, part) for part in _PARTS}
-        return why_page(Subject(open_run(self.run)), frames, self.sets)
+        return why_page(Subject(open_run(self.run)), frames)
 
 
 @checked

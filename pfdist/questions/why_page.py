@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from pfdist.common.formatted_times import formatted_time, measurement_of, time_and_sensor
 from pfdist.common.parts import Block, Cell, Figures, Page, Section, Table, Text
-from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
 from pfdist.problem.set_key import phrase_of
 from pfdist.questions.subject import Subject, number_of
@@ -41,7 +40,7 @@ def worth(subject: Subject) -> Section | None:
     return Section("What each measurement is worth", blocks)
 
 
-def why_page(subject: Subject, frames: Frames, sets: "pd.DataFrame") -> Page:
+def why_page(subject: Subject, frames: Frames) -> Page:
     """The answer of `pfdist.why`.
 
     Parameters
@@ -49,15 +48,11 @@ def why_page(subject: Subject, frames: Frames, sets: "pd.DataFrame") -> Page:
     subject : Subject
     frames : mapping of str to DataFrame
         profile, worth and sampling_windows, as `pfdist.questions.why.Why` has them.
-    sets : DataFrame
-        As it has them.
     """
     section = Section("", [*_tables(subject, frames), Text(_MEANING, detail=True)])
-    labels = [subject.rows[name].label for name in sets["name"]]
-    shares = dict(zip(labels, sets["largest_share"], strict=True))
-    heavy = heavy_tail_warning(shares, int(frames["worth"]["draws"].max()))
-    warnings, place = [f"{heavy}."] * bool(heavy), str(subject.run.path)
-    return Page("", _extremes(subject, frames), [section], warnings, place=place)
+    warnings = [subject.heavy_tail] if subject.heavy_tail else []
+    said, place = _extremes(subject, frames), str(subject.run.path)
+    return Page("", said, [section], warnings, place=place, alarms=subject.alarms)
 
 
 def _extremes(subject: Subject, frames: Frames) -> str:

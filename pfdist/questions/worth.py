@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.estimate import Estimate, Interval
+from pfdist.common.estimate import Interval
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.work import Result, Work
 from pfdist.problem.feasible import Feasible
-from pfdist.results import ComparisonStatistics, Moments
+from pfdist.results import Moments
 from pfdist.results.sampling_windows import OUTSIDE, RelativeLoss, state_of
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
@@ -56,7 +56,7 @@ def worth_of(
     sets += [other for _, _, other in changed]
     ends = (*range(instants), *(evaluator.horizon,) * len(changed))
     work = _work(session, name, sets, draws, ends=ends)
-    mse, estimates, degenerate, share = yield from _means(session, work)
+    (mse, *estimates), degenerate = yield from _means(session, work)
     at, alone = {t // sensors for t in times}, _work(session, name, (times,), draws)
     sizes: Any = {} if evaluator.exact else mean_effective_sizes(evaluator, alone)
     weights = built.job.problem.weights or (1.0,) * instants
@@ -75,9 +75,8 @@ def worth_of(
     worth = {t: {"t": t} | dict.fromkeys(_COLUMNS, math.nan) for t in times}
     for (t, change, _), (mean, error) in zip(changed, estimates[instants:], strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
-    summary = {"expected_mse": mse.value, "standard_error": mse.standard_error}
-    summary |= {"degenerate_draws": degenerate[-1], "largest_share": share}
-    return summary, profile, [*worth.values()]
+    summary = {"expected_mse": mse[0], "standard_error": mse[1]}
+    return summary | {"degenerate_draws": degenerate[-1]}, profile, [*worth.values()]
 
 
 def _work(session: Session, name: str, sets: Sequence[Times], draws: int, **others: Any) -> Work:
@@ -104,18 +103,20 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
 
 def _means(
     session: Session, work: Work
-) -> Generator[Batch, None, tuple[Estimate, list[tuple[float, float]], list[int], float]]:
-    """The expected MSE; mean and standard error of each further column of `_columns`.
+) -> Generator[Batch, None, tuple[list[tuple[float, float]], list[int]]]:
+    """Mean and standard error of each column of `_columns`, and degenerate draws up to each t.
 
-    Then the degenerate draws up to each t, and the share of the largest draw in the variance.
+    With a control, the first error counts the largest draw in addition, as in
+    `pfdist.results.ComparisonStatistics.estimate`.
     """
     evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
     pieces = [work] if evaluator.exact else evaluator.pieces(work, MOST_SECONDS)
     columns = [Moments() for _ in range(1 + len(work.ends))]
-    degenerate, whole = np.zeros(instants, np.int64), ComparisonStatistics([""])
+    degenerate, largest = np.zeros(instants, np.int64), 0.0
     for piece in pieces:
-        mse, flags, control = yield from _mse(session, piece)
+        mse, flags, most = yield from _mse(session, piece)
+        largest = max(largest, most[instants - 1])
         prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
         if evaluator.weights is None:
             unweighted = mse[:, :instants]
@@ -124,15 +125,12 @@ def _means(
         degenerate += flags[:, :instants].sum(axis=0)
         for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
-        own, of_own = (each[:, instants - 1 : instants] for each in (mse, control))
-        whole.add(np.hstack([own + of_own, of_own]) if work.controlled else own)
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
     errors = [0.0 if evaluator.exact else moments.standard_error for moments in columns]
-    (mean, *means), (_, *errors) = [moments.mean for moments in columns], errors
-    error = 0.0 if evaluator.exact else whole.estimate("").standard_error
-    estimates = list(zip(means, errors, strict=True))
-    return Estimate(mean, error), estimates, degenerate.tolist(), whole.plain[""].largest_share
+    means = [moments.mean for moments in columns]
+    errors[0] = math.hypot(errors[0], (largest - means[0]) / draws * work.controlled)
+    return list(zip(means, errors, strict=True)), degenerate.tolist()
 
 
 def _mse(
@@ -141,24 +139,24 @@ def _mse(
     """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
     The control is subtracted from the MSE, because only means are computed from it. The last array
-    is the control, or 0.
+    has the largest MSE of each set, with its control.
     """
     (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:
         exact = evaluator if work.weighted else replace(evaluator, weights=None)
         errors = exact.expected_mse(work.measurement_times, work.ends)[None]
-        return errors, np.zeros(errors.shape, np.bool_), np.zeros(errors.shape)
-    mse, control = np.zeros((2, last - first, len(work.ends)))
+        return errors, np.zeros(errors.shape, np.bool_), errors[0]
+    mse, largest = np.empty((last - first, len(work.ends))), np.zeros(len(work.ends))
     degenerate = np.empty(mse.shape, np.bool_)
 
     def learn(piece: Work, result: Result) -> None:
         here = slice(piece.draws[0] - first, piece.draws[1] - first)
-        control[here] = result.control if work.controlled else 0.0
-        mse[here] = result.mse - control[here]
+        mse[here] = result.mse - result.control if work.controlled else result.mse
         degenerate[here] = result.degenerate
+        np.maximum(largest, result.mse.max(axis=0), out=largest)
 
     yield Batch(session, "why", [work], None, learn)
-    return mse, degenerate, control
+    return mse, degenerate, largest
 
 
 def _columns(mse: Array, unweighted: Array) -> Array:

@@ -429,8 +429,8 @@ class ComparisonStatistics:
         ----------
         block : array of float64, (D, S) or (D, 2 S)
             Per-draw MSE of each set, then its control if there is one.
-        degenerate : array of bool, (D, S), optional
-            Whether each draw is degenerate with each set; by default none is.
+        degenerate : array, (D, S), optional
+            Whether each draw is degenerate with each set, or 1 and 0; by default none is.
         """
         self.draws += len(block)
         self.has_control = block.shape[1] > len(self.names)

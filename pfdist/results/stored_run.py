@@ -329,7 +329,7 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
     for number, (scenario, each) in enumerate(zip(scenarios, statistics, strict=True)):
         for name in run.names:
             gain = each.gains.get(name, Gain())  # the reference has none
-            low, high, mse = *gain.of_means_interval, each.estimate(name)
+            (low, high), estimate = gain.of_means_interval, each.estimate(name)
             row = {
                 "scenario": number,
                 "share": scenario.share,
@@ -337,8 +337,8 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
                 "name": name,
                 "draws": each.draws,
                 "degenerate_draws": each.degenerate_draws[name],
-                "expected_mse": mse.value,
-                "standard_error": mse.standard_error,
+                "expected_mse": estimate.value,
+                "standard_error": estimate.standard_error,
                 "gain_of_means": gain.of_means,
                 "gain_of_means_low": low,
                 "gain_of_means_high": high,
