@@ -94,22 +94,6 @@ def student_quantile(share: float, degrees: Any) -> Any:
     return special.stdtrit(degrees, share)
 
 
-def largest_share(largest: float, mean: float, squares: float) -> float:
-    """The share of a variance that is due to the largest value alone; 0 if it is unknown.
-
-    It tends to 0 if the variance is finite (Feller's condition of the central limit theorem).
-    Student's interval of a mean is too short as long as a single value matters.
-
-    Parameters
-    ----------
-    largest, mean : float
-        Of all values.
-    squares : float
-        Sum of their squared deviations from their mean.
-    """
-    return (largest - mean) * (largest - mean) / squares if 0.0 < squares < math.inf else 0.0
-
-
 def wilson_interval(successes: int, count: int) -> Interval:
     """Wilson's 95 % interval of a share; unknown if there are no draws.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.estimate import Estimate, largest_share
+from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section
@@ -19,6 +19,7 @@ from pfdist.common.shown import Shown
 if TYPE_CHECKING:
     import pandas as pd
 
+LARGEST = 10  # draws, see `largest_share`
 DOUBTFUL = 0.01
 """The share of degenerate draws from which they put an answer in doubt."""
 
@@ -121,13 +122,9 @@ class Evaluation(Shown):
 
     @cached_property
     def largest_share(self) -> float:
-        """Share of the variance of `mse` that one draw has alone; 0 if it is unknown."""
-        mse = self.worst.mse if self.is_worst else self.mse
-        if not mse.size:
-            return 0.0
-        with np.errstate(invalid="ignore", over="ignore"):
-            squares = float(np.var(mse)) * mse.size
-            return largest_share(float(np.max(mse)), float(np.mean(mse)), squares)
+        """Share of `expected_mse` that is due to the ten largest draws; NaN with fewer than 100."""
+        own = self.worst if self.is_worst else self
+        return largest_share(own.mse, own.draws, own.expected_mse)
 
     def first(self, draws: int) -> "Evaluation":
         """The evaluation on the first draws."""
@@ -215,3 +212,13 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
         return Estimate(worst.expected_mse - other.expected_mse, error)
     differences = first.mse[:draws] - second.mse[:draws]
     return Estimate.of_mean(differences)
+
+
+def largest_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
+    """Share of a mean over draws that is due to the ten draws with the largest values.
+
+    It is NaN with fewer than 100 draws, or if the mean is not positive and finite. `largest` has at
+    least the ten largest values.
+    """
+    top = np.sort(largest)[-LARGEST:]
+    return float(top.sum()) / draws / mean if draws >= 100 and 0 < mean < math.inf else math.nan

@@ -310,7 +310,8 @@ def backtest(
         backtested.draw_backtest(files[1], backtested.by_replicate(result.table, result.sets))
         for file in files[2:]:
             write_page(report_of(result), file)
-    for line in result._page().warnings if chosen.say is silent else ():
+    page = result._page()
+    for line in (*page.alarms, *page.warnings) if chosen.say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=3)
     return result
 

@@ -36,7 +36,7 @@ def answer_of(answer: Backtest) -> Page:
     if answer.files:
         kind = "Report" if answer.files[-1].suffix == ".html" else "Figure"
         place = f"{kind}: {answer.files[-1]}"
-    return Page("", "", [section], [*_warnings(answer)], place=place)
+    return Page("", "", [section], [*_warnings(answer)], place=place, alarms=_alarms(answer))
 
 
 def report_of(answer: Backtest) -> Page:
@@ -65,6 +65,7 @@ def report_of(answer: Backtest) -> Page:
         sections,
         [*_warnings(answer)],
         source=f"from the measurements {answer.data.name}",
+        alarms=_alarms(answer),
     )
 
 
@@ -179,10 +180,13 @@ def _reasons(answer: Backtest) -> Iterator[str]:
         yield f"{shown}: {why}"
 
 
+def _alarms(answer: Backtest) -> list[str]:
+    sets = ", ".join(answer.sets[name] for name in answer.wrong)
+    said = f"The model is wrong: the real error differs from the foreseen error with {sets}."
+    return [said] * bool(answer.wrong)
+
+
 def _warnings(answer: Backtest) -> Iterator[str]:
-    if answer.wrong:
-        sets = ", ".join(answer.sets[name] for name in answer.wrong)
-        yield f"The model is wrong: the real error differs from the foreseen error with {sets}."
     if answer.impossible:
         count = number_of(answer.impossible, "filter")
         yield f"In {count} no particle explains a measurement, which is then left out."

@@ -152,8 +152,8 @@ _DECLARED = [
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),
     Column(
         name="largest_share",
-        meaning="share of the variance of the MSE that the largest draw has alone; above 0.15 the "
-        "interval of expected_mse is too short; missing where expected_mse is exact",
+        meaning="share of expected_mse that the ten largest draws carry; above 0.1 + 10 / draws "
+        "its interval is too short; missing with fewer than 100 draws, and where it is exact",
     ),
     Column(
         name="worse_than", dtype="Int64",

@@ -25,10 +25,10 @@ from pfdist.common.estimate import (
     UNKNOWN,
     Estimate,
     Interval,
-    largest_share,
     student_quantile,
     wilson_interval,
 )
+from pfdist.filters.estimate import LARGEST, largest_share
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ BLOCK = 10_000
 
 @dataclass
 class Moments:
-    """Count, mean, largest and sum of squared deviations of the values added so far.
+    """Count, mean and sum of squared deviations of the values added so far.
 
     Parameters
     ----------
@@ -46,13 +46,11 @@ class Moments:
     mean : float
     squares : float
         Sum of squared deviations from the mean.
-    largest : float
     """
 
     count: int = 0
     mean: float = math.nan
     squares: float = 0.0
-    largest: float = -math.inf
 
     @classmethod
     def of_values(cls, values: Array) -> Self:
@@ -68,7 +66,6 @@ class Moments:
         with np.errstate(invalid="ignore", over="ignore"):
             mean = float(np.mean(values))
             squares = float(np.sum((values - mean) ** 2))
-        self.largest = max(self.largest, float(np.max(values)))
         if not self.count:
             self.count, self.mean, self.squares = values.size, mean, squares
             return
@@ -89,11 +86,6 @@ class Moments:
     def estimate(self) -> Estimate:
         """The mean and its standard error."""
         return Estimate(self.mean, self.standard_error, self.count - 1)
-
-    @property
-    def largest_share(self) -> float:
-        """The share of the variance that is due to the largest value alone; 0 if it is unknown."""
-        return largest_share(self.largest, self.mean, self.squares)
 
 
 @dataclass
@@ -405,8 +397,6 @@ class ComparisonStatistics:
         Number of added draws.
     mse : dict of str to Moments
         Moments of each set's MSE, less its control if there is one.
-    plain : dict of str to Moments
-        Moments of each set's MSE itself.
     has_control : bool
         Whether there are controls.
     degenerate_draws : dict of str to int
@@ -418,7 +408,8 @@ class ComparisonStatistics:
     def __init__(self, names: list[str], references: Mapping[str, str] | None = None) -> None:
         self.names, self.draws = names, 0
         self.references = dict.fromkeys(names[1:], names[0]) if references is None else references
-        self.mse, self.plain = ({name: Moments() for name in names} for _ in range(2))
+        self._largest = {name: np.empty(0) for name in names}
+        self.mse = {name: Moments() for name in names}
         self.has_control, self.degenerate_draws = False, dict.fromkeys(names, 0)
         self.gains = {name: Gain() for name in self.references}
 
@@ -439,7 +430,7 @@ class ComparisonStatistics:
         )
         for place, (name, column) in enumerate(controlled.items()):
             self.mse[name].add(column)
-            self.plain[name].add(mse[name])
+            self._largest[name] = np.sort(np.append(self._largest[name], mse[name]))[-LARGEST:]
             if degenerate is not None:
                 self.degenerate_draws[name] += int(degenerate[:, place].sum())
         for name, reference in self.references.items():
@@ -453,11 +444,15 @@ class ComparisonStatistics:
         and most of the variance that a control leaves is theirs, so few draws show too little of
         it. The variance counts one more such draw, as large as the largest, without its control.
         """
-        mse, plain = self.mse[name].estimate, self.plain[name]
+        mse = self.mse[name].estimate
         if not self.has_control:
             return mse
-        apart = (plain.largest - plain.mean) / plain.count if plain.count else 0.0
-        return replace(mse, standard_error=math.hypot(mse.standard_error, apart))
+        alone = (self._largest[name].max(initial=mse.value) - mse.value) / self.draws
+        return replace(mse, standard_error=math.hypot(mse.standard_error, alone))
+
+    def largest_share(self, name: str) -> float:
+        """Share of the mean MSE of a set that is due to the largest draws; NaN if it is unknown."""
+        return largest_share(self._largest[name], self.draws, self.mse[name].mean)
 
     def half_width(self) -> float:
         """Half width of the widest interval of a mean relative gain; of means with a control."""

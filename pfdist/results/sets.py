@@ -157,7 +157,7 @@ def _add_results(
             low, high = mse.interval()
             row |= {"expected_mse": mse.value, "standard_error": mse.standard_error}
             row |= {"expected_mse_low": low, "expected_mse_high": high}
-            row["largest_share"] = statistics.plain[name].largest_share
+            row["largest_share"] = statistics.largest_share(name)
             if statistics.has_control and not mse.value > 0.0:
                 row["warnings"].append(_TOO_FEW)
         if name in statistics.gains:
