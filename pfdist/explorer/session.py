@@ -184,7 +184,7 @@ class Session:
             },
             "facts": self._facts(chosen, known, typical),
             "broken": self.feasible.broken(chosen),
-            "warnings": [own.degenerate_text] if own.degenerate_draws else [],
+            "warnings": [text for text in (own.degenerate_text, own.heavy_tail) if text],
             "mark": self._mark(chosen, own.draws),
         }
         json: dict[str, Any] = finite(answer)

@@ -24,7 +24,6 @@ from pfdist.errors import (
     MeasurementsError,
     PfdistWarning,
 )
-from pfdist.filters.filter_estimate import few_particles
 from pfdist.filters.replicates import Replicate, read_replicates
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work
@@ -179,12 +178,6 @@ class Backtest(Shown):
         return answer_of(self)
 
 
-def few_of(answer: Backtest) -> list[str]:
-    """The sentence that estimates are those of a few particles, if some filters collapse."""
-    where = f"in {answer.collapsed:,} of {len(answer.table):,} filters"
-    return [few_particles(where, 'filter.proposal = "guided"')] * bool(answer.collapsed)
-
-
 @with_options
 @checked
 def backtest(
@@ -322,7 +315,8 @@ def backtest(
         backtested.draw_backtest(files[1], backtested.by_replicate(result.table, result.sets))
         for file in files[2:]:
             write_page(report_of(result), file)
-    for line in [*few_of(result), *result._page().warnings] if chosen.say is silent else ():
+    page = result._page()
+    for line in (*page.alarms, *page.warnings) if chosen.say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=3)
     return result
 

@@ -15,7 +15,6 @@ from pfdist.common.component_names import Component
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
-from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
@@ -211,7 +210,7 @@ def _with_profiles(
 
 # --- the command ----------------------------------------------------------------------------------
 
-_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "largest_share")
 _OVER_TIME = ("error", "standard_error")
 _OF_INSTANT = ("t", "date", "weight")
 _HEAD = ("times", "number", "expected MSE ± standard error", "draws")
@@ -251,8 +250,10 @@ class Evaluated:
         tables = [Table("", _HEAD, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
-        return Page("", "", [Section("", [Text(f"{said}.", prominent=True), *tables])],
-                    [*self._warnings()])  # fmt: skip
+        section = Section("", [Text(f"{said}.", prominent=True), *tables])
+        doubts = ((name, each.alarm) for name, each in self.evaluations.items())
+        alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
+        return Page("", "", [section], [*self._warnings()], alarms=alarms)
 
     def _lowest(self) -> str:
         """Say which set has the lowest expected MSE, and how far below the second lowest."""
@@ -291,10 +292,9 @@ class Evaluated:
             these = f"the times of {name} break" if name else "these times break"
             for constraint in self.broken[name]:
                 yield f"{these} a constraint: {constraint}"
-            if evaluation.degenerate_draws:
-                yield f"{name}: " * bool(name) + evaluation.degenerate_text
-            if warning := heavy_tail_warning({name: evaluation.top_percent_share}):
-                yield warning
+            degenerate = evaluation.degenerate_text * (not evaluation.alarm)
+            for text in filter(None, (degenerate, evaluation.heavy_tail)):
+                yield f"{name}: " * bool(name) + text
 
 
 def evaluated(

@@ -158,7 +158,7 @@ class FilteredMeasurements(Shown):
         none = f"none: {self.why_no_evidence}"
         facts.append(("log evidence", none if evidence is None else rounded(evidence)))
         section = Section("", [Text(_estimate(self), prominent=True), Facts(facts)])
-        return Page("", "", [section], _improbable(self))
+        return Page("", "", [section], alarms=_alarms(self))
 
 
 def filter_measurements(
@@ -269,8 +269,7 @@ def filter_measurements(
         filtered.draw_filtered(files[1], filtered.filtered_plot(result.table, result.marked))
     for file in files[2:]:
         write_page(_report_of(result), file)
-    lines = [*few_at(result.collapsed, clock.unit), *_improbable(result)]
-    for line in lines if say is silent else ():
+    for line in _alarms(result) if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 
@@ -318,8 +317,8 @@ def _report_of(answer: FilteredMeasurements) -> Page:
     number = number_of(len(answer.measured), "measurement")
     subtitle = f"{number} of {file}, by the filter of the run {run}"
     source = f"from the measurements {file} by the filter of the run {run}"
-    warnings = _improbable(answer)
-    return Page("Filtered measurements", subtitle, sections, warnings, source=source)
+    alarms = _alarms(answer)
+    return Page("Filtered measurements", subtitle, sections, source=source, alarms=alarms)
 
 
 def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
@@ -362,8 +361,7 @@ def _estimate(answer: FilteredMeasurements) -> str:
     fits = "do not fit" if answer.is_improbable else "fit"
     made = number_of(len(answer.measured), "measurement")
     said = f" The {made} {fits if len(answer.measured) > 1 else fits.replace('do', 'does')}"
-    last = f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
-    return " ".join([*few_at(answer.collapsed, answer.time_unit), last])
+    return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
 
 
 def few_at(t: Time | None, unit: str) -> list[str]:
@@ -371,11 +369,13 @@ def few_at(t: Time | None, unit: str) -> list[str]:
     return [] if t is None else [few_particles(f"at t = {formatted_times([t], unit)}")]
 
 
-def _improbable(answer: FilteredMeasurements) -> list[str]:
-    """The warning about an improbable measurement, if there is one."""
+def _alarms(answer: FilteredMeasurements) -> list[str]:
+    """What puts the estimate in doubt: few particles, an improbable measurement."""
     at, p, among = _surprise(answer) or ("", "", "")
     what = f"The measurement at t = {at} is improbable, p {p} ({among} among all)"
-    return [f"{what}: the model may be wrong about this system."] * answer.is_improbable
+    improbable = f"{what}: the model may be wrong about this system."
+    few = few_at(answer.collapsed, answer.time_unit)
+    return [*few, *[improbable] * answer.is_improbable]
 
 
 def _belief(answer: FilteredMeasurements) -> Section:

@@ -77,15 +77,14 @@ class Fitted(Shown):
                  ("evaluations", f"{self.evaluations:,}"),
                  ("replicates", str(self.replicates))]  # fmt: skip
         warnings = list[str]()
-        if not self.is_converged:
-            warnings.append("The search has not converged: start at its result.")
+        alarms = ["The search has not converged: start at its result."] * (not self.is_converged)
         if self.error > _LARGE:
             warnings.append(
                 f"The log-likelihood has an error of {self.error:.1f}: take more particles. With "
                 "too few, a fitted deviation of the measurements is too large."
             )
         section = Section("", [Text(f"{values}.", prominent=True), Facts(facts)])
-        return Page("", "", [section], warnings)
+        return Page("", "", [section], warnings, alarms=alarms)
 
 
 class _Group(NamedTuple):

@@ -132,9 +132,9 @@ class NextTime(Shown):
             said = f"The budget is spent: {number}"
         else:
             said = f"No further measurement is possible after {number}"
-        said = " ".join([*few_at(self.collapsed, unit), f"{said}."])
-        section = Section("", [Text(said, prominent=True), Facts(facts)])
-        return Page("", "", [section], [_SEE_SURPRISE] * self.is_improbable)
+        section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
+        alarms = [*few_at(self.collapsed, unit), *[_SEE_SURPRISE] * self.is_improbable]
+        return Page("", "", [section], alarms=alarms)
 
     def _before(self) -> list[tuple[str, str]]:
         """The plan that was made before these measurements, if it differs."""
@@ -243,8 +243,7 @@ def next_time(
         clock.unit,
         planner.estimate().collapsed,
     )
-    lines = [*few_at(result.collapsed, clock.unit), *result._page().warnings]
-    for line in lines if say is silent else ():
+    for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 

@@ -153,11 +153,11 @@ def _add_results(
         row["draws"] = statistics.mse[name].count
         row["degenerate_draws"] = statistics.degenerate_draws[name]
         if "expected_mse" not in row:
-            mse = statistics.mse[name].estimate
+            mse = statistics.estimate(name)
             low, high = mse.interval()
             row |= {"expected_mse": mse.value, "standard_error": mse.standard_error}
             row |= {"expected_mse_low": low, "expected_mse_high": high}
-            row["top_percent_share"] = statistics.top_percent_share(name)
+            row["largest_share"] = statistics.largest_share(name)
             if statistics.has_control and not mse.value > 0.0:
                 row["warnings"].append(_TOO_FEW)
         if name in statistics.gains:

@@ -270,7 +270,7 @@ def errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.T
 
 def statistics_of(run: StoredRun) -> ComparisonStatistics:
     """Statistics of all compared draws; memory does not grow with the draws."""
-    statistics = ComparisonStatistics(run.names, run.draws_compared, run.references)
+    statistics = ComparisonStatistics(run.names, run.references)
     for mse, degenerate, _ in errors_of(run):
         statistics.add(mse, degenerate)
     return statistics
@@ -332,18 +332,18 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
             of_scenario.add(mse[numbers == number], degenerate[numbers == number])
     table = []
     for number, (scenario, each) in enumerate(zip(scenarios, statistics, strict=True)):
-        for name, moments in each.mse.items():
+        for name in run.names:
             gain = each.gains.get(name, Gain())  # the reference has none
-            low, high = gain.of_means_interval
+            (low, high), estimate = gain.of_means_interval, each.estimate(name)
             row = {
                 "scenario": number,
                 "share": scenario.share,
                 "parameters": dict(scenario.parameters),
                 "name": name,
-                "draws": moments.count,
+                "draws": each.draws,
                 "degenerate_draws": each.degenerate_draws[name],
-                "expected_mse": moments.mean,
-                "standard_error": moments.standard_error,
+                "expected_mse": estimate.value,
+                "standard_error": estimate.standard_error,
                 "gain_of_means": gain.of_means,
                 "gain_of_means_low": low,
                 "gain_of_means_high": high,
