@@ -93,9 +93,6 @@ class Filter:
         Index of the filter in the stream of its noise.
     horizon : int
         The last instant T that is allowed.
-    warn : bool
-        Whether `update` warns if the effective sample size falls below 5 for the first time; see
-        `Estimate`.
 
     Raises
     ------
@@ -131,7 +128,6 @@ class Filter:
         prior: Prior | ArrayLike | None = None,
         draw: Annotated[Whole, Field(ge=0, lt=2**32)] = 0,
         horizon: Annotated[Whole, Field(ge=0, le=LAST)] = LAST,
-        warn: bool = True,
     ) -> None:
         if not isinstance(model, StateSpaceModel | str):
             raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
@@ -158,7 +154,6 @@ class Filter:
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
-        self._warn = warn
         self._collapsed: int | None = None
         self._now = self._estimate(mean[-1], variance[-1])
 
@@ -193,7 +188,7 @@ class Filter:
             "may lack a constant"
         )
 
-    def update(self, t: int, y: float | Sequence[float] | Array) -> Estimate:
+    def update(self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True) -> Estimate:
         """Move the filter to t and give it the measurement there.
 
         Parameters
@@ -203,6 +198,9 @@ class Filter:
         y : float or sequence of float, (m,)
             The measurement. NaN marks a missing component; the model must declare
             `missing_components`. If all components are missing, t was not measured.
+        warn : bool
+            Whether to warn if the effective sample size falls below 5 for the first time. The
+            estimate says so, too.
 
         Returns
         -------
@@ -236,7 +234,7 @@ class Filter:
         now = estimate_of(
             t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
         )
-        if self._warn and now.collapsed == t:
+        if warn and now.collapsed == t:
             line = few_particles(f"at t = {self._formatted(t)}")
             warnings.warn(line, PfdistWarning, stacklevel=2)
         # The filter moves only here, after everything that may raise an error. So it stays where it

@@ -203,13 +203,13 @@ def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
     model, sensors, plan = evaluator.believed, evaluator.sensors, work.sets[0]
     following = Filter(
         model, work.estimation.particles, work.streams[1] - _SIGNED,
-        engine=evaluator.engine, horizon=evaluator.horizon, warn=False,
+        engine=evaluator.engine, horizon=evaluator.horizon,
     )  # fmt: skip
     surprises = list[float]()
     for t in sorted({number // sensors for number in plan}):
         here = tuple(number for number in plan if number // sensors == t)
         try:
-            estimate = following.update(t, seen(model, work.y[t], here))
+            estimate = following.update(t, seen(model, work.y[t], here), warn=False)
         except MeasurementsError:  # no particle explains it
             surprises.append(0.0)
             break

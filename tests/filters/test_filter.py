@@ -28,6 +28,8 @@ from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 
+# Few particles are wanted here: they are quick, and right or wrong as many are.
+pytestmark = pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")
 HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
@@ -122,8 +124,7 @@ def test_it_equals_the_batch_filter_draw_for_draw(
     stream = Filter(model, seed=5, engine=engine).stream
     batch = _batch(engine, model, draws, stream, Estimation(100, resampling))
     for d in range(3):
-        given: Any = {"resampling": resampling, "engine": engine, "draw": d, "warn": False}
-        filtering = Filter(model, 100, 5, **given)
+        filtering = Filter(model, 100, 5, resampling=resampling, engine=engine, draw=d)
         _check_equal(filtering, draws, batch[d], d, range(HORIZON + 1))
 
 
@@ -235,9 +236,7 @@ def test_a_prediction_does_not_move_the_filter(ungm: StateSpaceModel) -> None:
 @pytest.mark.parametrize("engine", NOT_COMPILED)
 def test_a_component_that_is_missing_is_as_if_there_were_no_such_sensor(engine: str) -> None:
     y = simulate(SENSORS, HORIZON, range(1), 7).y[0]
-    both, alone = (
-        Filter(model, 60, engine=engine, warn=False) for model in (SENSORS, FIRST_SENSOR)
-    )
+    both, alone = (Filter(model, 60, engine=engine) for model in (SENSORS, FIRST_SENSOR))
     for t in TIMES:
         estimate, expected = both.update(t, [y[t, 0], np.nan]), alone.update(t, y[t, 0])
         np.testing.assert_allclose(estimate.mean, expected.mean, rtol=1e-12)
@@ -269,7 +268,7 @@ def _surprises(believed: StateSpaceModel, truth: StateSpaceModel, engine: str) -
     draws = simulate(truth, HORIZON, range(40), 11)
     found = []
     for d in range(40):
-        filtering = Filter(believed, 400, engine=engine, draw=d, warn=False)
+        filtering = Filter(believed, 400, engine=engine, draw=d)
         found += [filtering.update(t, draws.y[d, t]).surprise for t in TIMES]
     return np.array(found)
 
@@ -300,7 +299,7 @@ def test_a_wrong_model_surprises(ungm: StateSpaceModel) -> None:
     quieter = ungm.with_parameters({"measurement_sd": 0.3})
     found = _surprises(quieter, ungm, "compiled")
     assert stats.kstest(found, "uniform").pvalue < 1e-9
-    filtering = Filter(ungm, 50, warn=False)
+    filtering = Filter(ungm, 50)
     beyond_all = filtering.update(0, 1e4).surprise
     assert beyond_all is not None
     assert 0 < beyond_all < 2 / PREDICTIVE
@@ -314,7 +313,7 @@ def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
     noise_sd = 2 + math.sin(0.25 * t) if name == "ungm" else 1.0  # Aspeel et al. 2020, eq. 10
     y, noticed = simulate(model, t, range(30), 11).y[:, :, 0], 0
     for d in range(30):
-        filtering = Filter(model, 500, draw=d, warn=False)
+        filtering = Filter(model, 500, draw=d)
         for earlier in range(t):
             filtering.update(earlier, y[d, earlier])
         surprise = filtering.update(t, y[d, t] - 12 * noise_sd).surprise
@@ -330,7 +329,7 @@ def test_few_particles_raise_no_alarm_about_a_right_model() -> None:
     draws = simulate(precise, 4, range(80), 11)
     found = []
     for d in range(80):
-        filtering = Filter(precise, 50, draw=d, warn=False)
+        filtering = Filter(precise, 50, draw=d)
         found += [filtering.update(t, draws.y[d, t]).surprise for t in range(5)]
     level, number = 1e-3, len(found)
     assert np.sum(np.array(found) < level) < level * number + 3 * math.sqrt(level * number)
@@ -341,7 +340,7 @@ def test_an_update_does_not_fail_because_one_of_many_states_overflows() -> None:
         FIRST_SENSOR,  # beyond 3.9 lie 10 of 200,000 standard normal variates
         transition=lambda x, t, w, p: (np.where(w[0] > 3.9, np.inf, x[0] + 0.5 * w[0]),),
     )
-    filtering = Filter(overflowing, 50, engine="numpy", warn=False)
+    filtering = Filter(overflowing, 50, engine="numpy")
     for t in (3, 4):
         surprise = filtering.update(t, 30.0 * t).surprise
         assert surprise is not None

@@ -216,8 +216,8 @@ def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often() -> None:
 
 
 def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
-    filtering = Filter(model, 400, draw=draw, warn=False)
-    surprises = [filtering.update(t, y[t]).surprise for t in times]
+    filtering = Filter(model, 400, draw=draw)
+    surprises = [filtering.update(t, y[t], warn=False).surprise for t in times]
     table = pd.DataFrame({"t": list(times), "surprise": surprises})
     found = FilteredMeasurements(
         Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
