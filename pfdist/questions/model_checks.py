@@ -17,6 +17,7 @@ from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
+from pfdist.filters.estimate import top_percent_share
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
@@ -48,6 +49,7 @@ _Make = Callable[..., Evaluator]
 EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
+_RARE = 0.5  # of all changes of an error, in 1 % of the draws
 _SAME = 1e-6  # relative difference of errors by two engines
 _LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
@@ -273,9 +275,8 @@ def _guided(evaluator: Evaluator, work: Work) -> Iterator[Check]:
     if work.estimation.proposal == GUIDED:
         plain = replace(work.estimation, proposal=PLAIN)
         why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
-        less = "it loses less than 'plain' with a third of the particles"
-        text = f"'auto' takes 'plain': {why}" if why else less
-        yield Check("filter.proposal", "note" if why else "ok", text)
+        text = f"plain': {why}" if why else "guided': a third of its particles lose less"
+        yield Check("filter.proposal", "note" if why else "ok", f"'auto' takes '{text}")
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a check reports infinite errors
@@ -337,14 +338,15 @@ def _substeps(
         moves, scale = np.nan_to_num(np.abs(to - x) / x.std((0, 1))), 100 / mse.mean()
         size, most = np.sqrt((moves**2).mean((0, 1)).max()), moves.max()
         change, own = (Estimate.of_mean(each).times(scale) for each in (changes, mse))
-        # Other particles are resampled where x moves: chance, which changes most draws' errors.
-        chance = CLEAR_ERRORS * 1.5 * scale * np.median(np.abs(changes)) / math.sqrt(mse.size)
+        # Other particles are resampled where x moves, so the errors of all draws change by chance.
+        rare = top_percent_share(np.abs(changes), mse.size, float(np.abs(changes).mean()))
+    by_chance = abs(change.value) <= CLEAR_ERRORS * change.standard_error and not rare > _RARE
+    is_small = by_chance or abs(change.value) <= max(_LITTLE, own.standard_error / 2)
     text = (
         f"twice as many steps change the expected MSE by {change.text} % (same draws and noise), x "
         f"by {percent(size, 1)} of its standard deviation (root mean square; at most "
         f"{percent(most, 0)})"
     )
-    is_small = abs(change.value) <= max(_LITTLE, own.standard_error, chance)
     advice = "" if is_small else ": give twice the substeps= (half the largest_step=), check again"
     yield Check("substeps", "ok" if is_small else "note", text + advice)
 
@@ -372,12 +374,11 @@ def _filtered(
     text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
     yield Check("degenerate draws", "note" if share else "ok", text)
     mean = Estimate.of_mean(result.mse[:, 0])
-    wrong = (
-        ""
-        if math.isfinite(mean.value + mean.standard_error)
-        else "it must be finite, and its error, got "
+    is_finite = math.isfinite(mean.value + mean.standard_error)
+    got = "it must be finite, and its error, got " * (not is_finite)
+    yield Check(
+        "expected MSE", "ok" if is_finite else "wrong", f"{got}{mean.text} with these times"
     )
-    yield Check("expected MSE", "wrong" if wrong else "ok", f"{wrong}{mean.text} with these times")
     if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
         yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
     yield from substeps(evaluator, work, result.mse[:, 0])
