@@ -37,6 +37,7 @@ _STEP = 0.5  # between the first values that are tried: a factor of 1.6, or half
 _REACH = 1.5  # of starts around the job's values: a factor of 4.5, or 1.5 times the start
 _STARTS = 64  # points among which each start is the one farthest from all starts and results
 _AGREE = 0.1  # of log-likelihoods: so far two results may differ that are the same maximum
+_NEAR = 0.1  # of a start: so close to a bound, the bound is tried, too
 _REPEATS = 8  # estimates under other noise, from which the error of the likelihood follows
 _LARGE = 2.0  # an error of a log-likelihood
 _TOLERANCE = {"xatol": 1e-3, "fatol": 1e-2}
@@ -273,10 +274,11 @@ class _Fitting:
             searched = minimize(loss, start, (repeat,), method="Nelder-Mead",
                                 bounds=[*zip(*ends, strict=True)], options=options)  # fmt: skip
             point, least = searched.x, float(searched.fun)
-            for k, side in np.argwhere(np.isfinite(self.bounds)):  # simplices only come near
-                there = point.copy()
+            values = np.array([*self._values(point).values()])
+            for side, k in np.argwhere(np.abs(self.bounds.T - values) <= _NEAR * self._size):
+                there = point.copy()  # a logarithm comes only near 0
                 there[k] = ends[side][k]
-                if tried < evaluations and (value := loss(there, repeat)) < least:
+                if tried < evaluations and (value := loss(there, repeat)) <= least:
                     point, least = there, value
             others = range(1, _REPEATS + 1) if self.particles else [0]
             judged = np.array([self._at(point, each) for each in others])
@@ -294,13 +296,18 @@ class _Fitting:
                       replicates, len(found), on_bound)  # fmt: skip
 
     @cached_property
+    def _size(self) -> Array:
+        """The size of each parameter: its start, or 1."""
+        size = np.abs([*self.start.values()])
+        return np.where(size > 0.0, size, 1.0)
+
+    @cached_property
     def _scale(self) -> Array:
-        """The unit of points: of a logarithm 1, else the start; at most the bounds' distance."""
-        start = np.abs([*self.start.values()])
+        """The unit of points: of a logarithm 1, else the size; at most the bounds' distance."""
         with np.errstate(divide="ignore", invalid="ignore"):
             width = np.diff(np.where(self.is_log, np.log(self.bounds.T), self.bounds.T), axis=0)[0]
-        size = np.where(self.is_log | (start == 0.0), 1.0, start)
-        return np.where(width > 0.0, np.minimum(size, width), size)
+        scale = np.where(self.is_log, 1.0, self._size)
+        return np.where(width > 0.0, np.minimum(scale, width), scale)
 
     def _point(self, values: Sequence[float]) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
