@@ -117,9 +117,10 @@ def cubic(**parameters: float) -> pfdist.StateSpaceModel:
         initial=lambda w, p: (p.spread * w[0],),
         transition=lambda x, t, w, p: (x[0] + 0.0 * w[0],),
         measurement=lambda x, t, v, p: (x[0] + p.k**2 + 0.1 * v[0], 0.3 * p.k + 0.1 * v[1]),
-        log_likelihood=lambda y, x, t, p: pfdist.densities.normal_logpdf(
-            y[0], x[0] + p.k**2, 0.1
-        ) + pfdist.densities.normal_logpdf(y[1], 0.3 * p.k, 0.1),
+        log_likelihood=lambda y, x, t, p: (
+            pfdist.densities.normal_logpdf(y[0], x[0] + p.k**2, 0.1)
+            + pfdist.densities.normal_logpdf(y[1], 0.3 * p.k, 0.1)
+        ),
         quantity_of_interest=lambda x, t, p: (x[0],),
         initial_noise=("normal",),
         process_noise=("normal",),
