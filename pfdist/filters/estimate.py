@@ -51,6 +51,9 @@ class Evaluation(Shown):
         Whether `expected_mse` is the largest mean of a scenario, not the mean over all draws.
     degenerate : array of bool, (D,), optional
         Whether each draw is degenerate; by default none is.
+    clouds : int
+        Number of independent clouds of particles, if filters started from them: equal successive
+        parts of the draws have a cloud each. The standard error contains the noise of the clouds.
     profile : DataFrame, optional
         The expected error over time, if `pfdist.evaluate` was asked for it: t, measured, draws,
         error and standard_error.
@@ -66,6 +69,7 @@ class Evaluation(Shown):
     scenarios: NDArray[np.int64] | None = None
     is_worst: bool = False
     degenerate: NDArray[np.bool_] | None = None
+    clouds: int = 0
     profile: "pd.DataFrame | None" = None
 
     @property
@@ -98,7 +102,7 @@ class Evaluation(Shown):
             return self.worst.standard_error
         if math.isinf(self.expected_mse):
             return math.inf
-        return Estimate.of_mean(self.mse).standard_error
+        return Estimate.of_mean(self.mse, self.clouds).standard_error
 
     @cached_property
     def of_scenarios(self) -> "dict[int, Evaluation]":
@@ -136,6 +140,7 @@ class Evaluation(Shown):
             mse=self.mse[chosen],
             scenarios=None if self.scenarios is None else self.scenarios[chosen],
             degenerate=None if self.degenerate is None else self.degenerate[chosen],
+            clouds=0,
             profile=None,
         )
 
@@ -211,7 +216,7 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
         error = math.hypot(worst.standard_error, other.standard_error)
         return Estimate(worst.expected_mse - other.expected_mse, error)
     differences = first.mse[:draws] - second.mse[:draws]
-    return Estimate.of_mean(differences)
+    return Estimate.of_mean(differences, first.clouds)
 
 
 def largest_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:

@@ -13,21 +13,22 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from pfdist.common.clock import Clock, Time
+from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section, Text
-from pfdist.common.rounding import with_error
+from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
-from pfdist.filters.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import UserTable, planned_run, table_argument
 from pfdist.questions.planner import Planner
-from pfdist.questions.subject import number_of
+from pfdist.questions.subject import is_clear, number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
 
@@ -82,6 +83,14 @@ class NextTime(Shown):
     collapsed: Time | None = None
 
     @property
+    def difference(self) -> Estimate | None:
+        """`expected` less `expected_before`, paired by simulated system; None without the second.
+
+        Its `interval()` is the 95 % confidence interval.
+        """
+        return self.expected_before and difference(self.expected, self.expected_before)
+
+    @property
     def next(self) -> Time | None:
         """The time to measure next; None if the budget is spent."""
         return self.plan[0] if self.plan else None
@@ -93,7 +102,8 @@ class NextTime(Shown):
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values."""
-        before = self.expected_before
+        before, apart = self.expected_before, self.difference
+        low, high = apart.interval() if apart else (None, None)
         answer = {
             "run": str(self.run),
             "planned": self.name,
@@ -107,6 +117,9 @@ class NextTime(Shown):
             "planned_before": self.planned_before,
             "expected_mse_before": before and before.expected_mse,
             "standard_error_before": before and before.standard_error,
+            "difference": apart and apart.value,
+            "difference_low": low,
+            "difference_high": high,
             "draws": self.expected.draws,
             "surprise_of_all": self.surprise,
             "is_improbable": self.is_improbable,
@@ -145,8 +158,15 @@ class NextTime(Shown):
             return [("planned before", "no further measurement")]
         if self.expected_before is None:
             return [("planned before", f"t = {times}, no longer possible")]
-        expected = self._expected(self.expected_before)
-        return [("planned before", f"t = {times}"), ("its expected MSE", expected)]
+        facts = [("planned before", f"t = {times}")]
+        facts += [("its expected MSE", self._expected(self.expected_before))]
+        apart = difference(self.expected, self.expected_before)
+        low, high = apart.interval()
+        ends, side = ((low, high), "higher") if apart.value > 0 else ((-high, -low), "lower")
+        value, *of = with_interval(abs(apart.value), *ends)
+        interval = f" (95 % CI {' to '.join(of)})" if apart.standard_error else ""
+        no_clear = "" if is_clear((low, high)) else "no clear difference: "
+        return [*facts, ("difference", f"{no_clear}{value} {side} with the new plan{interval}")]
 
     def _expected(self, evaluation: Evaluation) -> str:
         mse = with_error(evaluation.expected_mse, evaluation.standard_error)
