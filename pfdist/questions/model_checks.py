@@ -17,7 +17,6 @@ from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
-from pfdist.filters.estimate import top_percent_share
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
@@ -33,6 +32,7 @@ from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded, with_untraced
 from pfdist.models.twin import traced
 from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.results.particle_loss import top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
 from pfdist.runner.particles import (
@@ -339,7 +339,7 @@ def _substeps(
         size, most = np.sqrt((moves**2).mean((0, 1)).max()), moves.max()
         change, own = (Estimate.of_mean(each).times(scale) for each in (changes, mse))
         # Other particles are resampled where x moves, so the errors of all draws change by chance.
-        rare = top_percent_share(np.abs(changes), mse.size, float(np.abs(changes).mean()))
+        rare = top_percent_share(np.abs(changes))
     by_chance = abs(change.value) <= CLEAR_ERRORS * change.standard_error and not rare > _RARE
     is_small = by_chance or abs(change.value) <= max(_LITTLE, own.standard_error / 2)
     text = (

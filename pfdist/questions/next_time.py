@@ -88,7 +88,8 @@ class NextTime(Shown):
 
         Its `interval()` is the 95 % confidence interval.
         """
-        return self.expected_before and difference(self.expected, self.expected_before)
+        before = self.expected_before
+        return None if before is None else difference(self.expected, before)
 
     @property
     def next(self) -> Time | None:
