@@ -164,8 +164,9 @@ def summary(tables: Tables) -> str:
         "particles. Variance saved: squared median width of the intervals without a control, over "
         "that with it. Warned: a line says that few draws carry much of an error. The last two "
         "systems have heavy tails. A control does not lower the rare, large errors of filters that "
-        "lose the state. It narrows the intervals of draws that have none of them, so these "
-        "intervals hold less often.\n\n" + markdown(header, lines)
+        "lose the state. So the interval of an expected error counts one more draw that is as "
+        "large as the largest and has no control; that of a gain does not.\n\n"
+        + markdown(header, lines)
     )
 
 

@@ -84,7 +84,7 @@ def test_evaluate_prints_json(run: Path, call: Call) -> None:
         "standard_error": expected.standard_error,
         "draws": 50,
         "degenerate_draws": 0,
-        "largest_share": expected.largest_share,
+        "largest_share": None,  # it takes more draws
         "broken_constraints": ["problem.measurement_budget is 4, got 3 times"],
     }
 
