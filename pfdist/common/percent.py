@@ -71,7 +71,7 @@ def heavy_tail_warning(shares: Mapping[str, float | None], draws: int) -> str:
     )
     # If the variance is finite, the share falls at least as the root of the number of draws.
     enough = rounded_up(draws * ((max(heavy.values()) - usual) / HEAVY) ** 2)
-    few = "the 95 % interval of the expected MSE is probably too short"
+    few = "the 95 % interval of the expected MSE may be too short"
     return (
         f"The ten largest of {draws:,} draws carry {carried}: {few}; take at least {enough:,.0f} "
         "draws."

@@ -228,6 +228,8 @@ class Session:
         bound = f"(bound {with_error(proof['bound'], proof['bound_error'])})"
         if gap > max(error, _ROUNDING):
             return f"{with_error(100 * gap, 100 * error)} % {bound}"
+        if math.isnan(error):  # the worst scenario is another for each set
+            return ""
         return (f"not above its error, {percent(error, 1)} " if error else "none ") + bound
 
     # --- judging ----------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from pfdist.questions.subject import Subject
 from pfdist.results import Run, reaching
 from pfdist.results.stored_run import check_one_number
 
-TOO_SHORT = "the 95 % interval of the expected MSE is probably too short"
+TOO_SHORT = "the 95 % interval of the expected MSE may be too short"
 SURVIVORS = """
 [[search]]
 method = "survivors"
