@@ -174,7 +174,8 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
     yield Check("simulate", "ok", text)
     first, names = draws.z[:, 0], model.named("z")
-    for k in np.flatnonzero(model.is_angle & (first.std(0) > 2.0 * np.pi)):
+    spread = np.subtract(*np.quantile(first, (0.75, 0.25), axis=0))
+    for k in np.flatnonzero(model.is_angle & (spread > 2.0 * np.pi)):
         lies = f"lies in {first[:, k].min():.3g} to {first[:, k].max():.3g} at the first instant"
         text = f"{names[k].label or f'z[{k}]'} is circular, so in radians, but {lies}: if these are"
         yield Check("angles", "note", f"{text} degrees, convert them by np.radians")
