@@ -1,6 +1,7 @@
 """Estimates of the expected MSE of a set of times, and the difference of two."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -129,6 +130,15 @@ class Evaluation(Shown):
         """Share of `expected_mse` that is due to the ten largest draws; NaN with fewer than 100."""
         own = self.worst if self.is_worst else self
         return largest_share(own.mse, own.draws, own.expected_mse)
+
+    @classmethod
+    def together(cls, parts: "Sequence[Evaluation]") -> "Evaluation":
+        """The evaluation on the draws of several clouds, from that of each; or the only one."""
+        if len(parts) == 1:
+            return parts[0]
+        mse, degenerate = np.array([(each.mse, each.degenerate) for each in parts]).swapaxes(0, 1)
+        together = {"mse": mse.ravel(), "degenerate": degenerate.ravel() > 0}
+        return replace(parts[0], clouds=len(parts), **together)
 
     def first(self, draws: int) -> "Evaluation":
         """The evaluation on the first draws."""

@@ -100,11 +100,11 @@ class Fitted(Shown):
             "The search has not converged, because no two distant starts found the same maximum: "
             "start at its result, or allow more evaluations."
         ] * (not self.is_converged)
-        for name in self.on_bound:
-            warnings.append(
-                f"{name} lies on its bound, {rounded(self.parameters[name])}: the likelihood may "
-                "be larger beyond it."
-            )
+        warnings += [
+            f"{name} lies on its bound, {rounded(self.parameters[name])}: the likelihood may be "
+            "larger beyond it."
+            for name in self.on_bound
+        ]
         if self.error > _LARGE:
             warnings.append(
                 f"The log-likelihood has an error of {self.error:.1f}: take more particles. With "
@@ -209,12 +209,11 @@ def fit(
         for those in groups.values()
     ]  # fmt: skip
     number = 0 if built.evaluator.exact else particles or built.comparing.particles
-    is_log = (np.array([*start.values()]) > 0.0) & (bounds[:, 0] >= 0.0)
     with (
         following(chosen.progress, chosen.say) as (show, tell),
         at_work(built.job.execution, [built.evaluator.engine], tell) as pool,
     ):
-        fitting = _Fitting(grouped, number, built.job.seed, pool, start, bounds, is_log)
+        fitting = _Fitting(grouped, number, built.job.seed, pool, start, bounds)
         return fitting.fitted(evaluations, show)
 
 
@@ -239,7 +238,6 @@ class _Fitting:
     pool: Pool
     start: Mapping[str, float]
     bounds: Array  # (K, 2)
-    is_log: NDArray[np.bool_]  # which parameters are sought on a logarithmic scale
 
     def fitted(self, evaluations: int, show: Show) -> Fitted:
         """The best result of searches from distant starts, until the best two agree."""
@@ -250,12 +248,15 @@ class _Fitting:
             tried += 1
             doing = f"Fit: {tried:,} of at most {evaluations:,} likelihoods"
             show(Progress("fit", tried, evaluations, doing=doing))
-            return -self._at(point, repeat)
+            try:
+                return -self._likelihood(self._values(point), repeat)
+            except ModelError:  # a value that the model does not allow
+                return math.inf
 
         started_at = self._likelihood(self.start)
         if started_at == -math.inf:
             raise MeasurementsError(f"the measurements are impossible at the start, {self.start}")
-        begin, *ends = (self._point(each) for each in ([*self.start.values()], *self.bounds.T))
+        begin, *ends = (self._point(each) for each in (self._begin, *self.bounds.T))
         low, high = np.maximum(ends[0], begin - _REACH), np.minimum(ends[1], begin + _REACH)
         uniform = generator(stream_of("fit", self.seed, "starts")).random((_STARTS, begin.size))
         starts, known = low + uniform * (high - low), [begin]
@@ -273,21 +274,20 @@ class _Fitting:
             searched = minimize(loss, start, (repeat,), method="Nelder-Mead",
                                 bounds=[*zip(*ends, strict=True)], options=options)  # fmt: skip
             point, least = searched.x, float(searched.fun)
-            values = np.array([*self._values(point).values()])
-            for side, k in np.argwhere(np.abs(self.bounds.T - values) <= _NEAR * self._size):
-                there = point.copy()  # a logarithm comes only near 0
-                there[k] = ends[side][k]
+            away = np.abs(self.bounds.T - [*self._values(point).values()])
+            for side, k in np.argwhere(away <= _NEAR * np.abs(self._begin)):
+                there = np.where(np.arange(point.size) == k, ends[side], point)
                 if tried < evaluations and (value := loss(there, repeat)) <= least:
-                    point, least = there, value
+                    point, least = there, value  # a logarithm comes only near 0
             others = range(1, _REPEATS + 1) if self.particles else [0]
-            judged = np.array([self._at(point, each) for each in others])
-            found.append(_Found(judged, -least, point))
+            judged = [self._likelihood(self._values(point), each) for each in others]
+            found.append(_Found(np.array(judged), -least, point))
             found.sort(key=lambda each: -each.judged.mean())
             known += [start, point]
-        judged, own, point = found[0]
-        likelihood, error = float(judged.mean()), 0.0
+        again, own, point = found[0]
+        likelihood, error = float(again.mean()), 0.0
         if self.particles:  # under its own noise, the largest value is too large on average
-            error = math.hypot(judged.std(ddof=1), max(0.0, own - likelihood))
+            error = math.hypot(again.std(ddof=1), max(0.0, own - likelihood))
         is_on_bound = (point == np.array(ends)).any(axis=0)
         on_bound = tuple(np.array([*self.start])[is_on_bound].tolist())
         replicates = sum(len(group.y) for group in self.groups)
@@ -295,34 +295,28 @@ class _Fitting:
                       replicates, len(found), on_bound)  # fmt: skip
 
     @cached_property
-    def _size(self) -> Array:
-        """The size of each parameter: its start, or 1."""
-        size = np.abs([*self.start.values()])
-        return np.where(size > 0.0, size, 1.0)
+    def _begin(self) -> Array:
+        return np.array([*self.start.values()])
+
+    @cached_property
+    def _is_log(self) -> NDArray[np.bool_]:
+        """Which parameters are sought on a logarithmic scale."""
+        return (self._begin > 0.0) & (self.bounds[:, 0] >= 0.0)
 
     @cached_property
     def _scale(self) -> Array:
-        """The unit of points: of a logarithm 1, else the size; at most the bounds' distance."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            width = np.diff(np.where(self.is_log, np.log(self.bounds.T), self.bounds.T), axis=0)[0]
-        scale = np.where(self.is_log, 1.0, self._size)
-        return np.where(width > 0.0, np.minimum(scale, width), scale)
+        """The unit of points: of a logarithm 1, else the start, at most the bounds' distance."""
+        size, width = np.where(self._begin, np.abs(self._begin), 1.0), np.ptp(self.bounds, axis=1)
+        return np.where(self._is_log, 1.0, np.minimum(size, np.where(width > 0.0, width, size)))
 
-    def _point(self, values: Sequence[float]) -> Array:
+    def _point(self, values: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.is_log, np.log(values), values) / self._scale
+            return np.where(self._is_log, np.log(values), values) / self._scale
 
     def _values(self, point: Array) -> dict[str, float]:
         at = point * self._scale
-        values = np.clip(np.where(self.is_log, np.exp(np.where(self.is_log, at, 0.0)), at),
-                         *self.bounds.T)  # fmt: skip
-        return dict(zip(self.start, values.tolist(), strict=True))
-
-    def _at(self, point: Array, repeat: int) -> float:
-        try:
-            return self._likelihood(self._values(point), repeat)
-        except ModelError:  # a value that the model does not allow
-            return -math.inf
+        values = np.where(self._is_log, np.exp(np.where(self._is_log, at, 0.0)), at)
+        return dict(zip(self.start, values.clip(*self.bounds.T).tolist(), strict=True))
 
     def _likelihood(self, values: Mapping[str, float], repeat: int = 0) -> float:
         """The log evidence of all replicates, which are shared out to the workers."""

@@ -28,7 +28,7 @@ from pfdist.problem.problem import JobSource
 from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import UserTable, planned_run, table_argument
 from pfdist.questions.planner import Planner
-from pfdist.questions.subject import is_clear, number_of
+from pfdist.questions.subject import number_of
 from pfdist.results import Run, finite
 from pfdist.runner.progress import Say, silent
 
@@ -159,15 +159,12 @@ class NextTime(Shown):
             return [("planned before", "no further measurement")]
         if self.expected_before is None:
             return [("planned before", f"t = {times}, no longer possible")]
-        facts = [("planned before", f"t = {times}")]
-        facts += [("its expected MSE", self._expected(self.expected_before))]
         apart = difference(self.expected, self.expected_before)
-        low, high = apart.interval()
-        ends, side = ((low, high), "higher") if apart.value > 0 else ((-high, -low), "lower")
-        value, *of = with_interval(abs(apart.value), *ends)
-        interval = f" (95 % CI {' to '.join(of)})" if apart.standard_error else ""
-        no_clear = "" if is_clear((low, high)) else "no clear difference: "
-        return [*facts, ("difference", f"{no_clear}{value} {side} with the new plan{interval}")]
+        value, *ends = with_interval(apart.value, *apart.interval())
+        interval = f"(95 % CI {' to '.join(ends)})" if apart.standard_error else "(exact)"
+        return [("planned before", f"t = {times}"),
+                ("its expected MSE", self._expected(self.expected_before)),
+                ("new less old plan", f"{value} {interval}")]  # fmt: skip
 
     def _expected(self, evaluation: Evaluation) -> str:
         mse = with_error(evaluation.expected_mse, evaluation.standard_error)

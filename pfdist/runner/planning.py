@@ -149,23 +149,13 @@ class Replanner:
         """
         stream = stream_key(self.stream, draw, now.first, "expected")
         ends = [self.evaluator.horizon] * len(plans)
-        evaluations, each_draws = list[list[Evaluation]](), -(-draws // max(1, len(clouds)))
+        evaluations, index = list[list[Evaluation]](), range(-(-draws // max(1, len(clouds))))
         for number, prior in enumerate(clouds or [now.prior]):
             key = stream_key(stream, number) if clouds else stream
-            outlook, index = _Outlook(self, now._replace(prior=prior), key), range(each_draws)
-            of_sets = outlook.of_sets(outlook.draws(index), plans, ends, estimation)
-            evaluations.append(of_sets)
-        return [
-            replace(
-                parts[0],
-                mse=np.concatenate([each.mse for each in parts]),
-                degenerate=None if parts[0].degenerate is None
-                else np.concatenate([each.degenerate for each in parts]),
-                clouds=len(clouds),
-                purpose="evaluate",
-            )
-            for parts in zip(*evaluations, strict=True)
-        ]  # fmt: skip
+            outlook = _Outlook(self, now._replace(prior=prior), key)
+            evaluations.append(outlook.of_sets(outlook.draws(index), plans, ends, estimation))
+        each_plan = (Evaluation.together(parts) for parts in zip(*evaluations, strict=True))
+        return [replace(evaluation, purpose="evaluate") for evaluation in each_plan]
 
 
 def check_plannable(evaluator: Evaluator) -> None:
