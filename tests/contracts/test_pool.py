@@ -3,6 +3,8 @@
 import contextlib
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -233,6 +235,7 @@ def _gone(process: int) -> bool:
 KILL = "os.kill(os.getpid(), signal.SIGKILL)"
 STOP = "os.kill(os.getpid(), signal.SIGSTOP)"
 LOOP = "while True: pass"
+SLEEP = "time.sleep(1000)"
 ALWAYS = 1000
 
 DIES = "one worker or a node dies: the run goes on"
@@ -248,7 +251,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @isolated
 @pytest.mark.fault
-@pytest.mark.parametrize("fault", [KILL, LOOP])
+@pytest.mark.parametrize("fault", [KILL, LOOP, SLEEP])
 def test_a_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     fault: str, make_isolated: Make, impatient: None, tmp_path: Path, record_property: Record
 ) -> None:
@@ -263,6 +266,48 @@ def test_a_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     record_property("faults", f"{DIES if fault == KILL else HANGS}: 1")
 
 
+BUSY = """
+import os, time
+os.nice(5)  # so that it gets little of the processor
+
+def function(seconds):
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+    return os.getpid()
+"""
+
+
+@isolated
+def test_a_task_that_computes_is_never_ended_because_the_machine_is_busy(
+    make_isolated: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The task computes for .2 s, and may for .5 s; it waits far longer for a processor."""
+    monkeypatch.setattr(base, "PATIENCE_SECONDS", 0.5)
+    spin = [sys.executable, "-c", "while True: pass"]
+    with contextlib.ExitStack() as stack, make_isolated(1) as pool:
+        (first,) = pool.run([Task("first", Made(BUSY), 0.01)])
+        for _ in range(2 * (os.cpu_count() or 1)):
+            process = stack.enter_context(subprocess.Popen(spin))
+            stack.callback(process.kill)
+        (outcome,) = pool.run([Task("second", Made(BUSY), 0.2)])
+    assert outcome.value == first.value
+    assert outcome.seconds > 0.5  # it was busy: otherwise nothing was tested
+
+
+@isolated
+def test_limits_are_those_of_a_task_and_not_of_a_worker(
+    make_isolated: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker lives through 1,000 tasks, which compute for longer than one task may."""
+    monkeypatch.setattr(base, "PATIENCE_SECONDS", 1.0)
+    with make_isolated(1) as pool:
+        outcomes = list(
+            pool.run(_tasks(1000, Made(BUSY.replace("(seconds)", "(_, seconds=.002)"))))
+        )
+    assert len({outcome.value for outcome in outcomes}) == 1
+
+
 @isolated
 @pytest.mark.fault
 @pytest.mark.parametrize("fault", [KILL, pytest.param(LOOP, marks=pytest.mark.crash)])
@@ -274,7 +319,7 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
         outcomes = {outcome.task.work[0]: outcome for outcome in pool.run(tasks)}
     error = outcomes.pop(3).error
     assert error.startswith(
-        "its worker ended: it crashed, ran out of memory, or took longer than 3"
+        "its worker ended: it crashed, ran out of memory, or computed or slept for longer than 3"
     )
     assert {number: outcome.value for number, outcome in outcomes.items()} == {
         number: number for number in (0, 1, 2, 4, 5, 6, 7)
@@ -293,6 +338,7 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
 
     monkeypatch.setattr(base, "PATIENCE_SECONDS", 4.0)
     monkeypatch.setattr(workers, "START_SECONDS", 4.0)
+    monkeypatch.setattr(workers, "SILENCE_TIMES", 2)
     monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 8.0)
     stop_all = _faulty(STOP, times=2).replace("number == 3", "number > 9")
     with (
