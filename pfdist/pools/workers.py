@@ -23,10 +23,10 @@ from threadpoolctl import threadpool_limits
 from pfdist.errors import PfdistError
 from pfdist.pools.base import STILL_SECONDS, Function, Outcome, Task, do, patience
 
-START_SECONDS = 60.0  # for which a worker may start and make a function
+# Within so many seconds some worker must answer, however busy the machine is, and while other
+# programs have the cores of a cluster, or new nodes start:
+SILENCE_SECONDS = 900.0
 LOOK_SECONDS = 0.5  # between two looks whether a task computes
-# So many times the limit of a task some worker must answer, however busy the machine is:
-SILENCE_TIMES = 60
 _SHOWN = 300  # characters of an error
 _ONE_THREAD = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false", "NPROC": "1"}  # as JAX reads it
 FUNCTIONS = 32
@@ -72,8 +72,7 @@ def failed(sent: Sent, error: BaseException | None = None) -> Outcome:
 
 def silence_limit(sent: Iterable[Sent]) -> float:
     """Seconds within which some task must have an answer, given the limits of tasks."""
-    longest = max(patience(each.task.seconds) for each in sent)
-    return max(2 * START_SECONDS, SILENCE_TIMES * longest)
+    return max([SILENCE_SECONDS, *(2 * patience(each.task.seconds) for each in sent)])
 
 
 def pickled(function: Function) -> tuple[str, bytes]:

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from pfdist.errors import SilenceError
-from pfdist.pools import base
+from pfdist.pools import base, workers
 from pfdist.pools.base import Function, Pool, Task
 from pfdist.pools.kinds import POOLS
 
@@ -334,12 +334,8 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
 def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     make_isolated: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from pfdist.pools import ray_pool, workers
-
     monkeypatch.setattr(base, "PATIENCE_SECONDS", 4.0)
-    monkeypatch.setattr(workers, "START_SECONDS", 4.0)
-    monkeypatch.setattr(workers, "SILENCE_TIMES", 2)
-    monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 8.0)
+    monkeypatch.setattr(workers, "SILENCE_SECONDS", 8.0)
     stop_all = _faulty(STOP, times=2).replace("number == 3", "number > 9")
     with (
         make_isolated(2) as pool,
@@ -361,24 +357,20 @@ def test_workers_that_stood_still_with_everything_else_are_waited_for(
 
     A worker that held a task may end itself when it wakes up; then its task is done again.
     """
-    from pfdist.pools import ray_pool
-    from pfdist.pools import workers as of_processes
-
     monkeypatch.setattr(base, "STILL_SECONDS", 1.0)
-    monkeypatch.setattr(of_processes, "START_SECONDS", 15.0)
-    monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 30.0)
+    monkeypatch.setattr(workers, "SILENCE_SECONDS", 30.0)
     who = Made("import os, time\ndef function(work): time.sleep(0.05); return os.getpid()")
     with make_isolated(2) as pool:
         run = pool.run(_tasks(60, who))
-        workers = {next(run).value for _ in range(10)}
-        for worker in workers:
+        stopped = {next(run).value for _ in range(10)}
+        for worker in stopped:
             os.kill(worker, signal.SIGSTOP)
         time.sleep(35.0)
-        for worker in workers:  # they wake up a moment after this process
+        for worker in stopped:  # they wake up a moment after this process
             threading.Timer(0.3, _wake, [worker]).start()
         rest = [outcome.value for outcome in run]
     assert len(rest) == 50
-    record_property("faults", f"{HANGS}: {len(workers)}")
+    record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
 def _wake(process: int) -> None:
