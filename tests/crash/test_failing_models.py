@@ -208,17 +208,21 @@ def test_a_draw_that_never_ends_or_crashes_fails(
 
 
 @pytest.mark.fault
-def test_ctrl_c_ends_a_run_with_a_thread_that_never_ends_after_a_commit(
-    command: Make, tmp_path: Path, record_property: Record
+@pytest.mark.parametrize("pool", ["threads", "serial"])
+def test_one_ctrl_c_ends_a_run_whose_formula_never_ends(
+    pool: str, command: Make, tmp_path: Path, record_property: Record
 ) -> None:
+    """Threads commit first; this process itself, while it computes, ends after 3 s."""
     run = tmp_path / "run"
-    words = command(LOOP, run, "--pool", "threads", "--workers", "2")
+    words = command(LOOP, run, "--pool", pool, *(["--workers", "2"] if pool == "threads" else []))
     with running(Path(words[1]), run, *words[4:], "--no-report") as driver:
         driver.wait_for((tmp_path / "flag").exists)
         time.sleep(3.0)  # so long the other thread computes
         driver.process.send_signal(signal.SIGINT)
         until(lambda: driver.said[-1].startswith("pfdist: Stopped."))
         assert driver.wait() == 130
+    if pool == "serial":
+        return
     assert "comparison" in set(pfdist.open_run(run).table("timings")["phase"])
     assert not (run / ".begun").exists()
     record_property("faults", f"{HANGS}: 1")
