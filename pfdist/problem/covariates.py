@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
+from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.errors import JobError, shown
 
 _KEYS = {"file", "column"}
@@ -55,7 +56,7 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
 
     path = folder / file
     try:
-        values = read_user_table(path, check_header, only=(column,))[column]
+        values = read_user_table(path, check_header, (column,), most_rows=MOST_NUMBERS)[column]
     except OSError as error:
         meant = did_you_mean_path(path, (path.parent,), lambda other: other.suffix == path.suffix)
         raise JobError(f"{key}: cannot read {path}: {error.strerror}{meant}") from error
