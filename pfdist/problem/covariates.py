@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.common.arguments import address_fault
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
 from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.errors import JobError, shown
@@ -54,6 +55,8 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
             columns = ", ".join(header)
             raise ValueError(f"the table has no column {shown(column)}{meant} Columns: {columns}")
 
+    if fault := address_fault(file):
+        raise JobError(f"{key}.file {fault}")
     path = folder / file
     try:
         values = read_user_table(path, check_header, (column,), most_rows=MOST_NUMBERS)[column]

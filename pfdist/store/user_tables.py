@@ -20,7 +20,7 @@ from pfdist.common.calendar import as_text
 from pfdist.common.nearest import must_be
 from pfdist.errors import PfdistError, shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
-from pfdist.store.tables import holds_table, write_table
+from pfdist.store.tables import column_chunks, holds_table, write_table
 
 Array = NDArray[np.float64]
 
@@ -162,10 +162,10 @@ def _in_parquet(
         schema = about.schema.to_arrow_schema()
         kept = wanted([*map(str, schema.names)])
         texts = [name for name in kept if _holds_texts(schema.field(name))]
-        groups = [about.row_group(number) for number in range(about.num_row_groups)]
-        _check_rows(sum(group.num_rows for group in groups), len(kept), most_rows)
-        chunks = (group.column(place) for group in groups for place in range(group.num_columns))
-        size = sum(each.total_uncompressed_size for each in chunks if each.path_in_schema in kept)
+        chunks = [each for each in column_chunks(about) if each.path_in_schema in kept]
+        rows = sum(each.num_values for each in chunks) // len(kept)
+        _check_rows(rows, len(kept), most_rows)
+        size = sum(each.total_uncompressed_size for each in chunks)
         if size > (most := 8 * MOST_NUMBERS):
             raise ValueError(f"a table must have at most {most:,} bytes unpacked, got {size:,}")
         yield schema.empty_table().select(kept).to_pandas(ignore_metadata=True)  # index: a column

@@ -129,7 +129,9 @@ def test_a_file_that_is_none_or_too_large_is_not_read(
         path = _written(tmp_path / name, rows)
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_NUMBERS", 5)
-            with pytest.raises(MeasurementsError, match="of 3 columns must have at most 1 rows, got 2"):
+            with pytest.raises(
+                MeasurementsError, match="of 3 columns must have at most 1 rows, got 2"
+            ):
                 read_measurements(path, ship, Clock.counting(10))
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_BYTES", 15)
