@@ -18,7 +18,10 @@ from pfdist.errors import ArgumentError, PfdistError
 Call = Callable[..., Any]
 ADDRESS = "s3://bucket/run"
 SAID = f"must be a path of this machine, got the address '{ADDRESS}': mount its storage as a folder"
+SMALL = Path(__file__).parents[1] / "small.toml"
 NEEDED = {
+    "budget": ["--measurements", "3"],
+    "online": ["--set", "online.draws=9"],
     "compare": ["--times", "mine=0,3"],
     "evaluate": ["--times", "0,3"],
     "sweep": ["--over", "seed=1,2"],
@@ -57,7 +60,7 @@ def test_the_table_has_the_arguments_that_it_should() -> None:
     assert {command for command, _ in table} == COMMANDS.keys() - {"models", "completion"}
 
 
-@pytest.mark.parametrize(("command", "name"), _paths())
+@pytest.mark.parametrize(("command", "name"), [*_paths()])
 def test_an_address_is_refused_wherever_a_command_takes_a_path(
     command: str, name: str, finished: Callable[..., Path], call: Call, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -66,7 +69,8 @@ def test_an_address_is_refused_wherever_a_command_takes_a_path(
     Path("rows.csv").write_text("t,y0\n0,1\n")
     run = str(finished())
     given = {"measurements": "rows.csv", "data": "rows.csv", "model": "ungm"}
-    words = [command, *NEEDED.get(command, [])]
+    given |= {"job": str(SMALL)} if command in NEEDED else {}
+    words = [command]
     for each, about in _parameters(command).items():
         word = _word(command, each)
         if word is None:
@@ -77,7 +81,7 @@ def test_an_address_is_refused_wherever_a_command_takes_a_path(
             words.append(value)
         elif each == name:
             words += [f"--{name}", value]
-    code, out, error = call("", *words)
+    code, out, error = call("", *words, *NEEDED.get(command, []))
     assert code == 1
     assert SAID in " ".join((out + error).split())
     assert os.listdir(tmp_path) == ["rows.csv"]
