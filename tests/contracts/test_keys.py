@@ -26,6 +26,7 @@ UNITS = {
     "filters/filter.py Filter.__init__": "system: seed draw",
     "filters/filter.py Filter._begun": "system: draw",
     "filters/filter_estimate.py surprise_of_particles": "system, instant: draw cloud.t component",
+    "filters/one_filter.py again": "cloud: again number",
     "filters/one_filter.py filter_of_truths": "system, whose number stays: first.stream",
     "filters/particle_filter.py _truth_noise": "draw: index",
     "filters/plain.py simulate": "draw: index t",
@@ -39,6 +40,7 @@ UNITS = {
     # Replicates with the same parameters have numbers. Groups of them share the numbers, which
     # changes neither the mean of the log evidence nor clearly its error.
     "questions/fit.py _evidence": "replicate of a group: part.first",
+    "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
     "questions/fit.py _Fitting._likelihood": "repetition: repeat",
     "questions/measured.py _Step._variates": "state: self.draw self.t",
     "questions/next_time.py next_time": "nothing, it is one system:",

@@ -172,7 +172,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     few = "The estimate is that of a few particles, not the model's: the effective sample size "
     assert " ".join(text.split()).startswith(f"{few}falls below 5 at t = 5. What may help: ")
     assert "most surprising       t = 5, p at most " in text
-    note = r"Note: The measurement at t = 5 is improbable, p at most [\de.-]+ \(at most [\de.-]+ "
+    note = r"The measurement at t = 5 is improbable, p at most [\de.-]+ \(at most [\de.-]+ "
     note += r"among all\): the model may be wrong about this system"
     assert re.search(note, " ".join(text.split()))
     assert main([*words, "--json"]) == 0
@@ -191,10 +191,9 @@ def test_an_improbable_measurement_is_a_warning_and_shows_itself(
     few, line = (str(each.message) for each in said)
     assert few.startswith("The estimate is that of a few particles, not the model's: ")
     assert line.startswith("The measurement at t = 5 is improbable, p at most 1.0e-05 (")
-    assert repr(found).startswith(f"<{few} At t = 8: ")
-    assert repr(found).endswith(f" | {line}>")
-    assert f"<p>{escape(few)} At t = 8: " in found._repr_html_()
-    assert f"<p>Note: {line}</p>" in found._repr_html_()
+    assert repr(found).startswith(f"<{few} | {line} | At t = 8: ")
+    assert f"<p>{escape(few)}</p>" in found._repr_html_()
+    assert f"<p>{line}</p>" in found._repr_html_()
     lines = list[str]()
     pfdist.filter_measurements(job, path, **options, say=lines.append)  # raises no warning
     _written(path, (0, 8), y)
