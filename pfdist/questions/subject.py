@@ -73,7 +73,7 @@ class Subject:
 
     @cached_property
     def heavy_tail(self) -> str:
-        """A sentence if one draw has much of the variance of an error, else nothing."""
+        """A sentence if there are too few draws for the interval of an error, else nothing."""
         shares = {row.label: row.largest_share for row in self.rows.values()}
         return heavy_tail_warning(shares, self.run.draws_compared)
 

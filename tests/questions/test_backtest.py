@@ -105,6 +105,7 @@ def test_a_wrong_model_is_found_and_a_promise_is_kept(planned: Path) -> None:
     with pytest.warns(PfdistWarning, match="The model is wrong: the real error differs from"):
         found = judged(planned, data, times=late)
     assert found.wrong == [*found.sets]
+    assert repr(found).startswith("<The model is wrong: ")  # before the verdict
     assert found.promises["late"].verdict == KEPT
     assert found.promises["late"].ratio == pytest.approx(3.0, rel=0.5)
     assert found.improbable > 0.02
