@@ -370,7 +370,7 @@ def few_at(t: Time | None, unit: str) -> list[str]:
 
 
 def _alarms(answer: FilteredMeasurements) -> list[str]:
-    """What puts the estimate in doubt: few particles, an improbable measurement."""
+    """Doubts about the estimate: few particles, an improbable measurement."""
     at, p, among = _surprise(answer) or ("", "", "")
     what = f"The measurement at t = {at} is improbable, p {p} ({among} among all)"
     improbable = f"{what}: the model may be wrong about this system."

@@ -62,7 +62,7 @@ class Fitted(Shown):
     started_at : float
         The log-likelihood at the start.
     evaluations : int
-        Of all searches.
+        Evaluated likelihoods, all searches together.
     is_converged : bool
         Whether two searches from distant starts found the same log-likelihood: a difference of
         at most 0.1, or of one standard deviation of the difference from noise to noise.
@@ -218,7 +218,7 @@ def fit(
 
 
 class _Found(NamedTuple):
-    """What the search from one start found."""
+    """Result of the search from one start."""
 
     judged: Array  # log-likelihoods under noise that did not choose the point; one if it is exact
     own: float  # the log-likelihood under the noise of the search

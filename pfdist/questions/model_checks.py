@@ -272,7 +272,7 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
 
 
 def _guided(evaluator: Evaluator, work: Work) -> Iterator[Check]:
-    """What "auto" would choose instead of "guided", by its own measurement."""
+    """Compare "guided" with the choice of "auto", by its own measurement."""
     if work.estimation.proposal == GUIDED:
         plain = replace(work.estimation, proposal=PLAIN)
         why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
@@ -323,7 +323,7 @@ def _substeps(
 
     def states(each: Evaluator) -> Array:
         every, draws = each.of_scenarios or (each,), range(*work.draws)
-        return np.concatenate([one.draws(draws, work.draws_stream).x for one in every])
+        return np.concatenate([of.draws(draws, work.draws_stream).x for of in every])
 
     try:
         first, last = doubled(models[0]), doubled(models[-1])

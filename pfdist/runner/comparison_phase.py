@@ -134,7 +134,7 @@ def _check_filters(built: Built, statistics: ComparisonStatistics) -> None:
 
 
 def ways_out(built: Built) -> str:
-    """What to do if filters fail in many draws, for the end of an error."""
+    """Advise what to do if filters fail in many draws, for the end of an error."""
     models = built.evaluator.model, built.evaluator.believed
     is_linear = all(model.linear_gaussian for model in models)
     exact = "filter.engine = 'kalman' is exact for this model; " * is_linear

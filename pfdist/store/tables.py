@@ -101,7 +101,7 @@ def read_file(
 
 
 def column_chunks(about: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
-    """What a Parquet file says of its columns, in all groups of rows, before they are unpacked."""
+    """Describe each column of a Parquet file in each group of rows, before it is unpacked."""
     for group in map(about.row_group, range(about.num_row_groups)):
         yield from map(group.column, range(group.num_columns))
 

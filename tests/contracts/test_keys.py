@@ -7,7 +7,7 @@ from pathlib import Path
 import pfdist
 
 ROOMS = "filters", "questions", "runner"
-# What makes a key, what gives it to noise, and what makes one from a seed.
+# Functions that make a key, that give it to noise, and that make one from a seed.
 MAKERS = {
     "stream_of", "stream_key", "generator", "variates", "noise_of", "log_evidence",
     "Filter", "OneFilter", "filter_of", "Planner", "Replanner",

@@ -28,7 +28,7 @@ def facts_of(session: Session, times: tuple[int, ...], draws: int = 0) -> dict[s
 
 
 def own(fact: str) -> str:
-    """What a fact that names all sets says of one's own times."""
+    """Part of a fact that is about one's own times."""
     return fact.partition(";")[0].removeprefix("yours ")
 
 
@@ -56,7 +56,7 @@ def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
     mine, even = (played.errors(times, 480).mse for times in (MINE, session.even))
     ((head, text), *_) = session.answer(MINE, 480)["facts"]
     assert head == "against evenly spaced"  # there is no plan
-    is_unclear, value, side, low, high, by, by_error = re.fullmatch(  # type: ignore[union-attr]
+    is_unclear, value, side, low, high, amount, amount_error = re.fullmatch(  # type: ignore[union-attr]
         r"(no clear difference: )?([\d.]+) % (\w+) \(95 % CI (-?[\d.]+) to (-?[\d.]+) %\), "
         r"by ([\d.]+) ± ([\d.]+)",
         text,
@@ -69,8 +69,8 @@ def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
     assert float(high) - float(low) == pytest.approx(2 * 1.965 * error, rel=0.1)
     assert bool(is_unclear) == (float(low) <= 0 <= float(high))
     apart = mine - even  # draw by draw
-    assert float(by) == pytest.approx(abs(apart.mean()), abs=0.06 * apart.std() / 480**0.5)
-    assert float(by_error) == pytest.approx(apart.std(ddof=1) / 480**0.5, rel=0.05)
+    assert float(amount) == pytest.approx(abs(apart.mean()), abs=0.06 * apart.std() / 480**0.5)
+    assert float(amount_error) == pytest.approx(apart.std(ddof=1) / 480**0.5, rel=0.05)
 
 
 def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run) -> None:

@@ -94,8 +94,8 @@ def test_the_standard_error_of_an_expected_error_contains_the_noise_of_the_parti
             planner.update(each, t)
         plan, other = planner.expected((4, 6), (7, 8), draws=1000)
         apart = difference(plan, other)
-        by = apart.value - wanted[0] + wanted[1]
-        found.append((plan.expected_mse, plan.standard_error, by / apart.standard_error))
+        miss = apart.value - wanted[0] + wanted[1]
+        found.append((plan.expected_mse, plan.standard_error, miss / apart.standard_error))
     value, error, z = np.array(found).T
     assert 0 <= value.mean() / wanted[0] - 1 < 4 / particles
     assert ((value - value.mean()) / error).std(ddof=1) < 1.5  # 20 normal variates: 1 +- .16
