@@ -323,7 +323,7 @@ def _substeps(
 
     def states(each: Evaluator) -> Array:
         every, draws = each.of_scenarios or (each,), range(*work.draws)
-        return np.concatenate([of.draws(draws, work.draws_stream).x for of in every])
+        return np.concatenate([system.draws(draws, work.draws_stream).x for system in every])
 
     try:
         first, last = doubled(models[0]), doubled(models[-1])
