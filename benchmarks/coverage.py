@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist import StateSpaceModel, load_model
-from pfdist.common.percent import HEAVY as WARNS
+from pfdist.common.percent import heavy_tail_warning
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation, cut
 from pfdist.pages.style import BLUE, COLUMN_INCHES, GREY, RED
@@ -104,7 +104,8 @@ def _rows(system: str, mse: Any, control: Any, repeats: int) -> list[dict[str, A
     }
     of_regular = control[:, 0]
     parts = map(_statistics, np.split(both["controlled"], repeats))
-    warned = [max(map(part.top_percent_share, SETS)) > WARNS for part in parts]
+    shares = [{name: part.largest_share(name) for name in SETS} for part in parts]
+    warned = [bool(heavy_tail_warning(each, DRAWS)) for each in shares]
     about = {
         "system": system,
         "warned": np.mean(warned),
@@ -125,15 +126,15 @@ def _rows(system: str, mse: Any, control: Any, repeats: int) -> list[dict[str, A
 
 
 def _statistics(block: Any) -> ComparisonStatistics:
-    statistics = ComparisonStatistics([*SETS], len(block))
+    statistics = ComparisonStatistics([*SETS])
     statistics.add(block)
     return statistics
 
 
 def _intervals(statistics: ComparisonStatistics) -> list[tuple[float, float]]:
     """The printed intervals: of the expected error of the regular times, and of the gain."""
-    mse, gain = statistics.mse["regular"], statistics.gains["early"]
-    return [mse.estimate.interval(), gain.of_means_interval]
+    gain = statistics.gains["early"]
+    return [statistics.estimate("regular").interval(), gain.of_means_interval]
 
 
 def summary(tables: Tables) -> str:
@@ -163,8 +164,9 @@ def summary(tables: Tables) -> str:
         "particles. Variance saved: squared median width of the intervals without a control, over "
         "that with it. Warned: a line says that few draws carry much of an error. The last two "
         "systems have heavy tails. A control does not lower the rare, large errors of filters that "
-        "lose the state. It narrows the intervals of draws that have none of them, so these "
-        "intervals hold less often.\n\n" + markdown(header, lines)
+        "lose the state. So the interval of an expected error counts one more draw that is as "
+        "large as the largest and has no control; that of a gain does not.\n\n"
+        + markdown(header, lines)
     )
 
 

@@ -68,10 +68,10 @@ def _settle(page: Any) -> None:
 
 
 def _state(page: Any, number: int) -> Path:
-    """A picture of the error, the strips and the figures."""
+    """A picture of the difference, the error over time, the strips and the figures."""
     _settle(page)
     path = FIGURES / f"explore-{number}.png"
-    top, bottom = (page.locator(each).bounding_box() for each in ("figure", ".mark"))
+    top, bottom = (page.locator(each).bounding_box() for each in (".verdict", "dl:not(.verdict)"))
     height = bottom["y"] + bottom["height"] - top["y"] + 2
     clip = {"x": 0, "y": top["y"], "width": WIDTH, "height": height}
     page.screenshot(path=path, clip=clip, full_page=True)

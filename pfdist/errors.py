@@ -103,9 +103,14 @@ def reason_of(error: Exception) -> str:
 
     >>> reason_of(StoreError("no run")), reason_of(KeyError("a"))
     ('no run', "KeyError: 'a'")
+
+    The messages of pfdist are whole, however long a path in them is.
+
+    >>> len(reason_of(StoreError("no run in " + 300 * "a")))
+    310
     """
-    text = str(error) if isinstance(error, PfdistError) else f"{type(error).__name__}: {error}"
-    return one_line(shown_text(text))
+    expected = isinstance(error, PfdistError)
+    return one_line(str(error) if expected else shown_text(f"{type(error).__name__}: {error}"))
 
 
 def printable(text: str) -> str:

@@ -5,9 +5,9 @@ Each returns an answer, as the functions of `pfdist.questions` do, or yields lin
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
+from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, ModelError, PfdistError, PoolError, StoreError
 from pfdist.questions.options import Options, with_options
 from pfdist.runner.progress import silent
@@ -144,7 +144,7 @@ def verify(run: str) -> Iterator[str]:
     from pfdist.results import open_run
     from pfdist.store.verify import verify_run
 
-    path = Path(run)
+    path = path_argument("run", run)
     damages = list(verify_run(path))
     yield from damages
     if damages:
@@ -203,7 +203,7 @@ def doctor(*, results: str = "results", address: str = "") -> Iterator["Check"]:
     from pfdist.questions.machine import examine
 
     wrong = list[str]()
-    yield from _noting(wrong, examine(Path(results), address))
+    yield from _noting(wrong, examine(path_argument("results", results), address))
     if wrong:
         raise PoolError(f"not fit for a run: {', '.join(wrong)}")
 

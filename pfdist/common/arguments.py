@@ -1,5 +1,6 @@
 """Checked arguments of functions: paths, texts and lists; an iterator is read once."""
 
+import re
 from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
@@ -14,12 +15,28 @@ T = TypeVar("T")
 def path_argument(name: str, value: Any) -> Path:
     """An argument as an absolute path, because a model may change the working folder later.
 
-    Raises `ArgumentError` if it is neither a text nor a path, or contains the character NUL.
+    Raises `ArgumentError` if it is neither a text nor a path, contains the character NUL, or is an
+    address.
     """
     if not isinstance(value, str | Path) or "\0" in str(value):
         without = " without NUL" if isinstance(value, str | Path) else ""
         raise ArgumentError(f"{name} must be a path{without}, got {shown(value)}", argument=name)
+    if fault := address_fault(value):
+        raise ArgumentError(f"{name} {fault}", argument=name)
     return Path(value).absolute()
+
+
+def address_fault(path: str | Path) -> str:
+    """The fault in a path that is an address, which would become folders; empty for other paths.
+
+    >>> address_fault("s3://bucket/run")[:52], address_fault("results/run")
+    ("must be a path of this machine, got the address 's3:", '')
+    """
+    start = r"[A-Za-z][\w+.-]+:/" + "/" * isinstance(path, str)  # a `Path` has lost the second
+    return (
+        f"must be a path of this machine, got the address {shown(str(path))}: mount its storage as "
+        "a folder, or copy the file or the finished run"
+    ) * bool(re.match(start, str(path)))
 
 
 def paths_argument(name: str, value: Any) -> list[Path]:

@@ -53,7 +53,7 @@ class Calendar:
         except (ZoneInfoNotFoundError, ValueError, OSError) as error:
             raise ValueError(
                 f"timezone must be a name of the IANA database, as Europe/Brussels, got "
-                f"{shown(timezone)}"
+                f"{shown(timezone)}; `pip install tzdata` adds names that this machine lacks"
             ) from error
         try:
             return cls(unit, _moment(start, zone), by_days)

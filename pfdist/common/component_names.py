@@ -8,6 +8,7 @@ from pfdist.errors import shown
 
 _LONGEST_NAME, _LONGEST_UNIT = 40, 20  # characters
 _TEXT = re.compile(r"([^\W\d_][\w -]*?) *(?:\[ *([^\[\] ][^\[\]]*)\])?")
+_DEGREES = re.compile(r"(\b|_)deg(ree)?s?(\b|_)|[°º]", re.IGNORECASE)
 _ALLOWED = (
     f"a letter, then letters, digits, _, - and spaces (at most {_LONGEST_NAME} characters), and on "
     f"request a unit in brackets (at most {_LONGEST_UNIT}), such as 'concentration [mg/l]'"
@@ -31,6 +32,15 @@ class Component:
     def label(self) -> str:
         """The name with the unit in brackets; empty without a name."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def is_in_degrees(self) -> bool:
+        """Whether the name or the unit says degrees.
+
+        >>> [named_component(each).is_in_degrees for each in ("lat [°]", "yaw_deg", "yaw [rad]")]
+        [True, True, False]
+        """
+        return _DEGREES.search(self.label) is not None
 
 
 def named_component(text: str) -> Component:

@@ -31,8 +31,13 @@ class Estimate:
     degrees: float = math.inf  # degrees of freedom of the error; infinite for a normal variate
 
     @classmethod
-    def of_mean(cls, values: NDArray[Any]) -> "Estimate":
-        """The mean of independent values; with fewer than two, its error is unknown."""
+    def of_mean(cls, values: NDArray[Any], groups: int = 0) -> "Estimate":
+        """The mean of independent values; with fewer than two, its error is unknown.
+
+        With `groups`, the values are so many successive groups of the same size, and only the
+        groups are independent.
+        """
+        values = values.reshape(groups, -1).mean(axis=1) if groups else values
         count = values.size
         if count < 2:
             return cls(float(values[0]) if count else math.nan, math.nan)

@@ -211,8 +211,10 @@ class Page:
     subtitle : str
         The line below the title of a report; the first line in a terminal.
     sections : sequence of Section
+    alarms : sequence of str
+        Sentences that put the answer in doubt: everywhere they come before it.
     warnings : sequence of str
-        Sentences that come first, for instance that the run is not finished.
+        Further sentences, for instance that the run is not finished: a terminal has them last.
     seconds : int
         Seconds after which the page reloads itself; 0 for never.
     source : str
@@ -231,3 +233,4 @@ class Page:
     source: str = "from tables alone"
     links: str = ""
     place: str = ""
+    alarms: Sequence[str] = field(default_factory=tuple)

@@ -214,7 +214,11 @@ def _sentence(
         value = got.get(name) if isinstance(got, dict) else got
         kinds: Any = reduce(_inner, place, model)
         rule = f"one of {', '.join(map(repr, kinds))}"
-        return must_be(f"{key}.{name}", rule, value, kinds)
+        lacking = (
+            f"; another {name} needs its package installed, or in Python its module imported first"
+        )
+        fault = must_be(f"{key}.{name}", rule, value, kinds)
+        return fault + lacking * (isinstance(value, str) and not did_you_mean(value, kinds))
     if key == "search":
         return f"search must be one or more [[search]] sections, got {shown(got)}"
     if kind == "value_error":

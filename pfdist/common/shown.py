@@ -23,7 +23,8 @@ class Shown:
         page = self._page()
         blocks = [block for section in page.sections for block in section.blocks]
         said = [block.text for block in blocks if isinstance(block, Text) and block.prominent]
-        return one_line(f"<{' | '.join([page.subtitle or ' '.join(said), *page.warnings])}>")
+        answer = page.subtitle or " ".join(said)
+        return one_line(f"<{' | '.join([*page.alarms, answer, *page.warnings])}>")
 
     def _repr_html_(self) -> str:
         return as_fragment(self._page())
@@ -41,8 +42,9 @@ def as_fragment(page: Page) -> str:
     blocks = (block for section in page.sections for block in section.blocks)
     shown = [_of_block(block) for block in blocks if not block.detail]
     warnings = (f"<p>Note: {_escaped(warning)}</p>" for warning in page.warnings)
-    first, last = (f"<p>{_escaped(text)}</p>" * bool(text) for text in (page.subtitle, page.place))
-    return "".join([first, *shown, *warnings, last])
+    texts = (*page.alarms, page.subtitle, page.place)
+    *first, last = (f"<p>{_escaped(text)}</p>" * bool(text) for text in texts)
+    return "".join([*first, *shown, *warnings, last])
 
 
 def _escaped(text: str) -> str:

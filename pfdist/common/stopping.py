@@ -22,6 +22,7 @@ _STOPPING = "Stopping after the work in flight; press Ctrl-C again to end now"
 # A batch script may hand on the signal that its whole group has received.
 _SAME_SECONDS = 0.2
 _NOTICE_SECONDS = 25.0  # Slurm kills 30 s after SIGTERM
+_CTRL_C_SECONDS = 2.5  # for the commit of finished work; nobody at a terminal waits for longer
 _heard = threading.Event()  # `check` raises
 _at_work = threading.Event()  # `check` was called
 _received = list[int]()
@@ -76,8 +77,8 @@ def _listen(numbers: Iterable[int]) -> None:
     _received.append(number)
     if is_at_work:
         _heard.set()
-        if number != signal.SIGINT:  # whatever the process does
-            threading.Thread(target=_end_after, args=(_NOTICE_SECONDS,), daemon=True).start()
+        most = _CTRL_C_SECONDS if number == signal.SIGINT else _NOTICE_SECONDS
+        threading.Thread(target=_end_after, args=(most,), daemon=True).start()
         while signal.sigwait(numbers) != signal.SIGINT and time.monotonic() - since < _SAME_SECONDS:
             pass
     _end_after(0.0)

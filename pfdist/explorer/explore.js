@@ -50,16 +50,16 @@ export function mount(element, connection) {
   const legend = make("p", { class: "legend" });
   const lanes = draw("svg", { class: "lanes", role: "group", "aria-label": "Measurement times" });
   const tools = make("div", { class: "tools" }), remove = button("Remove", () => drop(selected));
-  const readout = make("dl"), mark = make("p", { class: "mark" });
+  const verdict = make("dl", { class: "verdict" }), readout = make("dl"), mark = make("p", { class: "mark" });
   const broken = make("ul", { class: "broken" });
   const live = make("p", { class: "live", role: "status" });
   const judging = button(JUDGE, judge), judged = make("div", { class: "judged" });
   const name = make("input", { value: "mine", maxlength: 64, spellcheck: "false" });
   const trouble = make("p", { class: "trouble", role: "alert" });
   const sets = make("ul", { class: "kept" }), command = make("pre", { tabindex: 0, hidden: "" });
-  const root = make("div", { class: "pfdist-explorer" }, title, about, banner,
+  const root = make("div", { class: "pfdist-explorer" }, title, about, banner, verdict, mark,
     make("figure", {}, make("figcaption", {}, legend, choosing), chart, lanes), tools, readout,
-    mark, broken, judging, judged, make("div", { class: "tools" }, make("label", {}, "Name ", name),
+    broken, judging, judged, make("div", { class: "tools" }, make("label", {}, "Name ", name),
       button("Name and keep", keep), button("Copy command", copy), button("Download job", save)),
     trouble, sets, command, live);
   judging.className = "main";
@@ -350,8 +350,10 @@ export function mount(element, connection) {
   function show(found) {
     answer = found;
     paint();
-    readout.replaceChildren(...found.facts.map(([head, text]) =>
-      make("div", {}, make("dt", {}, head), make("dd", {}, text))));
+    const [first, ...others] = found.facts.map(([head, text], place) =>
+      make("div", {}, make("dt", {}, place ? head : `expected MSE ${head}`), make("dd", {}, text)));
+    verdict.replaceChildren(first); // the paired difference: errors on few draws mislead
+    readout.replaceChildren(...others);
     mark.textContent = found.mark;
     broken.replaceChildren(...sentences().map((each) => make("li", {}, each)));
     clearTimeout(quiet);
@@ -389,7 +391,8 @@ export function mount(element, connection) {
     const together = rows.length > 1 && `The ${rows.length} intervals hold together with 95 %. `;
     judged.replaceChildren(make("table", {}, make("caption", {}, "Judged on fresh draws. ",
       together || "", "The best of several sets is judged once more: picking it flatters it."),
-    make("thead", {}, make("tr", {}, ...["set", "expected MSE against evenly spaced", "times"]
+    make("thead", {}, make("tr", {}, ...["set",
+      `expected MSE against ${facts.plan ? "the plan" : "evenly spaced"}`, "times"]
       .map((each) => cell(each, "th", { scope: "col" })))),
     make("tbody", {}, ...rows.map((each) => make("tr", {},
       cell(each.name + (each.again ? " (judged once more)" : ""), "th", { scope: "row" }),

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
-from pfdist.common.estimate import CONFIDENCE
+from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
 from pfdist.common.rounding import rounded
-from pfdist.filters.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.work import BLOCK
-from pfdist.questions.subject import change_of
+from pfdist.questions.subject import change_of, is_clear
 from pfdist.results.moments import Pairs
 from pfdist.results.sets import typical_error
 from pfdist.runner.build import Built
@@ -127,6 +127,7 @@ class Filtered:
         """The typical error of each component of z over all instants, in words."""
         mean = self._mean(evaluation, errors)
         typical = self._typical(np.average(mean, axis=0, weights=self._evaluator.weights))
+        typical[np.isinf(typical)] = np.nan  # of an angle of which nothing is known
         parts, angles = self.components, self._evaluator.model.is_angle
         names = [each.name or f"z{each.suffix}" for each in parts] if len(parts) > 1 else [""]
         return ", ".join(
@@ -147,7 +148,7 @@ class Filtered:
 
 
 class Change(NamedTuple):
-    """The gain of a set over another on the same draws.
+    """The gain of a set over another, and the difference of both errors, on the same draws.
 
     If the worst scenario decides, its draws count. If it is another for each set, the gain has no
     interval.
@@ -156,17 +157,23 @@ class Change(NamedTuple):
     gain: float  # by which share of the other expected MSE that of the set is lower
     errors: Pairs
     draws: int  # 0: exact
+    difference: Estimate
 
     @classmethod
     def between(cls, evaluation: Evaluation, other: Evaluation) -> "Change":
         """The gain of an evaluation over another."""
         gain, errors = 1.0 - evaluation.expected_mse / other.expected_mse, Pairs()
-        draws = evaluation.draws
+        draws, apart = evaluation.draws, difference(evaluation, other)
         if evaluation.is_worst and evaluation.worst_scenario == other.worst_scenario:
             evaluation, other = evaluation.worst, other.worst
         if not evaluation.is_worst:
             errors.add(evaluation.mse, other.mse)
-        return cls(gain, errors, draws)
+        return cls(gain, errors, draws, apart)
+
+    @property
+    def ratio(self) -> Estimate:
+        """The expected MSE of the set over that of the other."""
+        return Estimate(1.0 - self.gain, self.errors.ratio_error if self.draws else 0.0)
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float | None, float | None]:
         """The interval of the gain, by Fieller's theorem; None where it is unknown."""
@@ -176,5 +183,7 @@ class Change(NamedTuple):
         return (1.0 - high, 1.0 - low) if np.isfinite(high - low) else (None, None)
 
     def text(self, confidence: float = CONFIDENCE) -> str:
-        """The gain in words, with its interval."""
-        return change_of(self.gain, self.interval(confidence))
+        """The gain in words, with its interval, and the difference with its standard error."""
+        interval, sign = self.interval(confidence), -1.0 if self.gain >= 0 else 1.0
+        unclear = "" if is_clear(interval) else "no clear difference: "
+        return f"{unclear}{change_of(self.gain, interval)}, by {self.difference.times(sign).text}"

@@ -2,7 +2,8 @@
 
 A user who moves times looks at many sets on the same draws, and keeps the best of them. So these
 draws flatter the set, and no error on them is a proof. `Session.judge` compares a set with the
-reference on draws that are new at each judgement, and all intervals hold together.
+plan, if there is one, else with the evenly spaced times, on draws that are new at each judgement,
+and all intervals hold together.
 
 References
 ----------
@@ -16,11 +17,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pfdist.common.estimate import CONFIDENCE
+from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.percent import percent
-from pfdist.common.rounding import rounded, with_error
+from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, PfdistError, StoreError, one_line
 from pfdist.explorer.filtered import Change, Filtered
@@ -31,6 +32,7 @@ from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run, finite
 from pfdist.results.sampling_windows import STRICT, windows_of
+from pfdist.results.stored_run import last_bounds
 from pfdist.runner.build import Built, build
 from pfdist.runner.progress import Say, silent
 from pfdist.store import holds_run
@@ -41,12 +43,14 @@ FIRST_SECONDS = 0.08
 FINER = 16  # times the draws of the first answer: on so many draws the answer is final
 FINER_SECONDS = 0.3  # of further draws: an answer to a new move waits no longer
 JUDGING_SECONDS = 2.0
-YOURS, EVEN, PLAN = "yours", "even", "plan"
+YOURS, PLAN, EVEN = "yours", "plan", "even"
+_OTHERS = {PLAN: "the plan", EVEN: "evenly spaced"}
 ON_THESE_DRAWS = "on these draws"
+_SAME, _ROUNDING = "the same times", 1e-9  # relative error of exact gaps
 
 
 class Judgement(NamedTuple):
-    """A set against the evenly spaced times, on draws that no other judgement has."""
+    """A set against the plan or evenly spaced times, on draws that no other judgement has."""
 
     name: str
     times: Times
@@ -83,6 +87,8 @@ class Session:
         self.best = self.run.best if self.run and self.job.budget is None else None
         self.plan = self._clock.measurements(self.best.measurement_times) if self.best else None
         self.even = self.feasible.regular()
+        proofs = last_bounds(self.run) if self.run and self.best else {}
+        self._proof = proofs.get(self.best.name) if self.best else None
         self.seconds_a_draw = self.played.seconds_a_draw(self.even)
         self.first_draws = min(FIRST_DRAWS, self._draws_in(FIRST_SECONDS))
 
@@ -149,7 +155,8 @@ class Session:
         -------
         dict
             - ``curves``: the typical error at each instant by set and component of z, in its unit.
-            - ``facts``: heads and texts: typical error, expected MSE, gain, gap, price.
+            - ``facts``: heads and texts: paired differences, first that to the plan; the errors of
+              all sets, on the same draws; gap, price.
             - ``broken``: a sentence for each broken constraint; ``warnings``: others.
             - ``mark``: how far the figures are to be trusted.
             - ``draws``; and ``finer``: the draws of the next, finer answer, or None.
@@ -161,11 +168,12 @@ class Session:
         """
         chosen, most = self._checked(times), max(FIRST_DRAWS, FINER * self.first_draws)
         draws = min(draws or self.first_draws, most)
-        sets = {YOURS: chosen, EVEN: self.even} | ({PLAN: self.plan} if self.plan else {})
+        sets = {YOURS: chosen} | ({PLAN: self.plan} if self.plan else {}) | {EVEN: self.even}
         found = {name: self.played.errors(each, draws) for name, each in sets.items()}
         known = {name: self.played.evaluation(sets[name], each) for name, each in found.items()}
         finer = min(most, 2 * draws, draws + self._draws_in(FINER_SECONDS))
-        own, typical = known[YOURS], self.played.typical(known[YOURS], found[YOURS])
+        own = known[YOURS]
+        typical = {name: self.played.typical(known[name], each) for name, each in found.items()}
         answer = {
             "times": chosen,
             "draws": own.draws,
@@ -174,9 +182,9 @@ class Session:
                 name: self.played.curves(known[name], each).T.tolist()
                 for name, each in found.items()
             },
-            "facts": [("typical error", typical), *self._facts(chosen, known)],
+            "facts": self._facts(chosen, known, typical),
             "broken": self.feasible.broken(chosen),
-            "warnings": [own.degenerate_text] if own.degenerate_draws else [],
+            "warnings": [text for text in (own.degenerate_text, own.heavy_tail) if text],
             "mark": self._mark(chosen, own.draws),
         }
         json: dict[str, Any] = finite(answer)
@@ -189,24 +197,47 @@ class Session:
         how = "judged on fresh draws below" if is_judged else "not judged yet"
         return f"{ON_THESE_DRAWS} ({draws:,}); {how}"
 
-    def _facts(self, times: Times, known: Mapping[str, Evaluation]) -> list[tuple[str, str]]:
-        own = known[YOURS]
-        facts = [("expected MSE", with_error(own.expected_mse, own.standard_error))]
-        for name, other in ((EVEN, "evenly spaced"), (PLAN, "the plan")):
-            if name in known and times != known[name].measurement_times:
-                facts.append((f"against {other}", Change.between(own, known[name]).text()))
-        bound = self.best.bound if self.best else None
-        if bound and math.isfinite(bound) and not self.feasible.broken(times):
-            gap = percent(max(0.0, 1.0 - bound / own.expected_mse), 1)
-            facts.append(("gap to the bound", f"{gap} (bound {rounded(bound)})"))
+    def _facts(
+        self, times: Times, known: Mapping[str, Evaluation], typical: Mapping[str, str]
+    ) -> list[tuple[str, str]]:
+        own, facts, shown = known[YOURS], list[tuple[str, str]](), [YOURS]
+        changes = {name: Change.between(own, known[name]) for name in _OTHERS if name in known}
+        for name, change in changes.items():
+            is_same = times == known[name].measurement_times
+            facts.append((f"against {_OTHERS[name]}", _SAME if is_same else change.text()))
+            shown += [] if is_same else [name]
+        errors = {name: with_error(e.expected_mse, e.standard_error) for name, e in known.items()}
+        for head, texts in (("expected MSE", errors), ("typical error", typical)):
+            each = (f"{_OTHERS.get(name, YOURS)} {texts[name]}" for name in shown)
+            facts.append((head, "; ".join(each)))
+        if PLAN in changes and not self.feasible.broken(times):
+            gap = self._gap(changes[PLAN].ratio)
+            facts += [("gap to the bound", gap)] * bool(gap)
         price = f", price {self.feasible.price_of(times)} of {self.feasible.total_price}"
         paid = price * (self.feasible.price is not None)
         return [*facts, ("measurements", f"{len(times)}{paid}")]
 
+    def _gap(self, ratio: Estimate) -> str:
+        """The gap of a set whose error is a multiple of the plan's, on common draws."""
+        if not (proof := self._proof) or proof["reason"]:
+            return ""
+        parts, mse = ("relaxation", "estimate", "filter_model"), proof["expected_mse"]
+        error = math.hypot(*(proof[f"{part}_error"] for part in parts)) / mse
+        left = (1.0 - sum(proof[part] for part in parts) / mse) / ratio.value
+        gap, error = 1.0 - left, math.hypot(error, left * ratio.standard_error) / ratio.value
+        bound = f"(bound {with_error(proof['bound'], proof['bound_error'])})"
+        if gap > max(error, _ROUNDING):
+            return f"{with_error(100 * gap, 100 * error)} % {bound}"
+        if math.isnan(error):  # the worst scenario is another for each set
+            return ""
+        return (f"not above its error, {percent(error, 1)} " if error else "none ") + bound
+
     # --- judging ----------------------------------------------------------------------------------
 
     def judge(self, name: str, times: Iterable[int]) -> list[dict[str, Any]]:
-        """Compare a set with the evenly spaced times on fresh draws; give all judgements.
+        """Compare a set with the plan on fresh draws; give all judgements.
+
+        Without a plan, it is compared with the evenly spaced times.
 
         If several sets were judged, the best of them is judged once more, because the best of
         several estimates is too good.
@@ -221,13 +252,12 @@ class Session:
         Raises
         ------
         JobError
-            The set is the reference.
+            The set is that with which sets are compared.
         """
         chosen = self._checked(times)
-        if chosen == self.even:
-            raise JobError(
-                "these are the evenly spaced times, with which sets are compared: move a time first"
-            )
+        if chosen == (self.plan or self.even):
+            these = "the times of the plan" if self.plan else "the evenly spaced times"
+            raise JobError(f"these are {these}, with which sets are compared: move a time first")
         self._judge(name, chosen)
         first = [each for each in self._judged if not each.again]
         best = max(first, key=lambda each: each.change.gain)
@@ -240,9 +270,9 @@ class Session:
         with self._lock:
             number, self._judgements = self._judgements, self._judgements + 1
         fresh = Filtered(self.built, stream_of("judge", self.job.seed, number, times))
-        own, even = fresh.evaluations([times, self.even], self.judging_draws)
+        own, other = fresh.evaluations([times, self.plan or self.even], self.judging_draws)
         with self._lock:
-            self._judged.append(Judgement(name, times, Change.between(own, even), again))
+            self._judged.append(Judgement(name, times, Change.between(own, other), again))
 
     @property
     def judging_draws(self) -> int:
@@ -287,11 +317,11 @@ class Session:
         return job_toml(job.identity())
 
     def command_line(self, sets: Mapping[str, Iterable[int]]) -> str:
-        """The command that compares named sets with the evenly spaced times."""
+        """The command that compares named sets with the evenly spaced times and the plan."""
         self.job_text(sets)  # checks the names
         written = {
             name: ",".join(map(formatted_time, self._clock.written_of(self._checked(times))))
-            for name, times in sets.items()
+            for name, times in (({PLAN: self.plan} if self.plan else {}) | {**sets}).items()
         }
         place = self._source or (self.run.path if self.run else self.job.path)
         if self._source is None and self.run is None and not self.job.origin.is_file:

@@ -1,6 +1,7 @@
 """Estimates of the expected MSE of a set of times, and the difference of two."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -18,6 +19,10 @@ from pfdist.common.shown import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
+
+LARGEST = 10  # draws, see `largest_share`
+DOUBTFUL = 0.01
+"""The share of degenerate draws from which they put an answer in doubt."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,6 +52,9 @@ class Evaluation(Shown):
         Whether `expected_mse` is the largest mean of a scenario, not the mean over all draws.
     degenerate : array of bool, (D,), optional
         Whether each draw is degenerate; by default none is.
+    clouds : int
+        Number of independent clouds of particles, if filters started from them: equal successive
+        parts of the draws have a cloud each. The standard error contains the noise of the clouds.
     profile : DataFrame, optional
         The expected error over time, if `pfdist.evaluate` was asked for it: t, measured, draws,
         error and standard_error.
@@ -62,6 +70,7 @@ class Evaluation(Shown):
     scenarios: NDArray[np.int64] | None = None
     is_worst: bool = False
     degenerate: NDArray[np.bool_] | None = None
+    clouds: int = 0
     profile: "pd.DataFrame | None" = None
 
     @property
@@ -94,7 +103,7 @@ class Evaluation(Shown):
             return self.worst.standard_error
         if math.isinf(self.expected_mse):
             return math.inf
-        return Estimate.of_mean(self.mse).standard_error
+        return Estimate.of_mean(self.mse, self.clouds).standard_error
 
     @cached_property
     def of_scenarios(self) -> "dict[int, Evaluation]":
@@ -117,9 +126,19 @@ class Evaluation(Shown):
         return self.of_scenarios[self.worst_scenario]
 
     @cached_property
-    def top_percent_share(self) -> float:
-        """Share of `expected_mse` due to the largest 1 % of the draws; NaN with fewer than 100."""
-        return top_percent_share(self.mse, self.draws, self.expected_mse)
+    def largest_share(self) -> float:
+        """Share of `expected_mse` that is due to the ten largest draws; NaN with fewer than 100."""
+        own = self.worst if self.is_worst else self
+        return largest_share(own.mse, own.draws, own.expected_mse)
+
+    @classmethod
+    def together(cls, parts: "Sequence[Evaluation]") -> "Evaluation":
+        """The evaluation on the draws of several clouds, from that of each; or the only one."""
+        if len(parts) == 1:
+            return parts[0]
+        mse, degenerate = np.array([(each.mse, each.degenerate) for each in parts]).swapaxes(0, 1)
+        together = {"mse": mse.ravel(), "degenerate": degenerate.ravel() > 0}
+        return replace(parts[0], clouds=len(parts), **together)
 
     def first(self, draws: int) -> "Evaluation":
         """The evaluation on the first draws."""
@@ -131,6 +150,7 @@ class Evaluation(Shown):
             mse=self.mse[chosen],
             scenarios=None if self.scenarios is None else self.scenarios[chosen],
             degenerate=None if self.degenerate is None else self.degenerate[chosen],
+            clouds=0,
             profile=None,
         )
 
@@ -149,18 +169,38 @@ class Evaluation(Shown):
         rows = [("measured at t", formatted_times(self.measurement_times))]
         if self.degenerate_draws:
             rows.append(("degenerate", self.degenerate_text))
-        if warning := heavy_tail_warning({"": self.top_percent_share}):
+        if warning := self.heavy_tail:
             rows.append(("heavy tail", warning))
         return Page("", title, [Section("", [Facts(rows)])])
 
     @property
+    def heavy_tail(self) -> str:
+        """A warning if there are too few draws for the interval of `expected_mse`, else nothing."""
+        draws = self.worst.draws if self.is_worst else self.draws
+        return heavy_tail_warning({"": self.largest_share}, draws)
+
+    @property
     def degenerate_text(self) -> str:
         """A sentence with the number of degenerate draws; empty if there are none."""
-        count, are = self.degenerate_draws, "draw is" if self.draws == 1 else "draws are"
-        return (
-            f"{count:,} of {self.draws:,} {are} degenerate: the filter leaves out measurements "
-            "that no particle explains"
-        ) * bool(count)
+        return degenerate_text(self.degenerate_draws, self.draws)
+
+    @property
+    def alarm(self) -> str:
+        """The same sentence, if so many draws are degenerate that the error is in doubt."""
+        return degenerate_text(self.degenerate_draws, self.draws, DOUBTFUL)
+
+
+def degenerate_text(count: int, draws: int, least: float = 0.0) -> str:
+    """A sentence with the number of degenerate draws; empty for none, or less than a share.
+
+    >>> degenerate_text(3, 200)
+    '3 of 200 draws are degenerate: the filter leaves out measurements that no particle explains'
+    """
+    are = "draw is" if draws == 1 else "draws are"
+    return (
+        f"{count:,} of {draws:,} {are} degenerate: the filter leaves out measurements that no "
+        "particle explains"
+    ) * (count > 0 and count >= least * draws)
 
 
 def difference(first: Evaluation, second: Evaluation) -> Estimate:
@@ -186,14 +226,14 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
         error = math.hypot(worst.standard_error, other.standard_error)
         return Estimate(worst.expected_mse - other.expected_mse, error)
     differences = first.mse[:draws] - second.mse[:draws]
-    return Estimate.of_mean(differences)
+    return Estimate.of_mean(differences, first.clouds)
 
 
-def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
-    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
+def largest_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
+    """Share of a mean over draws that is due to the ten draws with the largest values.
 
-    It is a point of the Lorenz curve. It is NaN with fewer than 100 draws, or if the mean is not
-    positive and finite. `largest` has at least the largest values of 1 % of the draws.
+    It is NaN with fewer than 100 draws, or if the mean is not positive and finite. `largest` has at
+    least the ten largest values.
     """
-    top = np.sort(largest)[::-1][: draws // 100]
-    return float(top.sum()) / draws / mean if top.size and 0 < mean < math.inf else math.nan
+    top = np.sort(largest)[-LARGEST:]
+    return float(top.sum()) / draws / mean if draws >= 100 and 0 < mean < math.inf else math.nan

@@ -1,9 +1,9 @@
 """The log evidence of many replicates at once: for a fit, which computes it again and again.
 
 With particles it is an estimate by common random numbers: the same noise for all values of the
-parameters. Particles are resampled systematically in the order of their first component, so a small
-change of a parameter moves few ancestors (smoother than in the order of the particles, but not
-continuous).
+parameters. Particles are resampled systematically in the order of their first component that
+differs, so a small change of a parameter moves few ancestors (smoother than in the order of the
+particles, but not continuous).
 
 Source: Malik, Pitt, "Particle filters for continuous likelihood evaluation and maximisation",
 Journal of Econometrics 165, 2011 (which also interpolates between the sorted particles).
@@ -58,7 +58,8 @@ def log_evidence(
                 total = logsumexp(log, axis=1)
                 evidence += total - np.log(particles)
                 key = t * len(twin.parts) + number
-                ancestors = _ancestors(x[0], log - total[:, None], stream, key, draws)
+                differs = next((each for each in x if np.ptp(each) > 0.0), x[0])
+                ancestors = _ancestors(differs, log - total[:, None], stream, key, draws)
                 kept = np.arange(particles)
                 rows = np.where(measured[:, None], ancestors, kept) + order * particles
                 x = tuple(np.broadcast_to(each, rows.size)[rows.ravel()] for each in x)
@@ -69,11 +70,11 @@ def log_evidence(
 
 
 def _ancestors(
-    first: Array, log_share: Array, stream: int, key: int, draws: range
+    component: Array, log_share: Array, stream: int, key: int, draws: range
 ) -> NDArray[np.intp]:
-    """Systematic resampling in the order of the first component: ancestors, (R, P)."""
+    """Systematic resampling in the order of a component: ancestors, (R, P)."""
     count, particles = log_share.shape
-    values = np.broadcast_to(first, log_share.size).reshape(log_share.shape)
+    values = np.broadcast_to(component, log_share.size).reshape(log_share.shape)
     order = np.argsort(values, axis=1, kind="stable")
     share = np.nan_to_num(np.exp(np.take_along_axis(log_share, order, axis=1)))
     reached = np.cumsum(share, axis=1)

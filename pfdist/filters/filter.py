@@ -17,6 +17,7 @@ from pfdist.errors import (
     EngineWarning,
     MeasurementsError,
     ModelError,
+    PfdistWarning,
     TraceError,
     shown,
 )
@@ -39,6 +40,7 @@ from pfdist.filters.filter_estimate import (
     estimate_of,
     explained,
     explained_by_normal,
+    few_particles,
     quantity,
     surprise_of_particles,
 )
@@ -59,6 +61,7 @@ LAST = 32_000  # the largest horizon of a job
 # measurements is 1 %, the level of the alarm.
 SUSPICIOUS = 1e-3
 MANY = 200_000
+LEAST = 2 / MANY  # p-values below it cannot be told apart
 
 
 class Filter:
@@ -151,6 +154,7 @@ class Filter:
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
+        self._collapsed: int | None = None
         self._now = self._estimate(mean[-1], variance[-1])
 
     @property
@@ -184,7 +188,7 @@ class Filter:
             "may lack a constant"
         )
 
-    def update(self, t: int, y: float | Sequence[float] | Array) -> Estimate:
+    def update(self, t: int, y: float | Sequence[float] | Array, *, warn: bool = True) -> Estimate:
         """Move the filter to t and give it the measurement there.
 
         Parameters
@@ -194,6 +198,9 @@ class Filter:
         y : float or sequence of float, (m,)
             The measurement. NaN marks a missing component; the model must declare
             `missing_components`. If all components are missing, t was not measured.
+        warn : bool
+            Whether to warn if the effective sample size falls below 5 for the first time. The
+            estimate says so, too.
 
         Returns
         -------
@@ -224,14 +231,19 @@ class Filter:
         belief, log_density, surprise = self._explained(
             before, predicted, measurement, mean, variance
         )
+        now = estimate_of(
+            t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
+        )
+        if warn and now.collapsed == t:
+            line = few_particles(f"at t = {self._formatted(t)}")
+            warnings.warn(line, PfdistWarning, stacklevel=2)
         # The filter moves only here, after everything that may raise an error. So it stays where it
         # was if a measurement is refused.
         self._filter = self._ahead = moved
         self._unseen_by_many.append((t, measurement))
         self._evidence += log_density
-        is_angle = self.model.is_angle
-        self._now = estimate_of(t, mean[-1], variance[-1], is_angle, belief, surprise)
-        return self._now
+        self._now, self._collapsed = now, now.collapsed
+        return now
 
     def predict(self, t: int) -> Estimate:
         """The estimate of z(t); the filter does not move.
@@ -302,7 +314,8 @@ class Filter:
         if isinstance(prior, Cloud):
             weight = np.ones(prior.particles) if prior.weight is None else prior.weight
             belief = Particles(quantity(self.model, prior, mean), weight)
-        return estimate_of(prior.t, mean, variance, self.model.is_angle, belief)
+        is_angle, collapsed = self.model.is_angle, self._collapsed
+        return estimate_of(prior.t, mean, variance, is_angle, belief, collapsed=collapsed)
 
     def _explained(
         self, before: OneFilter, predicted: OneFilter, y: Array, mean: Array, variance: Array

@@ -25,6 +25,17 @@ Array = NDArray[np.float64]
 PREDICTIVE = 20_000
 """Least number of simulated measurements behind a p-value. The p-value of a component that lies
 beyond all of them is below 2 over their number."""
+FEW = 5.0
+"""An effective sample size below which an estimate is that of a few particles, not the model's."""
+
+
+def few_particles(where: str, proposal: str = "a model with a proposal") -> str:
+    """The sentence about a filter whose effective sample size falls below `FEW`."""
+    return (
+        "The estimate is that of a few particles, not the model's: the effective sample size falls "
+        f"below {FEW:.0f} {where}. What may help: more particles, {proposal}, or the engine kalman "
+        "if the model is linear and Gaussian."
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +218,9 @@ class Estimate:
         The p-value of the measurement at t: the probability, under the model, of one at least as
         extreme; None if t was not measured. See
         `pfdist.filters.filter_estimate.surprise_of_particles`.
+    collapsed : int or None
+        The first measured instant up to t at which the effective sample size fell below 5, if
+        there is one. From it on, mean and quantiles are those of a few particles, not the model's.
     """
 
     t: int
@@ -216,6 +230,7 @@ class Estimate:
     effective_sample_size: float | None
     surprise: float | None
     _belief: Belief = field(repr=False)
+    collapsed: int | None = None
 
     def quantiles(self, levels: float | Sequence[float]) -> Array:
         """Quantiles of each component of z, (levels, q).
@@ -241,8 +256,15 @@ def estimate_of(
     is_angle: Sequence[bool],
     belief: Belief,
     surprise: float | None = None,
+    collapsed: int | None = None,
 ) -> Estimate:
-    """The estimate at t, from its moments; t was measured if there is a surprise."""
+    """The estimate at t, from its moments; t was measured if there is a surprise.
+
+    `collapsed` is that of the estimate before t.
+    """
+    size = belief.effective_sample_size()
+    if collapsed is None and surprise is not None and size is not None and size < FEW:
+        collapsed = t
     with np.errstate(all="ignore"):  # 1 - variance is below 0 where z is no angle
         squares = np.where(is_angle, -2 * np.log1p(-variance), variance)
     return Estimate(
@@ -250,7 +272,8 @@ def estimate_of(
         surprise is not None,
         mean,
         np.sqrt(squares),
-        belief.effective_sample_size(),
+        size,
         surprise,
         belief,
+        collapsed,
     )

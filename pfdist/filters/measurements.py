@@ -21,6 +21,7 @@ from pfdist.models import StateSpaceModel
 from pfdist.store.user_tables import SEPARATORS, read_user_table
 
 Array = NDArray[np.float64]
+_FURTHER = 10_000  # rows
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,14 @@ def read_measurements(
     if a value is wrong.
     """
     allowed, sensors = [["t", *names] for names in user_columns("y", model)], [*model.sensors]
-    most = max(part.model.components[1] for part in model.parts)
     if sensors:
+        most = max(part.model.components[1] for part in model.parts)
         allowed = [["t", "sensor", *(f"y{component}" for component in range(most))]]
     try:
         check = partial(_check_header, allowed)
-        columns = read_user_table(path, check, names={"sensor": sensors}, readers=clock.readers())
+        # Each time has one row; the first of a few rows too many is named below.
+        most = _FURTHER + len(clock.times) * max(1, len(sensors))
+        columns = read_user_table(path, check, (), {"sensor": sensors}, clock.readers(), most)
         for row, t in enumerate(columns["t"].tolist(), 1):
             try:
                 instant_on(clock, t, start)

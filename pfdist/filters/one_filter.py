@@ -3,6 +3,7 @@
 It gives the same bits as a filter with the same keys that receives all measurements at once.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -173,6 +174,24 @@ def with_truths(
         settings = replace(second.settings, prior=first)
         second = replace(second, settings=settings, measured=y is not None)
     return replace(first, truths=cast(Cloud, second.settings.prior)), second
+
+
+def again(first: OneFilter, seen: Iterable[tuple[int, Array | None]], number: int) -> Prior | None:
+    """The prior, with truths, of an independent filter of the same system.
+
+    `first` is the filter before its first instant, and `seen` has what happened since: instants,
+    and the measurements there. As in a degenerate draw, the filter leaves out a measurement that no
+    particle explains.
+    """
+    filtering = replace(first, stream=stream_key(first.stream, "again", number))
+    truths, prior = filter_of_truths(filtering), first.settings.prior
+    for t, y in seen:
+        try:
+            filtering, *_ = filtering.at(t, y)
+        except MeasurementsError:
+            filtering, *_ = filtering.at(t)
+        prior, truths = with_truths(filtering.settings.prior, truths, t, y)
+    return prior
 
 
 def made(model: StateSpaceModel, t: int, y: Array) -> Times:

@@ -22,6 +22,7 @@ import numba
 import numpy as np
 from numba import types
 
+from pfdist.common.arguments import address_fault
 from pfdist.common.telling import tell
 from pfdist.errors import EngineWarning
 from pfdist.kernels.memory import in_memory, tuple_type
@@ -108,6 +109,8 @@ def _folder(dtype: str) -> str:
     parent = Path(place).resolve() if place else usual
     folder = parent / f"{_hash_of_sources()}-{dtype}"
     try:
+        if place and (fault := address_fault(place)):
+            raise OSError(fault)
         for each in (parent, folder):
             each.mkdir(mode=0o700, parents=True, exist_ok=True)
             status = each.lstat()

@@ -177,7 +177,8 @@ class StateSpaceModel:
     ModelError
         A formula does not take its arguments or does not give a tuple of components; a kind of
         noise is unknown; a parameter lies outside its range; names do not fit the components; a
-        circular component is unknown, or the model declares itself linear and Gaussian.
+        circular component is unknown or in degrees, or the model declares itself linear and
+        Gaussian.
 
     References
     ----------
@@ -367,6 +368,14 @@ class StateSpaceModel:
                 f"{self.circular!r}: the Kalman filter has no mean direction"
             )
         angles = {names[str(name)] for name in self.circular}
+        called = {components[number].name for number in angles} - {""}
+        measured = [each for each in self.named("y") if each.name in called]
+        for each in (*(components[number] for number in angles), *measured):
+            if each.is_in_degrees:
+                raise ModelError(
+                    f"model {self.name}: a circular component must be in radians, got "
+                    f"{each.label!r}: convert it by np.radians, and name the unit rad"
+                )
         return tuple(number in angles for number in range(len(components)))
 
     def named_as(self, truth: "StateSpaceModel") -> "StateSpaceModel":

@@ -4,8 +4,10 @@ Steps follow the job's clock, which may be uneven. A step is recorded once and r
 code, so many steps compile as fast as one.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,9 +15,11 @@ from pydantic import Field
 
 from pfdist.common.section import Number, Whole, checked
 from pfdist.errors import ArgumentError, ModelError
+from pfdist.models.base import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
 from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
+from pfdist.models.programs import Programs, Untraced
 from pfdist.models.repeating import repeated
 from pfdist.models.seeing import in_python
 from pfdist.models.tracing import Covariate
@@ -77,13 +81,16 @@ class Flow:
         if self.largest_step is not None:
             count = np.maximum(np.ceil(total / self.largest_step - _ROUNDING), 1.0)
             total = np.where(count > MOST_STEPS, np.nan, total)
-        h = total / count
-        root = np.sqrt(h) if self.noises else None
         if self.noises and len(w) != len(self.process_noise):
             raise ValueError(
                 f"process_noise must have {len(self.process_noise)} entries, as process_noise of "
                 f"the transition has, got {len(w)}"
             )
+        most = self.substeps or MOST_STEPS
+        if (halves := _HALVES.get()) is not None:
+            count, most, w = 2 * count, 2 * most, halves(self, w)
+        h = total / count
+        root = np.sqrt(h) if self.noises else None
 
         def step(x: Values, k: Any, noise: Values) -> Values:
             increments = tuple(root * each for each in noise)
@@ -91,7 +98,7 @@ class Flow:
             return components(self.keep(following, p), len(x), "keep") if self.keep else following
 
         each = [w[c :: self.noises] for c in range(self.noises)]
-        return repeated(step, x, count, each, self.substeps or MOST_STEPS)
+        return repeated(step, x, count, each, most)
 
     def _interval(self, t: Any, p: Any) -> tuple[Any, Any]:
         """The time of the instant t, and the time from there to the next."""
@@ -130,6 +137,51 @@ def _plus(x: Values, h: Any, rates: Values) -> Values:
     return tuple(value + h * rate for value, rate in zip(x, rates, strict=True))
 
 
+# --- twice as many steps --------------------------------------------------------------------------
+
+_HALVES: ContextVar[Callable[[Flow, Any], Any] | None] = ContextVar("halves", default=None)
+"""Gives the variates of a flow with twice as many steps; None outside of `doubled`."""
+
+
+def doubled(model: StateSpaceModel) -> StateSpaceModel:
+    """The model with twice as many steps of its equations; the model itself if it has none.
+
+    Both have the same Brownian motions in draws of the same stream: further variates divide the
+    increments (the construction of Levy).
+
+    Raises
+    ------
+    ModelError
+        The model has a proposal, which does not draw the noise of more steps.
+    """
+    transition, own, flows = model.transition, len(model.process_noise), list[Flow]()
+    if isinstance(transition, Programs | Untraced):
+        return model
+
+    def twice(x: Any, t: Any, w: Any, p: Any) -> Any:
+        further = iter(w[own:])
+        flows.clear()
+
+        def halves(flow: Flow, w: Any) -> Any:
+            flows.append(flow)
+            n, root = flow.noises or 1, math.sqrt(0.5)
+            pairs = [(root * a, root * next(further, 0.0)) for a in w[: len(flow.process_noise)]]
+            steps = (pairs[k : k + n] for k in range(0, len(pairs), n))
+            return [a + sign * b for step in steps for sign in (1.0, -1.0) for a, b in step]
+
+        before = _HALVES.set(halves)
+        try:
+            return transition(x, t, w[:own], p)
+        finally:
+            _HALVES.reset(before)
+
+    replace(model, transition=twice)  # which calls it
+    noise = sum((flow.process_noise for flow in flows), model.process_noise)
+    if model.guided and len(noise) > own:
+        raise ModelError(f"model {model.name} has a proposal, which draws no noise of more steps")
+    return replace(model, transition=twice, process_noise=noise) if flows else model
+
+
 # --- ordinary differential equations --------------------------------------------------------------
 
 
@@ -153,7 +205,8 @@ def ode(
     method : {"rk4", "heun"}
         The classical method of Runge and Kutta, of order 4, or that of Heun, of order 2.
     substeps : int, optional
-        Number of steps between two instants; by default 10.
+        Number of steps between two instants; by default 10. `pfdist.check_model` doubles it, and
+        says what changes.
     largest_step : float, optional
         Alternatively, the largest step in the unit of time: instants that are further apart have
         more steps, at most 10,000.
@@ -239,7 +292,8 @@ def sde(
         Euler-Maruyama solves the equation in the sense of Ito, and Heun in the sense of
         Stratonovich. Both agree if the diffusion does not depend on x.
     substeps : int
-        Number of steps between two instants.
+        Number of steps between two instants. `pfdist.check_model` doubles it, and says what
+        changes.
     dt : float or str, optional
         The time between two instants, or the name of the parameter that has it, if the job has no
         clock; by default 1.

@@ -19,6 +19,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from pfdist.common.arguments import address_fault
 from pfdist.common.nearest import did_you_mean, must_be
 from pfdist.common.parsing import read_text
 from pfdist.errors import ModelError, shown
@@ -103,6 +104,8 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
             f"the model {name!r} was given as an object in Python, and no file holds it: give the "
             "folder of its run, or resume in Python, as in pfdist.run(problem)"
         )
+    if fault := address_fault(name):
+        raise ModelError(f"the model {fault}")
     if ".py:" in name:
         path, _, attribute = name.rpartition(":")
         return _readable((folder / path).absolute(), name), attribute

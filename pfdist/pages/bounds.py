@@ -145,8 +145,8 @@ def budget(
 def _mark_spared(ax: Axes, table: pd.DataFrame) -> None:
     """Draw an arrow from most evenly spaced times to the fewer planned ones that do as well."""
     rows = table[table["kind"] == "regular"].sort_values("measurements")
-    number, mse = rows[["measurements", "expected_mse"]].iloc[-1]
-    least = reaching(table, mse)["found"]["measurements"]
+    number, mse, error = rows[["measurements", "expected_mse", "standard_error"]].iloc[-1]
+    least = reaching(table, mse, error)["found"]["measurements"]
     if least is not None and least < number:
         look = {"arrowstyle": "->", "color": RED, "lw": thin(), "shrinkA": 0, "shrinkB": 0}
         ax.annotate("", (least, mse), (number, mse), arrowprops=look)

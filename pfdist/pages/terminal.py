@@ -25,7 +25,9 @@ def line_width() -> int:
 def lines_of(page: Page, *, verbose: bool = False) -> list[str]:
     """The lines of a page without its pictures; its details only if `verbose`."""
     is_path = "/" in page.subtitle  # which is not cut
-    lines = [one_line(page.subtitle)] if is_path else wrapped(page.subtitle)
+    lines = lines_of_blocks(map(Text, page.alarms))
+    lines += [""] * bool(lines and page.subtitle)
+    lines += [one_line(page.subtitle)] if is_path else wrapped(page.subtitle)
     for section in page.sections:
         lines += lines_of_blocks(section.blocks, verbose=verbose)
     for warning in page.warnings:

@@ -14,17 +14,20 @@ from pfdist.errors import SilenceError
 
 Function = Callable[[Any], Any]
 
-# A task may take so many seconds, and so many times its expected duration:
+# A task may compute, or sleep, for so many seconds, and so many times its expected duration:
 PATIENCE_SECONDS = 15.0
 PATIENCE_TIMES = 20
-LOOK_SECONDS = 1.0  # between two looks for silent workers
 WAIT_SECONDS = 0.2  # for an answer, before the pool looks whether a signal was received
 PAUSE_SECONDS = 0.01  # before the pool asks for tasks again, if there were none
 STILL_SECONDS = 5.0  # between two looks: after longer, this process itself was stopped or busy
 
 
 def patience(seconds: float) -> float:
-    """The time limit, in seconds, of a task that is expected to take so many seconds."""
+    """The limit, in seconds, of a task that is expected to take so many seconds.
+
+    It limits the processor time, and the time in which the task does not compute. So no task is
+    ended because the machine is busy.
+    """
     return max(PATIENCE_SECONDS, PATIENCE_TIMES * seconds)
 
 

@@ -68,8 +68,8 @@ def is_own(address: str) -> bool:
 
 
 @contextlib.contextmanager
-def connected(address: str, cores: int = 0) -> Iterator[bool]:
-    """A connection to a Ray cluster, as a context whose value is whether pfdist started it.
+def connected(address: str, cores: int = 0) -> Iterator[None]:
+    """A connection to a Ray cluster, as a context.
 
     The address of an existing cluster is host:port, ray://host:port, or auto. If it is empty or
     local, pfdist starts a cluster, which offers so many cores; 0 offers all that this process may
@@ -80,7 +80,7 @@ def connected(address: str, cores: int = 0) -> Iterator[bool]:
     own = is_own(address)
     ray, left = load_ray(own=own), threading.Event()
     if ray.is_initialized():
-        yield False
+        yield
         return
     if own:
         options = {"address": "local", "num_cpus": cores or usable_cores(), "num_gpus": 0}
@@ -110,7 +110,7 @@ def connected(address: str, cores: int = 0) -> Iterator[bool]:
                 f"{whose}: {reason(error)}; the pools threads and processes need no Ray",
                 argument="pool",
             ) from error
-        yield own
+        yield
 
 
 def _start(start: Callable[[], Any], left: threading.Event, most: float) -> None:

@@ -22,7 +22,6 @@ from pfdist.pools.workers import FUNCTIONS, Answer, Sent, answer, failed, pickle
 RETRIES = 3  # of a task whose worker died
 LEAST_IN_FLIGHT = 16  # tasks, also on a cluster that has no cores yet, so that it gets some
 CORES_SECONDS = 300.0  # for the cores that a job demands
-ANSWER_SECONDS = 900.0  # for an answer, while other programs have the cores, or new nodes start
 LOST_SECONDS = 30.0  # Ray ends this process when its head has not answered for 60 s
 LOOK_SECONDS = 3.0  # between two looks at the number of cores
 _END = object()  # there are no more tasks
@@ -38,14 +37,12 @@ class RayPool:
     def __init__(self, workers: int = 0, address: str = "", wait_for_cores: int = 0) -> None:
         self._demanded, self._address, self._least = workers, address, wait_for_cores
         self.workers, self._stack, self._cores = workers, contextlib.ExitStack(), _Cores()
-        self._most_silence = ANSWER_SECONDS
         self._stored = lru_cache(maxsize=FUNCTIONS)(_stored)
 
     def __enter__(self) -> Self:
         """Raise `PoolError` if there is no cluster, and `SilenceError` if it lacks cores."""
         with contextlib.ExitStack() as stack:
-            if stack.enter_context(connected(self._address, self._demanded)):
-                self._most_silence = 0.0  # nobody else has the cores
+            stack.enter_context(connected(self._address, self._demanded))
             self._wait_for_cores()
             self._count_workers()
             self._stack = stack.pop_all()
@@ -83,7 +80,7 @@ class RayPool:
             try:
                 call = answers.get(timeout=pause(task))
             except Empty:
-                silence.check(max(self._most_silence, silence_limit(in_flight.values())))
+                silence.check(silence_limit(in_flight.values()))
             else:
                 silence.end()
                 yield _outcome(in_flight.pop(call), call)

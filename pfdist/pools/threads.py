@@ -3,17 +3,19 @@
 import contextlib
 import sys
 import time
+import warnings
 from collections.abc import Iterable, Iterator
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Self
 
 from pfdist.common.stopping import check
-from pfdist.errors import SilenceError
+from pfdist.errors import EngineWarning
 from pfdist.pools import base
-from pfdist.pools.base import Outcome, Task, do, patience
+from pfdist.pools.base import Outcome, Task, do
 from pfdist.pools.cores import usable_cores
 
+LONG_SECONDS = 60.0  # after which a warning says what runs
 IN_FLIGHT = 2  # tasks of a thread: the one that it does, and the next
 _LEAVE_SECONDS = 0.5
 # A thread that has filtered waits so long for Python's lock while the driver computes. By default
@@ -26,8 +28,9 @@ _BUSY = object()  # no thread was free to take another task
 class ThreadPool:
     """A pool of threads of this process; without a number, one for each core that it may use.
 
-    A formula that crashes ends the whole process, and a thread that hangs cannot be stopped. So the
-    run ends if a thread gives no answer for too long; the thread itself ends with the process.
+    A formula that crashes ends the whole process. A thread that hangs cannot be stopped, nor told
+    from a slow one on a busy machine. So a warning says what runs, and Ctrl-C ends the run. The
+    thread itself ends with the process.
     """
 
     def __init__(self, workers: int = 0) -> None:
@@ -52,13 +55,9 @@ class ThreadPool:
             thread.join(max(0.0, deadline - time.monotonic()))
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Yield the outcomes as threads finish tasks, with a bounded number in flight.
-
-        Raises `SilenceError` if a thread gives no answer for too long.
-        """
+        """Yield the outcomes as threads finish tasks, with a bounded number in flight."""
         self._forget_tasks()  # an earlier run may have been broken off
         todo, answers, in_flight = iter(tasks), SimpleQueue[Outcome](), 0
-        looked = time.monotonic()
         while True:
             task: object = _BUSY
             while in_flight < IN_FLIGHT * self.workers:
@@ -70,25 +69,28 @@ class ThreadPool:
             if not in_flight:
                 return
             check()
-            with contextlib.suppress(Empty):  # then it is time to look for the silent
+            try:
                 outcome = answers.get(timeout=base.pause(task))
+            except Empty:
+                self._warn_of_long_tasks()
+            else:
                 in_flight -= 1
                 yield outcome
-            if (now := time.monotonic()) - looked >= base.LOOK_SECONDS:
-                self._look(now, now - looked > base.STILL_SECONDS)
-                looked = time.monotonic()
 
-    def _look(self, now: float, stood_still: bool) -> None:
-        """Look for threads that are silent for too long."""
+    def _warn_of_long_tasks(self) -> None:
+        """Warn of each task that has run for a minute, for two, for four, and so on."""
         for thread in self._threads:
-            if stood_still:  # the whole process was stopped, so no thread is to blame
-                thread.begun = now
             # The thread writes `begun`, then `task`. Read in reverse order, `begun` belongs to this
-            # task or to a later one, so no thread looks silent that is not.
+            # task or to a later one.
             task = thread.task
-            silence = now - thread.begun
-            if task is not None and silence > patience(task.seconds):
-                raise SilenceError(f"a thread has not answered for {silence:.0f} s")
+            seconds = time.monotonic() - thread.begun
+            if task is not None and seconds > thread.warns_after:
+                thread.warns_after *= 2
+                warnings.warn(
+                    f"task {task.key} has run for {seconds:.0f} s on a thread; Ctrl-C ends the run",
+                    EngineWarning,
+                    stacklevel=3,
+                )
 
     def _forget_tasks(self) -> None:
         """Forget tasks that no thread has begun; the answers of the others are ignored."""
@@ -107,13 +109,13 @@ class _Worker(Thread):
         super().__init__(daemon=True)
         self._todo, self._number = todo, number
         self.task: Task | None = None
-        self.begun = time.monotonic()
+        self.begun, self.warns_after = time.monotonic(), LONG_SECONDS
         self.start()
 
     def run(self) -> None:
         while (handed := self._todo.get()) is not None:
             task, answers = handed
-            self.begun, self.task = time.monotonic(), task
+            self.begun, self.warns_after, self.task = time.monotonic(), LONG_SECONDS, task
             value, seconds, process, node, error = do(task.function, task.work)
             self.task = None
             worker = f"{process}-{self._number}"

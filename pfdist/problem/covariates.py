@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.common.arguments import address_fault
 from pfdist.common.nearest import did_you_mean, did_you_mean_path
+from pfdist.common.parsing import MOST_NUMBERS
 from pfdist.errors import JobError, shown
 
 _KEYS = {"file", "column"}
@@ -53,9 +55,11 @@ def _column(given: dict[str, Any], name: str, folder: Path, key: str) -> list[fl
             columns = ", ".join(header)
             raise ValueError(f"the table has no column {shown(column)}{meant} Columns: {columns}")
 
+    if fault := address_fault(file):
+        raise JobError(f"{key}.file {fault}")
     path = folder / file
     try:
-        values = read_user_table(path, check_header, only=(column,))[column]
+        values = read_user_table(path, check_header, (column,), most_rows=MOST_NUMBERS)[column]
     except OSError as error:
         meant = did_you_mean_path(path, (path.parent,), lambda other: other.suffix == path.suffix)
         raise JobError(f"{key}: cannot read {path}: {error.strerror}{meant}") from error

@@ -426,7 +426,7 @@ def load_job(
     JobError
         The file cannot be read or is not TOML, a value is wrong, or values contradict each other.
     """
-    path = path_argument("path", path)
+    path = path_argument("job", path)
     if path.is_dir():
         from pfdist.store import check_entries, holds_run  # noqa: PLC0415  most jobs are files
 

@@ -203,8 +203,8 @@ class EvaluationSection(Section):
     noise : str
         Whether each evaluation has fresh draws, or all share the same draws.
     degenerate_draws : str
-        With "kill", a degenerate draw makes the error of a set infinite. By default, only genetic
-        and random searches use this key.
+        With "kill", a degenerate draw makes the error of a set infinite in genetic and random
+        searches, and there is no plan if more than half of the draws are degenerate with it.
     estimator : str
         How the error of a draw is estimated.
     """

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from pfdist.common.arguments import path_argument, texts_argument
+from pfdist.common.arguments import address_fault, path_argument, texts_argument
 from pfdist.common.clock import Time
 from pfdist.common.section import Listed, Section, Whole, explained
 from pfdist.common.streams import stream_key
@@ -132,6 +132,8 @@ def read_sweep(
     changes = texts_argument("changes", changes)
     name, file = None, _sweep_file(source)
     if file is not None:
+        if fault := address_fault(file.job):
+            raise JobError(f"job {fault} ({source})")
         name, source = Path(str(source)).stem, Path(str(source)).parent / file.job
         changes = [*Point("", dotted(file.change)).changes, *changes]
         over = {**dotted(file.over), **dotted(over)}

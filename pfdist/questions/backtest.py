@@ -97,6 +97,9 @@ class Backtest(Shown):
         Largest distance from a wanted time to the measurement that is used instead.
     impossible : int
         Number of filters for which a measurement is impossible.
+    collapsed : int
+        Number of filters, one for each replicate and set, whose effective sample size falls below
+        5. Their estimates are those of a few particles, not the model's.
     files : tuple of Path
         The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
     shown : tuple of ShownReplicate
@@ -117,6 +120,7 @@ class Backtest(Shown):
     is_checked: bool
     within: float
     impossible: int
+    collapsed: int
     files: tuple[Path, ...]
     shown: tuple[ShownReplicate, ...]
     quantities: tuple[Component, ...]
@@ -160,6 +164,7 @@ class Backtest(Shown):
                 "sets": sets,
                 "noise": self.noise,
                 "improbable": self.improbable,
+                "collapsed": self.collapsed,
                 "left_out": dict(self.left_out),
                 "is_checked": self.is_checked,
                 **{name: files.get(name) for name in ("table", "figure", "report")},
@@ -310,7 +315,8 @@ def backtest(
         backtested.draw_backtest(files[1], backtested.by_replicate(result.table, result.sets))
         for file in files[2:]:
             write_page(report_of(result), file)
-    for line in result._page().warnings if chosen.say is silent else ():
+    page = result._page()
+    for line in (*page.alarms, *page.warnings) if chosen.say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=3)
     return result
 
@@ -383,6 +389,7 @@ def _result(
         noise=float(np.mean([each.noise for each in errors])),
         improbable=float(np.mean(surprises < IMPROBABLE)),
         impossible=sum(each.impossible for each in errors),
+        collapsed=sum(each.collapsed for each in errors),
         shown=tuple(shown),
         **known,
     )

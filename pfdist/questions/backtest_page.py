@@ -8,6 +8,7 @@ from pfdist.common.calendar import unit_of_spans
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.parts import Cell, Facts, Page, Section, Table, Text
 from pfdist.common.rounding import rounded, with_interval
+from pfdist.filters.filter_estimate import few_particles
 from pfdist.questions.backtest import CENTRED, FROM_START, Backtest
 from pfdist.questions.subject import change_of, number_of
 from pfdist.results.promise import KEPT, NOT_DECIDED, NOT_KEPT, NOTHING_FORESEEN, Promise
@@ -36,7 +37,7 @@ def answer_of(answer: Backtest) -> Page:
     if answer.files:
         kind = "Report" if answer.files[-1].suffix == ".html" else "Figure"
         place = f"{kind}: {answer.files[-1]}"
-    return Page("", "", [section], [*_warnings(answer)], place=place)
+    return Page("", "", [section], [*_warnings(answer)], place=place, alarms=_alarms(answer))
 
 
 def report_of(answer: Backtest) -> Page:
@@ -65,6 +66,7 @@ def report_of(answer: Backtest) -> Page:
         sections,
         [*_warnings(answer)],
         source=f"from the measurements {answer.data.name}",
+        alarms=_alarms(answer),
     )
 
 
@@ -76,7 +78,8 @@ def _headline(answer: Backtest) -> str:
     """Say for both grids, the worse first, whether the foreseen gain was found."""
     grids = [(name, answer.promises[name]) for name in (FROM_START, CENTRED)]
     grids.sort(key=lambda grid: (_WORST_FIRST.index(grid[1].verdict), grid[1].ratio))
-    return " ".join(_sentence(answer.sets[name], each) for name, each in grids)
+    said = [_sentence(answer.sets[name], each) for name, each in grids]
+    return " ".join(said)
 
 
 def _sentence(other: str, promised: Promise) -> str:
@@ -179,10 +182,15 @@ def _reasons(answer: Backtest) -> Iterator[str]:
         yield f"{shown}: {why}"
 
 
+def _alarms(answer: Backtest) -> list[str]:
+    sets = ", ".join(answer.sets[name] for name in answer.wrong)
+    said = f"The model is wrong: the real error differs from the foreseen error with {sets}."
+    where = f"in {answer.collapsed:,} of {len(answer.table):,} filters"
+    few = few_particles(where, 'filter.proposal = "guided"')
+    return [few] * bool(answer.collapsed) + [said] * bool(answer.wrong)
+
+
 def _warnings(answer: Backtest) -> Iterator[str]:
-    if answer.wrong:
-        sets = ", ".join(answer.sets[name] for name in answer.wrong)
-        yield f"The model is wrong: the real error differs from the foreseen error with {sets}."
     if answer.impossible:
         count = number_of(answer.impossible, "filter")
         yield f"In {count} no particle explains a measurement, which is then left out."

@@ -42,7 +42,8 @@ class Bound(Shown):
     gaps : list of Gap
         One for each compared set of the run.
     losses : dict of str to ParticleLoss
-        The particle loss of the job's filter with each compared set; empty if it is unknown.
+        The particle loss of the job's filter with each compared set; empty if it is unknown, and
+        for several numbers of measurements.
     is_constrained : bool
         Whether the job excludes some times, beside their number or price.
     leaves_out_spacing : bool
@@ -198,7 +199,7 @@ def bound(
             )
             for gap in look.gaps
         ],
-        particle_losses_of(proved),
+        {} if built.job.budget else particle_losses_of(proved),  # a budget's run says them itself
         built.job.problem.is_constrained,
         built.feasible.has_spaced_sensors,
         bool(built.evaluator.scenarios),

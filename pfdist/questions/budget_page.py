@@ -8,9 +8,9 @@ from typing import Any
 
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Block, Cell, Figures, Section, Table, Text
-from pfdist.common.percent import percent
+from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import with_interval
-from pfdist.problem.set_key import EVENLY_SPACED, PLAN
+from pfdist.problem.set_key import EVENLY_SPACED, PLAN, phrase_of
 from pfdist.questions.subject import Subject, all_sets, number_of, ranges_of
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row
@@ -39,6 +39,7 @@ def budget(subject: Subject) -> Section | None:
         *([Text(_BOUND, detail=True)] if "bound" in subject.run.tables else []),
         *_worse(rows),
         *_estimated([row for row in rows if row.kind == FOUND]),
+        *_lost(rows),
         all_sets(subject),
     ]
     return Section("How many measurements are enough?", blocks)
@@ -50,7 +51,7 @@ def _answer(subject: Subject) -> list[Text]:
     most = max(regular, key=lambda row: int(row.measurements))
     if most.expected_mse is None or math.isinf(most.expected_mse):
         return []
-    reached = subject.reaching(most.expected_mse)["found"]
+    reached = subject.reaching(most.expected_mse, most.standard_error)["found"]
     if reached["measurements"] is None:
         return []
     number = reached["measurements"]
@@ -64,6 +65,8 @@ def _answer(subject: Subject) -> list[Text]:
             "No plan of fewer measurements that was tried does as well as "
             f"{most.measurements} evenly spaced ones."
         )
+        if more := _with_more_particles(subject, FOUND, reached):
+            text += f" {more[0].upper()}{more[1:]}."
     if reached["impossible"] is not None:
         too_few = number_of(reached["impossible"], "measurement")
         text += f" Proved: {too_few} cannot, at any times (95 % confidence)."
@@ -84,6 +87,7 @@ def _target(subject: Subject) -> Iterator[Text]:
         number, impossible = reached["measurements"], reached.get("impossible")
         where = _of_number(subject, number) if number and kind == FOUND else ""
         texts = [_reached(kind, reached, subject.target, where)]
+        texts.append(_with_more_particles(subject, kind, reached))
         if impossible is not None:
             texts.append(f"{impossible} {'is' if impossible == 1 else 'are'} provably too few")
             texts.append(_undecided(subject, reached))
@@ -93,8 +97,7 @@ def _target(subject: Subject) -> Iterator[Text]:
 
 def _of_number(subject: Subject, number: int) -> str:
     """The times and the typical error of the plan of so many measurements."""
-    rows = [row for row in subject.rows.values() if row.kind == FOUND]
-    row = next(row for row in rows if row.measurements == number)
+    row = _row(subject, FOUND, number)
     typical = subject.typical_errors(row)
     error = f" (typical error {typical})" if typical else ""
     return f": t = {subject.listed(row.measurement_times)}{error}"
@@ -112,6 +115,20 @@ def _reached(kind: str, reached: Mapping[str, Any], target: float, where: str) -
     if others := reached["larger_that_do_not"]:
         text += f", but {', '.join(map(str, others))} do not reach it"
     return text
+
+
+def _with_more_particles(subject: Subject, kind: str, reached: Mapping[str, Any]) -> str:
+    """Say which number may reach an error with more particles, and what these particles lose."""
+    if (number := reached["with_more_particles"]) is None:
+        return ""
+    row, particles = _row(subject, kind, number), subject.run.job["filter"]["particles"]
+    loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
+    return f"with more particles {number} may be enough: these {particles:,} lose {loss}"
+
+
+def _row(subject: Subject, kind: str, number: int) -> Row:
+    rows = [row for row in subject.rows.values() if row.kind == kind]
+    return next(row for row in rows if row.measurements == number)
 
 
 def _undecided(subject: Subject, reached: Mapping[str, Any]) -> str:
@@ -179,6 +196,15 @@ def _worse(rows: Sequence[Row]) -> Iterator[Text]:
                 f"More measurements are worse, {label} (95 % for all pairs together): "
                 f"{', '.join(worse)}."
             )
+
+
+def _lost(rows: Sequence[Row]) -> Iterator[Text]:
+    """The largest particle loss of all sets."""
+    if known := [row for row in rows if row.particle_loss_limit is not None]:
+        row = max(known, key=lambda row: float(row.particle_loss_limit))
+        loss = particle_loss_text(row.particle_loss, row.particle_loss_limit)
+        text = f"The particles lose most with {phrase_of(row.label)}: {loss}."
+        yield Text(text, detail=True)
 
 
 def _estimated(rows: Sequence[Row]) -> Iterator[Text]:

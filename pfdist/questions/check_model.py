@@ -11,6 +11,8 @@ from pydantic import Field
 
 from pfdist.common.section import Whole, checked
 from pfdist.errors import ArgumentError, ModelError, shown
+from pfdist.filters.engines import AUTO
+from pfdist.filters.work import PLAIN
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.problem.job import Job
 from pfdist.problem.problem import JobSource, Problem, as_job
@@ -125,6 +127,8 @@ def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
             yield replace(check, name=f"{prefix}{check.name}")
         complete &= check.name == EVERY_INSTANT
     if complete:
-        job = job.with_changes(settings={"filter": {"particles": particles}})
-        made = partial(evaluator_of, job, *models)
-        yield from check_filter(made, job.problem.feasible.regular(), comparing_of(job))
+        proposal = PLAIN if job.filter.proposal == AUTO else job.filter.proposal
+        settings = {"particles": particles, "proposal": proposal}
+        job = job.with_changes(settings={"filter": settings})
+        made = partial(evaluator_of, job)
+        yield from check_filter(made, models, job.problem.feasible.regular(), comparing_of(job))

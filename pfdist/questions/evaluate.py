@@ -15,7 +15,6 @@ from pfdist.common.component_names import Component
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.measurement_times import REGULAR, Times
 from pfdist.common.parts import Cell, Page, Section, Table, Text
-from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error
 from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
@@ -211,7 +210,7 @@ def _with_profiles(
 
 # --- the command ----------------------------------------------------------------------------------
 
-_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share")
+_ANSWERED = ("expected_mse", "standard_error", "draws", "degenerate_draws", "largest_share")
 _OVER_TIME = ("error", "standard_error")
 _OF_INSTANT = ("t", "date", "weight")
 _HEAD = ("times", "number", "expected MSE ± standard error", "draws")
@@ -242,51 +241,60 @@ class Evaluated:
         rows = [_row(name, evaluation) for name, evaluation in self.evaluations.items()]
         if list(self.evaluations) == [UNNAMED]:
             number = len(self.evaluations[UNNAMED].measurement_times)
-            *_, mse, draws = (cell.text for cell in rows.pop())
+            draws = rows.pop()[-1].text
             about = [number_of(number, "measurement"), *([f"{draws} draws"] if draws else [])]
-            said = f"Expected MSE {mse} ({', '.join(about)})"
-            said += f"; typical error {self._typical(UNNAMED)}" * (self.quantity is not None)
+            typical = self._typical(UNNAMED, ";")
+            said = f"Expected MSE {self._mse(UNNAMED)} ({', '.join(about)}){typical}"
         else:
             said = self._lowest()
         tables = [Table("", _HEAD, rows)] if rows else []
         tables += _of_scenarios(self.evaluations, self.parameters)
         tables += _over_time(self.evaluations)
-        return Page("", "", [Section("", [Text(f"{said}.", prominent=True), *tables])],
-                    [*self._warnings()])  # fmt: skip
+        section = Section("", [Text(f"{said}.", prominent=True), *tables])
+        doubts = ((name, each.alarm) for name, each in self.evaluations.items())
+        alarms = [f"{name}: " * bool(name) + f"{text}." for name, text in doubts if text]
+        return Page("", "", [section], [*self._warnings()], alarms=alarms)
 
     def _lowest(self) -> str:
         """Say which set has the lowest expected MSE, and how far below the second lowest."""
         each = self.evaluations
         ranked = sorted(each, key=lambda name: each[name].expected_mse)
         if len(ranked) == 1:
-            return f"Expected MSE of {ranked[0]}: {_row(ranked[0], each[ranked[0]])[2].text}"
+            return f"Expected MSE of {ranked[0]}: {self._mse(ranked[0])}"
         best, other = ranked[:2]
+        if not math.isfinite(each[other].expected_mse):
+            return f"The expected MSE of {other} is not finite"
         gain = Gain.of_draws(each[best].mse, each[other].mse)
         value, interval = gain.of_means, gain.of_means_interval
         if each[best].exact is not None:
             value = 1 - each[best].expected_mse / each[other].expected_mse
             interval = value, value
         said = f"{change_of(value, interval)} than {other}"
-        typical = f": typical error {self._typical(best)}" * (self.quantity is not None)
+        typical = self._typical(best, ":")
         if each[best].is_worst:
             return f"{best} has the lowest expected MSE in its worst scenario"
         if is_clear(interval):
             return f"{best} has the lowest expected MSE, {said}{typical}"
         return f"No clear difference: the expected MSE of {best} is {said}{typical}"
 
-    def _typical(self, name: str) -> str:
-        unit = self.quantity.unit if self.quantity else ""
-        return f"{rounded(math.sqrt(self.evaluations[name].expected_mse), 3)} {unit}".rstrip()
+    def _mse(self, name: str) -> str:
+        is_finite = math.isfinite(self.evaluations[name].expected_mse)
+        return _row(name, self.evaluations[name])[2].text if is_finite else "not finite"
+
+    def _typical(self, name: str, mark: str) -> str:
+        mse = self.evaluations[name].expected_mse
+        if self.quantity is None or not math.isfinite(mse):
+            return ""
+        return f"{mark} typical error {rounded(math.sqrt(mse), 3)} {self.quantity.unit}".rstrip()
 
     def _warnings(self) -> Iterator[str]:
         for name, evaluation in self.evaluations.items():
             these = f"the times of {name} break" if name else "these times break"
             for constraint in self.broken[name]:
                 yield f"{these} a constraint: {constraint}"
-            if evaluation.degenerate_draws:
-                yield f"{name}: " * bool(name) + evaluation.degenerate_text
-            if warning := heavy_tail_warning({name: evaluation.top_percent_share}):
-                yield warning
+            degenerate = evaluation.degenerate_text * (not evaluation.alarm)
+            for text in filter(None, (degenerate, evaluation.heavy_tail)):
+                yield f"{name}: " * bool(name) + text
 
 
 def evaluated(

@@ -29,8 +29,8 @@ from pfdist.common.rounding import rounded
 from pfdist.common.shown import Shown
 from pfdist.errors import PfdistWarning
 from pfdist.filters.cloud import Prior
-from pfdist.filters.filter import Filter
-from pfdist.filters.filter_estimate import Estimate
+from pfdist.filters.filter import LEAST, SUSPICIOUS, Filter
+from pfdist.filters.filter_estimate import Estimate, few_particles
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.models.base import within_half_turn
 from pfdist.problem.problem import JobSource
@@ -82,6 +82,9 @@ class FilteredMeasurements(Shown):
         The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
     time_unit : str
         The unit of the clock; empty if the job has none.
+    collapsed : int or float, optional
+        The first time at which the effective sample size falls below 5, if it does. From it on, the
+        estimate is that of a few particles, not the model's.
     """
 
     run: Path
@@ -96,6 +99,7 @@ class FilteredMeasurements(Shown):
     why_no_evidence: str
     files: tuple[Path, ...]
     time_unit: str = ""
+    collapsed: Time | None = None
 
     @property
     def marked(self) -> tuple[tuple[Time, ...], ...]:
@@ -137,6 +141,7 @@ class FilteredMeasurements(Shown):
             "most_surprising": most and {"t": most[0], "surprise": most[1]},
             "surprise_of_all": self.surprise_of_all,
             "is_improbable": self.is_improbable,
+            "collapsed": self.collapsed,
             "log_evidence": self.log_evidence,
             "why_no_evidence": self.why_no_evidence,
             **({"time_unit": self.time_unit} if self.time_unit else {}),
@@ -148,12 +153,12 @@ class FilteredMeasurements(Shown):
         facts = _facts(self)
         if surprise := _surprise(self):
             at, p, among = surprise
-            facts.append(("most surprising", f"t = {at}, p = {p} ({among} among all measurements)"))
+            facts.append(("most surprising", f"t = {at}, p {p} ({among} among all measurements)"))
         evidence = self.log_evidence
         none = f"none: {self.why_no_evidence}"
         facts.append(("log evidence", none if evidence is None else rounded(evidence)))
         section = Section("", [Text(_estimate(self), prominent=True), Facts(facts)])
-        return Page("", "", [section], _improbable(self))
+        return Page("", "", [section], alarms=_alarms(self))
 
 
 def filter_measurements(
@@ -200,7 +205,7 @@ def filter_measurements(
         Whether to write the report, an HTML file that can be sent to anybody.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
-        measurement is a `pfdist.errors.PfdistWarning`, too.
+        measurement and an estimate of a few particles are a `pfdist.errors.PfdistWarning`, too.
 
     Returns
     -------
@@ -241,6 +246,7 @@ def filter_measurements(
     wanted = [t for t in plan.times if t >= filtering.now.t * sensors]
     estimates = _table(_estimates(filtering, rows), quantities, believed.is_angle, schema)
     estimates = columns.table(estimates)
+    collapsed = filtering.now.collapsed
     last = (max((*rows.t, *rows.missed), default=-1) + 1) * sensors - 1
     result = FilteredMeasurements(
         plan.run.path,
@@ -255,13 +261,14 @@ def filter_measurements(
         filtering.why_no_evidence,
         files,
         clock.unit,
+        None if collapsed is None else clock.time(collapsed),
     )
     if files:
         write_user_table(files[0], estimates)
         filtered.draw_filtered(files[1], filtered.filtered_plot(result.table, result.marked))
     for file in files[2:]:
         write_page(_report_of(result), file)
-    for line in result._page().warnings if say is silent else ():
+    for line in _alarms(result) if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 
@@ -270,7 +277,8 @@ def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
     """The estimate of the filter at each instant, by the measurements up to it."""
     measured = dict(zip(rows.t, rows.y, strict=True))
     for t in range(filtering.now.t, filtering.horizon + 1):
-        yield filtering.update(t, measured[t]) if t in measured else filtering.predict(t)
+        known = t in measured  # the answer warns
+        yield filtering.update(t, measured[t], warn=False) if known else filtering.predict(t)
 
 
 def _table(
@@ -309,8 +317,8 @@ def _report_of(answer: FilteredMeasurements) -> Page:
     number = number_of(len(answer.measured), "measurement")
     subtitle = f"{number} of {file}, by the filter of the run {run}"
     source = f"from the measurements {file} by the filter of the run {run}"
-    warnings = _improbable(answer)
-    return Page("Filtered measurements", subtitle, sections, warnings, source=source)
+    alarms = _alarms(answer)
+    return Page("Filtered measurements", subtitle, sections, source=source, alarms=alarms)
 
 
 def _facts(answer: FilteredMeasurements) -> list[tuple[str, str]]:
@@ -329,8 +337,13 @@ def _surprise(answer: FilteredMeasurements) -> tuple[str, str, str] | None:
     """Time and p-value of the most surprising measurement, and the p-value among all."""
     if answer.most_surprising is None:
         return None
-    t, p = answer.most_surprising
-    alone, among = (rounded(each, _P_DIGITS) for each in (p, answer.surprise_of_all))
+    (t, p), words = answer.most_surprising, ("= ", "")
+    if answer.collapsed is not None and p < SUSPICIOUS:  # it may lie beyond all particles
+        p, words = max(p, LEAST), ("at most ",) * 2
+    values = p, min(1.0, len(answer.measured) * p)
+    alone, among = (
+        f"{word}{rounded(each, _P_DIGITS)}" for word, each in zip(words, values, strict=True)
+    )
     return formatted_times([t], answer.time_unit), alone, among
 
 
@@ -351,11 +364,18 @@ def _estimate(answer: FilteredMeasurements) -> str:
     return f"At t = {at}: {', '.join(estimates)}." + f"{said} the model." * bool(answer.measured)
 
 
-def _improbable(answer: FilteredMeasurements) -> list[str]:
-    """The warning about an improbable measurement, if there is one."""
+def few_at(t: Time | None, unit: str) -> list[str]:
+    """The sentence that the estimate is that of a few particles, if a filter collapses at t."""
+    return [] if t is None else [few_particles(f"at t = {formatted_times([t], unit)}")]
+
+
+def _alarms(answer: FilteredMeasurements) -> list[str]:
+    """Doubts about the estimate: few particles, an improbable measurement."""
     at, p, among = _surprise(answer) or ("", "", "")
-    what = f"The measurement at t = {at} is improbable, p = {p} ({among} among all)"
-    return [f"{what}: the model may be wrong about this system."] * answer.is_improbable
+    what = f"The measurement at t = {at} is improbable, p {p} ({among} among all)"
+    improbable = f"{what}: the model may be wrong about this system."
+    few = few_at(answer.collapsed, answer.time_unit)
+    return [*few, *[improbable] * answer.is_improbable]
 
 
 def _belief(answer: FilteredMeasurements) -> Section:
@@ -378,7 +398,7 @@ def _fit(answer: FilteredMeasurements) -> Section:
     if surprise := _surprise(answer):
         at, p, among = surprise
         text = (
-            f"The most surprising measurement is that at t = {at}: p = {p}, and {among} among all "
+            f"The most surprising measurement is that at t = {at}: p {p}, and {among} among all "
             "measurements. A p-value near 0 means that the model hardly ever gives such a "
             "measurement."
         )

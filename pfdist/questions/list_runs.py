@@ -18,7 +18,7 @@ from pfdist.results.sets import best_first
 from pfdist.store import is_held
 from pfdist.store.folder import extent, runs_below
 
-RUNNING, FINISHED, UNFINISHED, DAMAGED = "running", "finished", "unfinished", "damaged"
+RUNNING, FINISHED, UNFINISHED, UNREADABLE = "running", "finished", "unfinished", "unreadable"
 _DEPTH = 3  # levels of folders below the listed folder
 _COLUMNS = {
     "run": "object", "state": "object", "draws": "int64", "draws_wanted": "int64",
@@ -45,8 +45,8 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
         The columns are:
 
         - run: path of the folder, relative to `folder`.
-        - state: ``running`` (a process computes it), ``finished``, ``unfinished``, or ``damaged``
-          (it cannot be read).
+        - state: ``running`` (a process computes it), ``finished``, ``unfinished``, or
+          ``unreadable`` (`fault` says why).
         - draws, draws_wanted: draws that all sets have filtered, and draws that the job demands.
         - changed: when a file of the run changed last. bytes: the size of all files.
         - best: the found set with the lowest expected MSE; in a run without a search, the best set
@@ -56,7 +56,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
         - has_budget: whether the run has times of several numbers of measurements.
         - found: the gain of the best set, or the numbers of measurements, in words; None before
           the comparison has begun.
-        - fault: why a damaged run cannot be read, else None.
+        - fault: why a run cannot be read, else None.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def listed_run(path: Path, name: str) -> Row:
     size, seconds = extent(path)
     row: dict[str, Any] = dict.fromkeys(_COLUMNS) | {
         "run": name,
-        "state": DAMAGED,
+        "state": UNREADABLE,
         "draws": 0,
         "draws_wanted": 0,
         "changed": datetime.fromtimestamp(seconds, UTC),

@@ -12,23 +12,27 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.measurement_times import Times, regular
+from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError, ModelError, TraceError
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.work import FLOAT64, Estimation, Work
+from pfdist.filters.work import FLOAT64, GUIDED, PLAIN, Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel
 from pfdist.models.batched import BatchedModel
 from pfdist.models.checks import own_formulas
+from pfdist.models.continuous import doubled
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded, with_untraced
 from pfdist.models.twin import traced
 from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.results.particle_loss import top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
 from pfdist.runner.particles import (
@@ -36,12 +40,16 @@ from pfdist.runner.particles import (
     enough_particles,
     mean_effective_sizes,
     measured_loss,
+    why_plain,
 )
+
+Array = NDArray[np.float64]
+_Make = Callable[..., Evaluator]
 
 EVERY_INSTANT = "every instant"  # the last check of formulas
 _DRAWS = 1000
-_FEW_EFFECTIVE = 5.0  # particles that count, on average over draws
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
+_RARE = 0.5  # of all changes of an error, in 1 % of the draws
 _SAME = 1e-6  # relative difference of errors by two engines
 _LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
@@ -81,28 +89,20 @@ def check_loaded(
     `filtered`, the checks of an evaluation are left out, and the last check of formulas that can be
     filtered is `EVERY_INSTANT`.
     """
+    name, advice = "load", ""
     try:
         model = load()
-    except ModelError as error:
-        yield Check("load", "wrong", str(error))
-        return
-    states, measurements, quantities = model.components
-    sizes = f"{states} of x, {measurements} of y, {quantities} of z"
-    yield Check("load", "ok", f"{model.name}: components {sizes}")
-    if times or model.reads_clock:
-        clock = tuple(times) or tuple(map(float, range(horizon + 1)))
-        horizon = len(clock) - 1
-        try:
-            model = model.on_clock(clock)
-        except ModelError as error:
-            yield Check("clock", "wrong", str(error))
-            return
-        yield Check("clock", *_clock(clock, not times))
-    try:
+        states, measurements, quantities = model.components
+        sizes = f"{states} of x, {measurements} of y, {quantities} of z"
+        yield Check("load", "ok", f"{model.name}: components {sizes}")
+        if times or model.reads_clock:
+            name, clock = "clock", tuple(times) or tuple(map(float, range(horizon + 1)))
+            horizon, model = len(clock) - 1, model.on_clock(clock)
+            yield Check("clock", *_clock(clock, not times))
+        name, advice = "simulate", "; give them in the model, or in a job, and check the job"
         check_lengths(model.parameters, horizon + 1)
     except ModelError as error:
-        text = f"{error}; give them in the model, or in a job, and check the job"
-        yield Check("simulate", "wrong", text)
+        yield Check(name, "wrong", f"{error}{advice}")
         return
     for part in model.parts:  # the system with each sensor alone
         if model.sensors:
@@ -114,7 +114,8 @@ def check_loaded(
     if filtered:  # the sensors measure in turn
         spread, sensors = regular(horizon, max(2, (horizon + 1) // 3)), len(model.parts)
         in_turn = tuple(t * sensors + number % sensors for number, t in enumerate(spread))
-        yield from check_filter(partial(Evaluator, model, horizon), in_turn, Estimation(particles))
+        made = partial(Evaluator, horizon=horizon)
+        yield from check_filter(made, (model,), in_turn, Estimation(particles))
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
@@ -134,9 +135,8 @@ def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, 
             return called, Check("compile", "ok", "functions are called on arrays of particles")
         return called, Check("compile", "note", slower)
     text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
-    if has_fused_multiply_add():
-        return evaluator, Check("compile", "ok", text)
-    return evaluator, Check("compile", "note", f"{text}; {WITHOUT_FMA}")
+    slower = "" if has_fused_multiply_add() else f"; {WITHOUT_FMA}"
+    return evaluator, Check("compile", "note" if slower else "ok", text + slower)
 
 
 def _in_pieces(model: StateSpaceModel, horizon: int) -> str:
@@ -173,6 +173,12 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         return
     text = f"x, y and z are finite in {count} draws of {horizon + 1} instants"
     yield Check("simulate", "ok", text)
+    first, names = draws.z[:, 0], model.named("z")
+    spread = np.subtract(*np.quantile(first, (0.75, 0.25), axis=0))
+    for k in np.flatnonzero(model.is_angle & (spread > 2.0 * np.pi)):
+        lies = f"lies in {first[:, k].min():.3g} to {first[:, k].max():.3g} at the first instant"
+        text = f"{names[k].label or f'z[{k}]'} is circular, so in radians, but {lies}: if these are"
+        yield Check("angles", "note", f"{text} degrees, convert them by np.radians")
     if model.linear_gaussian:
         yield Check("linear_gaussian", *looked(_linear_gaussian, model, draws))
     for look, is_declared, patient in (
@@ -210,10 +216,7 @@ def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[s
 
 
 def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    try:
-        matrices_of(model, draws.x.shape[1] - 1)
-    except ModelError as error:
-        return "wrong", str(error)
+    matrices_of(model, draws.x.shape[1] - 1)
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
@@ -228,12 +231,12 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
         f"at least {rounded(least, 2)} at t = {at}, median {rounded(sizes.median(), 2)}, of "
         f"{work.estimation.particles} particles after {len(sizes)} measurements"
     )
-    if least < _FEW_EFFECTIVE:
+    if least < FEW:
         return "note", f"{text}: so few count that estimates are uncertain"
     return "ok", text
 
 
-def _digits(evaluator: Evaluator, work: Work, mse: NDArray[np.float64]) -> tuple[str, str]:
+def _digits(evaluator: Evaluator, work: Work, mse: Array) -> tuple[str, str]:
     """State and text: how much the errors of draws differ from those of float64 states."""
     with np.errstate(over="ignore", invalid="ignore"):
         with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
@@ -268,6 +271,15 @@ def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, s
     return "note", f"{text}; {found.particles:,} {few}: they lose {found.text}"
 
 
+def _guided(evaluator: Evaluator, work: Work) -> Iterator[Check]:
+    """Compare "guided" with the choice of "auto", by its own measurement."""
+    if work.estimation.proposal == GUIDED:
+        plain = replace(work.estimation, proposal=PLAIN)
+        why = why_plain(evaluator, work.measurement_times, 0, plain, work.draws[1])
+        text = f"plain': {why}" if why else "guided': a third of its particles lose less"
+        yield Check("filter.proposal", "note" if why else "ok", f"'auto' takes '{text}")
+
+
 @np.errstate(over="ignore", invalid="ignore")  # a check reports infinite errors
 def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -> float:
     """The seconds of a particle-step, from as many draws as take long enough.
@@ -287,20 +299,65 @@ def seconds_a_step(evaluator: Evaluator, times: Times, estimation: Estimation) -
 
 
 def check_filter(
-    make: Callable[[], Evaluator], times: Times, estimation: Estimation
+    make: _Make, models: Sequence[StateSpaceModel], times: Times, estimation: Estimation
 ) -> Iterator[Check]:
     """Yield checks of an evaluation with some times: its degenerate draws, its error and its time.
 
-    A slow model has fewer draws than a thousand.
+    A slow model has fewer draws than a thousand. `make` gives the evaluator of the models.
     """
     try:
-        evaluator, _ = _compiled(make(), estimation)
-        yield from _filtered(evaluator, times, estimation)
+        evaluator, _ = _compiled(make(*models), estimation)
+        yield from _filtered(evaluator, times, estimation, partial(_substeps, make, models))
     except (JobError, ModelError) as error:
         yield Check("filter", "wrong", str(error))
 
 
-def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Iterator[Check]:
+def _substeps(
+    make: _Make, models: Sequence[StateSpaceModel], evaluator: Evaluator, work: Work, mse: Array
+) -> Iterator[Check]:
+    """A check of differential equations: what changes with twice as many steps.
+
+    `mse`, (D,), are the errors of the work's draws. With more steps these have the same Brownian
+    motions, and the filter has the same noise.
+    """
+
+    def states(each: Evaluator) -> Array:
+        every, draws = each.of_scenarios or (each,), range(*work.draws)
+        return np.concatenate([system.draws(draws, work.draws_stream).x for system in every])
+
+    try:
+        first, last = doubled(models[0]), doubled(models[-1])
+        if first is models[0] and last is models[-1]:
+            return
+        twice = (first, first if models[0] == models[-1] else last)[: len(models)]
+        finer, _ = _compiled(make(*twice), work.estimation)
+        changes, x, to = finer(work).mse[:, 0] - mse, states(evaluator), states(finer)
+    except ModelError as error:
+        yield Check("substeps", "note", f"not checked with twice as many steps: {error}")
+        return
+    with np.errstate(all="ignore"):  # errors may be infinite, and components constant
+        moves, scale = np.nan_to_num(np.abs(to - x) / x.std((0, 1))), 100 / mse.mean()
+        size, most = np.sqrt((moves**2).mean((0, 1)).max()), moves.max()
+        change, own = (Estimate.of_mean(each).times(scale) for each in (changes, mse))
+        # Other particles are resampled where x moves, so the errors of all draws change by chance.
+        rare = top_percent_share(np.abs(changes))
+    by_chance = abs(change.value) <= CLEAR_ERRORS * change.standard_error and not rare > _RARE
+    is_small = by_chance or abs(change.value) <= max(_LITTLE, own.standard_error / 2)
+    text = (
+        f"twice as many steps change the expected MSE by {change.text} % (same draws and noise), x "
+        f"by {percent(size, 1)} of its standard deviation (root mean square; at most "
+        f"{percent(most, 0)})"
+    )
+    advice = "" if is_small else ": give twice the substeps= (half the largest_step=), check again"
+    yield Check("substeps", "ok" if is_small else "note", text + advice)
+
+
+def _filtered(
+    evaluator: Evaluator,
+    times: Times,
+    estimation: Estimation,
+    substeps: Callable[..., Iterator[Check]],
+) -> Iterator[Check]:
     seconds_of_a_step = seconds_a_step(evaluator, times, estimation)
     work = evaluator.work((times,), 3, 3, (0, 1), estimation)
     seconds = seconds_of_a_step * work.steps_a_draw
@@ -318,18 +375,20 @@ def _filtered(evaluator: Evaluator, times: Times, estimation: Estimation) -> Ite
     text = f"{share:.2%} of draws with {number} regular times{particles}{fewer}"
     yield Check("degenerate draws", "note" if share else "ok", text)
     mean = Estimate.of_mean(result.mse[:, 0])
-    text = f"{mean.text} with these times"
-    if math.isfinite(mean.value) and math.isfinite(mean.standard_error):
-        yield Check("expected MSE", "ok", text)
-    else:
-        yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {text}")
+    is_finite = math.isfinite(mean.value + mean.standard_error)
+    got = "it must be finite, and its error, got " * (not is_finite)
+    yield Check(
+        "expected MSE", "ok" if is_finite else "wrong", f"{got}{mean.text} with these times"
+    )
     if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
         yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
+    yield from substeps(evaluator, work, result.mse[:, 0])
     believed = evaluator.self_consistent
     if not evaluator.exact:
         yield Check("effective sample size", *_effective_sizes(believed, work))
     if believed.has_particle_loss:
         yield Check("particles", *_particles(believed, work, seconds_of_a_step))
+        yield from _guided(believed, work)
     yield Check("an evaluation", "ok", an_evaluation)
     model = evaluator.model
     if isinstance(model, BatchedModel) and evaluator.believed == model:

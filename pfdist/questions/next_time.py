@@ -13,18 +13,19 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from pfdist.common.clock import Clock, Time
+from pfdist.common.estimate import Estimate
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times
 from pfdist.common.parts import Facts, Page, Section, Text
-from pfdist.common.rounding import with_error
+from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.shown import Shown
 from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistWarning, shown
 from pfdist.filters.cloud import Prior
-from pfdist.filters.estimate import Evaluation
+from pfdist.filters.estimate import Evaluation, difference
 from pfdist.filters.measurements import Measurements, read_measurements
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.problem import JobSource
-from pfdist.questions.filter_measurements import IMPROBABLE
+from pfdist.questions.filter_measurements import IMPROBABLE, few_at
 from pfdist.questions.planned_run import UserTable, planned_run, table_argument
 from pfdist.questions.planner import Planner
 from pfdist.questions.subject import number_of
@@ -63,6 +64,9 @@ class NextTime(Shown):
         P-value of the most surprising among all measurements (Bonferroni), if there is one.
     time_unit : str
         The unit of the clock; empty if the job has none.
+    collapsed : int or float, optional
+        The first time at which the effective sample size falls below 5, if it does. The plan then
+        starts from a few particles.
     """
 
     run: Path
@@ -76,6 +80,16 @@ class NextTime(Shown):
     expected_before: Evaluation | None
     surprise: float | None
     time_unit: str = ""
+    collapsed: Time | None = None
+
+    @property
+    def difference(self) -> Estimate | None:
+        """`expected` less `expected_before`, paired by simulated system; None without the second.
+
+        Its `interval()` is the 95 % confidence interval.
+        """
+        before = self.expected_before
+        return None if before is None else difference(self.expected, before)
 
     @property
     def next(self) -> Time | None:
@@ -89,7 +103,8 @@ class NextTime(Shown):
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values."""
-        before = self.expected_before
+        before, apart = self.expected_before, self.difference
+        low, high = apart.interval() if apart else (None, None)
         answer = {
             "run": str(self.run),
             "planned": self.name,
@@ -103,9 +118,13 @@ class NextTime(Shown):
             "planned_before": self.planned_before,
             "expected_mse_before": before and before.expected_mse,
             "standard_error_before": before and before.standard_error,
+            "difference": apart and apart.value,
+            "difference_low": low,
+            "difference_high": high,
             "draws": self.expected.draws,
             "surprise_of_all": self.surprise,
             "is_improbable": self.is_improbable,
+            "collapsed": self.collapsed,
             **({"time_unit": self.time_unit} if self.time_unit else {}),
         }
         return finite(answer)
@@ -128,7 +147,8 @@ class NextTime(Shown):
         else:
             said = f"No further measurement is possible after {number}"
         section = Section("", [Text(f"{said}.", prominent=True), Facts(facts)])
-        return Page("", "", [section], [_SEE_SURPRISE] * self.is_improbable)
+        alarms = [*few_at(self.collapsed, unit), *[_SEE_SURPRISE] * self.is_improbable]
+        return Page("", "", [section], alarms=alarms)
 
     def _before(self) -> list[tuple[str, str]]:
         """The plan that was made before these measurements, if it differs."""
@@ -139,8 +159,12 @@ class NextTime(Shown):
             return [("planned before", "no further measurement")]
         if self.expected_before is None:
             return [("planned before", f"t = {times}, no longer possible")]
-        expected = self._expected(self.expected_before)
-        return [("planned before", f"t = {times}"), ("its expected MSE", expected)]
+        apart = difference(self.expected, self.expected_before)
+        value, *ends = with_interval(apart.value, *apart.interval())
+        interval = f"(95 % CI {' to '.join(ends)})" if apart.standard_error else "(exact)"
+        return [("planned before", f"t = {times}"),
+                ("its expected MSE", self._expected(self.expected_before)),
+                ("new less old plan", f"{value} {interval}")]  # fmt: skip
 
     def _expected(self, evaluation: Evaluation) -> str:
         mse = with_error(evaluation.expected_mse, evaluation.standard_error)
@@ -184,7 +208,7 @@ def next_time(
         Other values of keys of the job, as ``seed=3 filter.particles=200``.
     say : callable, optional
         Receives a line for each model file before the file is run. Without it, an improbable
-        measurement is a `pfdist.errors.PfdistWarning`, too.
+        measurement and an estimate of a few particles are a `pfdist.errors.PfdistWarning`, too.
 
     Returns
     -------
@@ -209,7 +233,8 @@ def next_time(
     feasible = planner.feasible
     start = clock.instants([planner.estimate().t])[0]
     rows = read_measurements(table, believed, clock, start)
-    last, surprise = _tell(planner, rows)
+    with warnings.catch_warnings(action="ignore", category=PfdistWarning):  # the answer says it
+        last, surprise = _tell(planner, rows)
     if now is not None:
         instant = _instant_now(now, max(last, start), clock)
         if instant > last:
@@ -234,8 +259,9 @@ def next_time(
         expected_before[0] if expected_before else None,
         surprise,
         clock.unit,
+        planner.estimate().collapsed,
     )
-    for line in result._page().warnings if say is silent else ():
+    for line in result._page().alarms if say is silent else ():
         warnings.warn(line, PfdistWarning, stacklevel=2)
     return result
 

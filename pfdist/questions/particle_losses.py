@@ -1,5 +1,6 @@
 """The particle loss as a table, before a run."""
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
@@ -10,13 +11,15 @@ from pydantic import Field
 from pfdist.common.clock import Time
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Whole, checked
-from pfdist.errors import JobError
+from pfdist.errors import JobError, PfdistWarning
+from pfdist.filters.work import GUIDED, PLAIN
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.evaluate import UNNAMED, instants_of
 from pfdist.runner.build import build
 from pfdist.runner.particles import (
     mean_effective_sizes,
     measured_loss,
+    why_plain,
     work_of_loss,
 )
 
@@ -39,7 +42,8 @@ def particle_losses(
     """The particle loss with each of some numbers of particles, on the same draws.
 
     It is computed in this process. If the filter's model is not the truth, the draws are those of
-    the filter's model.
+    the filter's model. If the job has the proposal "guided" where "auto" takes "plain" with one of
+    the numbers, a `PfdistWarning` says so.
 
     Parameters
     ----------
@@ -76,7 +80,7 @@ def particle_losses(
     Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods", Journal of the Royal
     Statistical Society B 72, 2010 (the variance of particles beside the truth).
     """
-    job = as_job(job, settings={"seed": seed, "filter": {"particles": 1}})
+    job = as_job(job, settings={"seed": seed, "filter": {"particles": max(particles, default=1)}})
     times, built = instants_of(job, UNNAMED, measurement_times), build(job)
     evaluator, rows = built.evaluator.self_consistent, []
     if not evaluator.has_particle_loss:
@@ -84,6 +88,12 @@ def particle_losses(
             "the particle loss needs an engine with particles, and the squared error, got the "
             f"engine {evaluator.engine!r} and the model {evaluator.model.name}"
         )
+    if job.filter.proposal == GUIDED:
+        plain = replace(built.comparing, proposal=PLAIN)
+        given = ((evaluator, (times,), job.seed, replace(plain, particles=n)) for n in particles)
+        if why := next(filter(None, (why_plain(*each) for each in given)), ""):
+            text = f"filter.proposal = 'guided' where 'auto' takes 'plain': {why}"
+            warnings.warn(text, PfdistWarning, stacklevel=3)
     for number in particles:
         estimation = replace(built.comparing, particles=number)
         work = work_of_loss(evaluator, times, job.seed, estimation, draws)

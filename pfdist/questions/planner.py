@@ -13,11 +13,11 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.section import checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.filters.cloud import Prior
+from pfdist.filters.cloud import Cloud, Prior
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.filter_estimate import Estimate
 from pfdist.filters.measurements import instant_on
-from pfdist.filters.one_filter import filter_of_truths, made, with_truths
+from pfdist.filters.one_filter import again, filter_of_truths, made, with_truths
 from pfdist.filters.user_prior import as_prior
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.methods import METHODS
@@ -31,6 +31,7 @@ from pfdist.runner.searches import planning_of
 
 EXPECTED_DRAWS = 2000
 """Simulated systems on which an expected MSE is estimated."""
+_CLOUDS = 20  # independent filters whose noise is in the standard error of an expected MSE
 _FIRST_SEARCH = METHODS["survivors"].section()
 _FIRST_DRAWS = 300  # simulated systems for the plan before anything is measured
 
@@ -94,6 +95,7 @@ class Planner:
         self._truths = filter_of_truths(self._filter.unmeasured)
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(start), ()
+        self._seen = list[tuple[int, NDArray[np.float64] | None]]()
         if planned is None:
             first = replace(self._replanner, planning=first_planning(planning))
             planned = first.plan(self._now, (), (), self._draw)
@@ -196,12 +198,16 @@ class Planner:
     ) -> list[Evaluation]:
         """The expected MSE from now to T with each plan, on the same fresh simulated systems.
 
+        The systems start from 20 independent filters, which have the same measurements and chose no
+        plan. So the standard errors, and those of `pfdist.filters.estimate.difference`, contain
+        the noise of the particles.
+
         Parameters
         ----------
         *plans : iterables of int or float
             Times that are left to be measured; by default those of `plan`.
         draws : int
-            Number of simulated systems.
+            Number of simulated systems, which is rounded up to a multiple of the number of filters.
 
         Raises
         ------
@@ -219,17 +225,21 @@ class Planner:
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
-        estimation = self._built.comparing
-        evaluations = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
+        given, clouds = (self._now, wanted, draws, self._built.comparing, self._draw), list[Any]()
+        if self._seen and isinstance(self._now.prior, Cloud):
+            filters = range(min(_CLOUDS, draws))
+            clouds = [again(self._filter.unmeasured, self._seen, number) for number in filters]
+        evaluations = self._replanner.expected(*given, clouds)
         return [
             replace(each, measurement_times=tuple(self.clock.written_of(plan)))
             for each, plan in zip(evaluations, wanted, strict=True)
         ]
 
     def _on_clock(self, estimate: Estimate) -> Estimate:
-        """An estimate whose time is one on the clock."""
+        """An estimate whose times are on the clock."""
         time: Any = self.clock.time(estimate.t)
-        return replace(estimate, t=time)
+        few: Any = None if estimate.collapsed is None else self.clock.time(estimate.collapsed)
+        return replace(estimate, t=time, collapsed=few)
 
     def _time(self, t: Time | None) -> int:
         """The instant that is meant: that of a given time, or the next planned."""
@@ -252,6 +262,7 @@ class Planner:
     def _plan_anew(self, time: int, y: NDArray[np.float64] | None = None) -> None:
         """Plan the remaining times after an instant, which was measured if y is given."""
         prior, self._truths = with_truths(self._filter.cloud, self._truths, time, y)
+        self._seen.append((time, y))
         self._now = Now(prior, measured=True)
         left = tuple(planned for planned in self._plan if planned // self.feasible.sensors > time)
         taken = (*self._before, *self._taken)

@@ -27,7 +27,7 @@ from pfdist.runner.driver import drive
 from pfdist.runner.evenly_spaced import compare_evenly_spaced, is_known
 from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.progress import Say, Show, heard
-from pfdist.runner.provenance import lender, note_processor
+from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
 from pfdist.store import add_to_provenance, forget_pages
 from pfdist.store.folder import has_report, remove_figures
@@ -185,7 +185,7 @@ def compute(
         return False
     forget_pages(path)
     remove_report(path)
-    note_processor(path, built, say)
+    note_machine(path, built, say)
     if prover is not None:
         session.reporter.foresee(prover.steps, prover.steps)
     with noted(session):

@@ -17,7 +17,7 @@ from pfdist.results.stored_run import job_of
 from pfdist.runner.build import Built, build, say_model_files
 from pfdist.runner.identity import check_same_job, check_same_models, opened, store_of
 from pfdist.runner.progress import Say, heard
-from pfdist.runner.provenance import note_processor
+from pfdist.runner.provenance import note_machine
 from pfdist.store import Store, folder_of_run, holds_run
 
 _AS_DEFAULT: Mapping[str, Any] = MappingProxyType({})
@@ -152,7 +152,7 @@ def own_store(
     with contextlib.ExitStack() as stack:
         try:
             store = stack.enter_context(opened(run.path, built))
-            note_processor(run.path, built, say)
+            note_machine(run.path, built, say)
         except RunMismatchError as error:
             difference, *_ = error.differences
             line = (

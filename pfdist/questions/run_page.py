@@ -19,7 +19,6 @@ from pfdist.common.parts import (
 from pfdist.common.percent import (
     SPACED_IN_WINDOWS,
     gap_sentence,
-    heavy_tail_warning,
     particle_loss_text,
     percent,
     percent_with_interval,
@@ -123,7 +122,8 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     # The name in the model; in an older run, the name in the job.
     model = read_recorded(run.path)[0]["provenance"].get("name_of_model")
     title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
-    return Page(title, f"{question(subject)} {made(subject)}", sections, warnings, seconds)
+    about = f"{question(subject)} {made(subject)}"
+    return Page(title, about, sections, warnings, seconds, alarms=subject.alarms)
 
 
 def answer_of(run: Run, target: float | None = None, *, details: bool = False) -> Page:
@@ -147,7 +147,7 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         f"{run.draws_compared:,} draws compared"
     )
     sections = _sections(subject, (*chapters, *([proof, searches] if details else [])))
-    return Page("", "", sections, _warnings(subject), place=place)
+    return Page("", "", sections, _warnings(subject), place=place, alarms=subject.alarms)
 
 
 def answer_in_a_line(run: Run) -> str:
@@ -155,7 +155,8 @@ def answer_in_a_line(run: Run) -> str:
     subject = Subject(run)
     section = budget(subject) if "budget" in run.job else answer(subject)
     texts = [block for block in section.blocks if isinstance(block, Text)] if section else []
-    return " ".join(block.text for block in texts if block.prominent or "budget" not in run.job)
+    said = [block.text for block in texts if block.prominent or "budget" not in run.job]
+    return " ".join([*subject.alarms * bool(said), *said])
 
 
 def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
@@ -164,11 +165,9 @@ def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
 
 def _warnings(subject: Subject) -> list[str]:
     warnings = [f"{row.label}: {text}" for row in subject.rows.values() for text in row.warnings]
-    heavy_tail = heavy_tail_warning(
-        {row.label: row.top_percent_share for row in subject.rows.values()}
-    )
     # The last line in a terminal is the warning that nothing is proved.
-    return [*warnings, *filter(None, [heavy_tail and f"{heavy_tail}.", unproved(subject.run)])]
+    last = [subject.heavy_tail, unproved(subject.run)]
+    return [*warnings, *(text for text in last if text and text not in subject.alarms)]
 
 
 # --- the answer -----------------------------------------------------------------------------------

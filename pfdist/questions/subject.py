@@ -12,14 +12,16 @@ from pfdist.common.calendar import calendar_of, unit_of_spans
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.formatted_times import formatted_time, formatted_times, time_and_sensor
 from pfdist.common.parts import Cell, Table, Text
+from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error, with_interval
+from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
 from pfdist.results import Run, reaching, read_recorded
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first
-from pfdist.results.stored_run import angles_of, problem_of
+from pfdist.results.stored_run import angles_of, problem_of, unproved
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,6 +71,24 @@ class Subject:
         """The rows of the sets that the searches have found."""
         return {name: row for name, row in self.rows.items() if row.kind == FOUND}
 
+    @cached_property
+    def heavy_tail(self) -> str:
+        """A sentence if there are too few draws for the interval of an error, else nothing."""
+        shares = {row.label: row.largest_share for row in self.rows.values()}
+        return heavy_tail_warning(shares, self.run.draws_compared)
+
+    @cached_property
+    def alarms(self) -> list[str]:
+        """Sentences that put the answer in doubt, and so come before it."""
+        degenerate = [
+            f"With {phrase_of(row.label)}, {text}."
+            for row in reversed(self.rows.values())  # the plan comes last
+            if (text := degenerate_text(row.degenerate_draws, row.draws, DOUBTFUL))
+        ]
+        why = unproved(self.run)
+        is_wrong = any(reason in why for reason in (CHECK_FAILS, RANKS_FAIL))
+        return degenerate[:1] + [why] * is_wrong
+
     @property
     def others(self) -> dict[str, Row]:
         """The rows of all sets but the first reference."""
@@ -111,9 +131,9 @@ class Subject:
         )
         return [Text(text)] if others else []
 
-    def reaching(self, target: float) -> dict[str, dict[str, Any]]:
+    def reaching(self, target: float, error: float = 0.0) -> dict[str, dict[str, Any]]:
         """How many measurements reach an expected MSE; see `pfdist.results.reaching`."""
-        return reaching(self.sets, target)
+        return reaching(self.sets, target, error)
 
     @property
     def reference(self) -> str:
@@ -148,9 +168,11 @@ class Subject:
     def typical_errors(self, row: Row, other: Row | None = None) -> str:
         """The typical error of a set, beside that of another: ``1.16 instead of 1.34 g/L``.
 
-        Empty if it is not known.
+        Empty if it is not known, or infinite: an angle of which nothing is known has no deviation.
         """
         errors = row.typical_error or ()
+        if not all(map(math.isfinite, errors)):
+            return ""
         others = (other.typical_error if other else None) or [None] * len(errors)
         parts = [
             _typical(component, angle, error, before)
@@ -180,7 +202,8 @@ class Subject:
 
 def _typical(component: Component, is_angle: bool, error: float, before: float | None) -> str:
     unit = component.unit or "rad" * is_angle
-    instead = "" if before is None else f" instead of {rounded(before, 3)}"
+    is_known = before is not None and math.isfinite(before)
+    instead = f" instead of {rounded(before, 3)}" * is_known
     return f"{rounded(error, 3)}{instead} {unit}".rstrip()
 
 

@@ -21,6 +21,7 @@ from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.points_at_work import Points, PointsAtWork
 from pfdist.questions.report import try_report
 from pfdist.questions.runs import least_regret_text, lowest_text, table_page
+from pfdist.questions.subject import Subject
 from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.columns import records_of
@@ -83,7 +84,9 @@ class Sweep:
         frame = self.table()
         said = least_regret_text(self.judged()) if self.judges else lowest_text(frame)
         answer = Section("", [Text(said, prominent=True)] if said else [])
-        return Page("", "", [answer, *table_page(frame).sections], busy)
+        doubts = ((name, Subject(run).alarms) for name, run in self.runs.items())
+        alarms = [f"{name}: {said[0]}" for name, said in doubts if said][:1]
+        return Page("", "", [answer, *table_page(frame).sections], busy, alarms=alarms)
 
     def judged(self) -> pd.DataFrame:
         """The regret of the times found at each point, at every point.

@@ -28,7 +28,7 @@ from pfdist.pages.figure import Plot
 from pfdist.pages.panel import verbatim
 from pfdist.pages.plots import against
 from pfdist.questions.about_run import run_day
-from pfdist.questions.list_runs import DAMAGED, FINISHED, listed_run
+from pfdist.questions.list_runs import FINISHED, UNREADABLE, listed_run
 from pfdist.questions.pictures import picture
 from pfdist.questions.runs import least_regret_text, lowest_text, value_cell
 from pfdist.questions.subject import number_of, without_folder
@@ -158,7 +158,7 @@ def _tried(path: Path, listed: ListedRow) -> ListedRow:
             runs_table([open_run(path)])
     except Exception as error:
         fault = reason_of(error).replace(relative(f"{path}/"), "")
-        return ListedRow(**vars(listed) | {"state": DAMAGED, "fault": fault})
+        return ListedRow(**vars(listed) | {"state": UNREADABLE, "fault": fault})
     return listed
 
 
@@ -292,7 +292,7 @@ def sweep_page(path: Path) -> Page:
 
 
 def _warnings(subject: SweepSubject) -> list[str]:
-    unfinished = len(subject.points) - subject.count(DAMAGED) - subject.count(FINISHED)
+    unfinished = len(subject.points) - subject.count(UNREADABLE) - subject.count(FINISHED)
     of_all = f"{unfinished:,} of {number_of(len(subject.points), 'point')}"
     warnings = [f"Not finished: {of_all}. Results may change."] if unfinished else []
     warnings += [

@@ -50,7 +50,9 @@ def why_page(subject: Subject, frames: Frames) -> Page:
         profile, worth and sampling_windows, as `pfdist.questions.why.Why` has them.
     """
     section = Section("", [*_tables(subject, frames), Text(_MEANING, detail=True)])
-    return Page("", _extremes(subject, frames), [section], place=str(subject.run.path))
+    warnings = [subject.heavy_tail] if subject.heavy_tail else []
+    said, place = _extremes(subject, frames), str(subject.run.path)
+    return Page("", said, [section], warnings, place=place, alarms=subject.alarms)
 
 
 def _extremes(subject: Subject, frames: Frames) -> str:

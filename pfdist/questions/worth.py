@@ -117,15 +117,17 @@ def _means(
 ) -> Generator[Batch, None, tuple[list[tuple[float, float]], list[int]]]:
     """Mean and standard error of each column of `_columns`, and degenerate draws up to each t.
 
-    The first T+1 sets of the work are the set up to each instant.
+    The first T+1 sets of the work are the set up to each instant. With a control, the first error
+    counts the largest draw in addition, as in `pfdist.results.ComparisonStatistics.estimate`.
     """
     evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
     pieces = [work] if evaluator.exact else evaluator.pieces(work, MOST_SECONDS)
     columns = [Moments() for _ in work.ends[instants - 1 :]]
-    degenerate = np.zeros(instants, np.int64)
+    degenerate, largest = np.zeros(instants, np.int64), 0.0
     for piece in pieces:
-        mse, flags = yield from _mse(session, piece)
+        mse, flags, most = yield from _mse(session, piece)
+        largest = max(largest, most[instants - 1])
         degenerate += flags[:, :instants].sum(axis=0)
         for moments, values in zip(columns, _columns(mse[:, instants - 1 :]).T, strict=True):
             moments.add(values[~np.isnan(values)])  # infinite errors have no difference
@@ -133,28 +135,33 @@ def _means(
         reporter.reach(start + compared / draws, evaluations=compared)
     errors = [0.0 if evaluator.exact else moments.standard_error for moments in columns]
     means = [moments.mean for moments in columns]
+    errors[0] = math.hypot(errors[0], (largest - means[0]) / draws * work.controlled)
     return list(zip(means, errors, strict=True)), degenerate.tolist()
 
 
-def _mse(session: Session, work: Work) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_]]]:
+def _mse(
+    session: Session, work: Work
+) -> Generator[Batch, None, tuple[Array, NDArray[np.bool_], Array]]:
     """MSE of each set for each draw, and which are degenerate, (D, S); (1, S) if it is exact.
 
-    The control is subtracted from the MSE, because only means are computed from it.
+    The control is subtracted from the MSE, because only means are computed from it. The last array
+    has the largest MSE of each set, with its control.
     """
     (first, last), evaluator = work.draws, session.built.evaluator
     if evaluator.exact:
         errors = evaluator.expected_mse(work.measurement_times, work.ends)[None]
-        return errors, np.zeros(errors.shape, np.bool_)
-    mse = np.empty((last - first, len(work.ends)))
+        return errors, np.zeros(errors.shape, np.bool_), errors[0]
+    mse, largest = np.empty((last - first, len(work.ends))), np.zeros(len(work.ends))
     degenerate = np.empty(mse.shape, np.bool_)
 
     def learn(piece: Work, result: Result) -> None:
         here = slice(piece.draws[0] - first, piece.draws[1] - first)
         mse[here] = result.mse - result.control if work.controlled else result.mse
         degenerate[here] = result.degenerate
+        np.maximum(largest, result.mse.max(axis=0), out=largest)
 
     yield Batch(session, "why", [work], None, learn)
-    return mse, degenerate
+    return mse, degenerate, largest
 
 
 def _columns(mse: Array) -> Array:
@@ -231,13 +238,13 @@ def _rows(
     evaluator, reporter = session.built.evaluator, session.reporter
     work = _work(session, name, sets, draws)
     if evaluator.exact:
-        (errors,), _ = yield from _mse(session, work)
+        (errors,), *_ = yield from _mse(session, work)
         mse_unmoved, *_ = errors
         exact = (errors - mse_unmoved) / mse_unmoved if mse_unmoved > 0.0 else math.nan + errors
         return [_row(loss, 0.0, (loss, loss)) for loss in exact.tolist()]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
-        mse, _ = yield from _mse(session, piece)
+        mse, *_ = yield from _mse(session, piece)
         for loss, changed in zip(losses, mse.T, strict=True):
             loss.add(changed, mse[:, 0])
         _, last = piece.draws

@@ -11,6 +11,7 @@ import numpy as np
 
 from pfdist.common.estimate import CONFIDENCE, student_quantile
 from pfdist.results.moments import Moments, controlled_mse
+from pfdist.results.particle_loss import SMALL, SMALL_AT_MOST
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -99,7 +100,7 @@ def worse_than(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     }
 
 
-def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
+def reaching(table: pd.DataFrame, target: float, error: float = 0.0) -> dict[str, dict[str, Any]]:
     """The least number of measurements whose expected MSE is at most a target, and its interval.
 
     Parameters
@@ -107,6 +108,8 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     table : DataFrame
         The table ``sets`` of a run.
     target : float
+    error : float
+        Standard error of a target that is itself an estimate: a compared set's expected MSE.
 
     Returns
     -------
@@ -119,10 +122,13 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         - measurement_times.
         - larger_that_do_not: larger numbers whose interval lies above the target. More regular
           times are not always better.
+        - with_more_particles: a smaller number that may reach the target with more particles: the
+          upper limit of its particle loss allows it, and the loss is not small; else None.
         - impossible, only for found times: the largest number of measurements with which no
-          feasible times and no filter reach the target (bound_low lies above the target); None if
-          nothing is proved. Without a minimum spacing, all smaller numbers are impossible, too:
-          more measurements never harm the exact filter of the true model.
+          feasible times and no filter reach the target; None if nothing is proved. The one-sided
+          limit of bound - target lies above 0. Their draws are independent, so their errors add in
+          squares. Without a minimum spacing, all smaller numbers are impossible, too: more
+          measurements never harm the exact filter of the true model.
 
         The least numbers leave out each number that is proved impossible.
     """
@@ -137,19 +143,29 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         half = -quantile * rows["standard_error"]
         low, high = rows["expected_mse"] - half, rows["expected_mse"] + half
         # A proof outranks an estimate that reaches the target by chance.
-        proved = rows["bound_low"] > target
+        own = student_quantile((1 - CONFIDENCE) / len(rows), BOUND_DEGREES) * error
+        proved = rows["bound"] - target > np.hypot(rows["bound"] - rows["bound_low"], own)
         least = _least(rows["expected_mse"][~proved], target)
+        fewer = _least(_with_most_particles(rows)[~proved], target)
         above = rows.index[(low > target) & (rows.index > (least or np.inf))]
         answer[str(kind)] = {
             "measurements": least,
             "interval": [_least(low[~proved], target), _least(high[~proved], target)],
             "measurement_times": None if least is None else rows.loc[least, "measurement_times"],
             "larger_that_do_not": [int(number) for number in above],
+            "with_more_particles": None if fewer == least else fewer,
         }
         if kind == FOUND:
             impossible = rows.index[proved]
             answer[FOUND]["impossible"] = int(impossible.max()) if len(impossible) else None
     return answer
+
+
+def _with_most_particles(rows: pd.DataFrame) -> pd.Series[float]:
+    """The expected MSE without all that the particles may lose; a small loss counts as none."""
+    limit = rows["particle_loss_limit"].fillna(0.0)
+    is_small = (rows["particle_loss"] <= SMALL) & (limit < SMALL_AT_MOST)
+    return rows["expected_mse"] * (1.0 - limit.mask(is_small, 0.0))
 
 
 def _least(errors: pd.Series[float], target: float) -> int | None:

@@ -151,9 +151,9 @@ _DECLARED = [
     Column(name="draws", dtype="int64", meaning="compared draws"),
     Column(name="degenerate_draws", dtype="int64", meaning="draws that are degenerate"),
     Column(
-        name="top_percent_share",
-        meaning="share of expected_mse that 1 % of the draws carry; above 0.25 the intervals are "
-        "too narrow; missing with fewer than 100 draws, and where expected_mse is exact",
+        name="largest_share",
+        meaning="share of expected_mse that the ten largest draws carry; above 0.1 + 10 / draws "
+        "its interval is too short; missing with fewer than 100 draws, and where it is exact",
     ),
     Column(
         name="worse_than", dtype="Int64",

@@ -14,7 +14,7 @@ Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -28,7 +28,7 @@ from pfdist.common.estimate import (
     student_quantile,
     wilson_interval,
 )
-from pfdist.filters.estimate import top_percent_share
+from pfdist.filters.estimate import LARGEST, largest_share
 
 Array = NDArray[np.float64]
 
@@ -387,8 +387,6 @@ class ComparisonStatistics:
     ----------
     names : list of str
         Names of the sets, the reference first.
-    total : int, optional
-        Number of draws that will be added; `top_percent_share` needs it.
     references : mapping of str to str, optional
         The reference of each set that has one, by name. By default the first set is the reference
         of all others.
@@ -407,10 +405,8 @@ class ComparisonStatistics:
         Gain of each set over its reference.
     """
 
-    def __init__(
-        self, names: list[str], total: int = 0, references: Mapping[str, str] | None = None
-    ) -> None:
-        self.names, self.draws, self._most = names, 0, total // 100
+    def __init__(self, names: list[str], references: Mapping[str, str] | None = None) -> None:
+        self.names, self.draws = names, 0
         self.references = dict.fromkeys(names[1:], names[0]) if references is None else references
         self._largest = {name: np.empty(0) for name in names}
         self.mse = {name: Moments() for name in names}
@@ -424,8 +420,8 @@ class ComparisonStatistics:
         ----------
         block : array of float64, (D, S) or (D, 2 S)
             Per-draw MSE of each set, then its control if there is one.
-        degenerate : array of bool, (D, S), optional
-            Whether each draw is degenerate with each set; by default none is.
+        degenerate : array, (D, S), optional
+            Whether each draw is degenerate with each set, or 1 and 0; by default none is.
         """
         self.draws += len(block)
         self.has_control = block.shape[1] > len(self.names)
@@ -434,17 +430,29 @@ class ComparisonStatistics:
         )
         for place, (name, column) in enumerate(controlled.items()):
             self.mse[name].add(column)
-            self._largest[name] = _largest(np.append(self._largest[name], column), self._most)
+            self._largest[name] = np.sort(np.append(self._largest[name], mse[name]))[-LARGEST:]
             if degenerate is not None:
                 self.degenerate_draws[name] += int(degenerate[:, place].sum())
         for name, reference in self.references.items():
             both = (controlled[name], controlled[reference]) if self.has_control else None
             self.gains[name].add(mse[name], mse[reference], both)
 
-    def top_percent_share(self, name: str) -> float:
-        """Share of the expected MSE of a set that 1 % of the draws carry; NaN if it is unknown."""
-        mse = self.mse[name]
-        return top_percent_share(self._largest[name], mse.count, mse.mean)
+    def estimate(self, name: str) -> Estimate:
+        """The expected MSE of a set; with a control its error counts the largest draw in addition.
+
+        A control fails where a filter loses the state. Such draws are rare and have large errors,
+        and most of the variance that a control leaves is theirs, so few draws show too little of
+        it. The variance counts one more such draw, as large as the largest, without its control.
+        """
+        mse = self.mse[name].estimate
+        if not self.has_control:
+            return mse
+        alone = (self._largest[name].max(initial=mse.value) - mse.value) / self.draws
+        return replace(mse, standard_error=math.hypot(mse.standard_error, alone))
+
+    def largest_share(self, name: str) -> float:
+        """Share of the mean MSE of a set that is due to the largest draws; NaN if it is unknown."""
+        return largest_share(self._largest[name], self.draws, self.mse[name].mean)
 
     def half_width(self) -> float:
         """Half width of the widest interval of a mean relative gain; of means with a control."""
@@ -454,8 +462,3 @@ class ComparisonStatistics:
         )
         widths = [(high - low) / 2 for low, high in intervals]
         return math.inf if any(map(math.isnan, widths)) else max(widths)
-
-
-def _largest(values: Array, number: int) -> Array:
-    first = values.size - number
-    return np.partition(values, first)[first:] if 0 < first < values.size else values[:number]

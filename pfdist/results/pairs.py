@@ -227,8 +227,8 @@ def ranks_of(run: StoredRun) -> pd.DataFrame:
     and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from best_rank to
     worst_rank.
     """
-    errors = {
-        name: (each.mean, each.standard_error) for name, each in statistics_of(run).mse.items()
-    }
+    statistics = statistics_of(run)
+    estimates = {name: statistics.estimate(name) for name in run.names}
+    errors = {name: (each.value, each.standard_error) for name, each in estimates.items()}
     errors |= {name: (error, 0.0) for name, error in exact_errors(run).items()}
     return ranks_table(pairs_of(run), errors)

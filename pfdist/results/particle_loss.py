@@ -15,15 +15,14 @@ from typing import Any
 import numpy as np
 
 from pfdist.common.estimate import Estimate
-from pfdist.common.percent import HEAVY, particle_loss_text, percent
-from pfdist.filters.estimate import top_percent_share
+from pfdist.common.percent import particle_loss_text, percent
 from pfdist.results.moments import Array, ComparisonStatistics, Moments, controlled_mse
 from pfdist.results.stored_run import StoredRun, statistics_of
 
 SMALL, SMALL_AT_MOST = 0.01, 0.05
 """Fractions of the expected MSE: P is enough if the loss by two filters and the limit are lower."""
 _NOTABLE, _NOTABLE_AT_MOST = 0.05, 0.2
-_NOTABLE_TOP = 0.1
+_NOTABLE_TOP, _HEAVY = 0.1, 0.25
 _HARDLY = 0.95  # of the error without a measurement
 _QUANTILE = NormalDist().inv_cdf(0.95)
 
@@ -81,7 +80,7 @@ class ParticleLoss:
         return (
             f"1 % of the draws carry {share} of the error of {self.particles:,} particles, or of "
             "its excess over the variance, so few draws do not show the loss."
-        ) * (self.top_share > HEAVY)
+        ) * (self.top_share > _HEAVY)
 
     @property
     def limit(self) -> float:
@@ -93,7 +92,8 @@ class ParticleLoss:
         """Sentences if the loss is large, or if few draws carry much of the error; else nothing."""
         large = (
             f"{self.particles} particles may be too few: they lose {self.text}. "
-            "pfdist check-model looks for a number that is enough."
+            "pfdist check-model looks for a number that is enough, and compares a guided filter "
+            "with a plain one."
         ) * self.is_large
         return " ".join(filter(None, (large, self.rare)))
 
@@ -141,12 +141,20 @@ def _top_share(squared: Array, variance: Array) -> float:
     """
     if squared.size < 100:
         return 0.0
-    excess, draws = squared - variance, squared.size
-    mean = float(np.mean(excess))
-    of_error = top_percent_share(squared, draws, float(np.mean(squared)))
-    of_excess = top_percent_share(excess, draws, mean)
-    is_notable = of_excess * mean > _NOTABLE_TOP * np.mean(squared)
+    excess = squared - variance
+    of_error, of_excess = top_percent_share(squared), top_percent_share(excess)
+    is_notable = of_excess * np.mean(excess) > _NOTABLE_TOP * np.mean(squared)
     return max(of_error, of_excess if is_notable else 0.0)
+
+
+def top_percent_share(values: Array) -> float:
+    """Share of a mean over draws that is due to the 1 % of the draws with the largest values.
+
+    It is a point of the Lorenz curve. It is NaN if the mean is not positive and finite.
+    """
+    draws, mean = values.size, float(np.mean(values))
+    top = np.sort(values)[::-1][: draws // 100]
+    return float(top.sum()) / draws / mean if 0 < mean < math.inf else math.nan
 
 
 def less(whole: Moments, first: Array, other: Array) -> Estimate:
@@ -191,8 +199,7 @@ def particle_losses_of(
 ) -> dict[str, ParticleLoss]:
     """The particle loss of each compared set, by name.
 
-    It is empty for exact engines, errors other than the squared norm, and several numbers of
-    measurements.
+    It is empty for exact engines, and errors other than the squared norm.
     """
     if not (run._store.has("filter_distance") and run._store.has("filter_variance")):
         return {}

@@ -153,11 +153,11 @@ def _add_results(
         row["draws"] = statistics.mse[name].count
         row["degenerate_draws"] = statistics.degenerate_draws[name]
         if "expected_mse" not in row:
-            mse = statistics.mse[name].estimate
+            mse = statistics.estimate(name)
             low, high = mse.interval()
             row |= {"expected_mse": mse.value, "standard_error": mse.standard_error}
             row |= {"expected_mse_low": low, "expected_mse_high": high}
-            row["top_percent_share"] = statistics.top_percent_share(name)
+            row["largest_share"] = statistics.largest_share(name)
             if statistics.has_control and not mse.value > 0.0:
                 row["warnings"].append(_TOO_FEW)
         if name in statistics.gains:
@@ -303,12 +303,14 @@ def _add_particle_losses(
     if not losses:
         return
     unmeasured = float(run.table("filter_variance")["unmeasured"].mean())
+    # A budget curve has many sets: the largest loss speaks for all.
+    worst = max(losses, key=lambda name: losses[name].limit) if "budget" in run.job else ""
     for name, loss in losses.items():
         row = rows[name]
         row |= loss.columns() | {"unmeasured_mse": unmeasured}
         hardly = hardly_measured(row["expected_mse"], unmeasured)
         warnings = [loss.warning, hardly if name in statistics.gains else ""]
-        row["warnings"] += [text for text in warnings if text]
+        row["warnings"] += [text for text in warnings if text and worst in ("", name)]
 
 
 def _gain_over_itself(run: StoredRun) -> Results:

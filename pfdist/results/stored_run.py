@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
+from copy import deepcopy
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +17,13 @@ from pfdist.common.measurement_times import Times
 from pfdist.errors import JobError, StoreError
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
+from pfdist.problem.methods import METHODS
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
+from pfdist.problem.sections import DEFAULT_METHOD
 from pfdist.problem.set_key import key_of, labels_of, references_of
 from pfdist.results.moments import BLOCK, ComparisonStatistics, Gain, relative_gain
-from pfdist.store import QUESTIONS, Store, check_entries, read_run, unreadable
+from pfdist.store import QUESTIONS, Store, check_entries, read_run, unusable
 from pfdist.store.schema import KEYS
 
 if TYPE_CHECKING:
@@ -119,11 +122,29 @@ def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         The folder holds no run, or a file cannot be read or is damaged.
     """
     run, job = read_run(path)
+    lacking, known = [*_lacking_searches(job)], deepcopy(job)
+    for section, key, search in lacking:
+        known[section][key] = {"method": "random", "name": search.get("name")}
     try:
-        identity = Job(**job).identity()  # with every key, even if the file lacks some
+        identity = Job(**known).identity()  # with every key, even if the file lacks some
     except JobError as error:
-        raise unreadable(path, "job.toml", str(error)) from error
+        raise unusable(path, "job.toml", str(error)) from error
+    for section, key, search in lacking:
+        identity[section][key] = search
     return run, identity
+
+
+def _lacking_searches(job: dict[str, Any]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """The searches of a job whose methods this process lacks, each with its section and its key."""
+    searches, online = job.get("search"), job.get("online")
+    found: list[tuple[str, Any, Any]] = []
+    if isinstance(searches, list):
+        found += [("search", *each) for each in enumerate(searches)]
+    if isinstance(online, dict):
+        found.append(("online", "search", online.get("search")))
+    for section, key, search in found:
+        if isinstance(search, dict) and str(search.get("method", DEFAULT_METHOD)) not in METHODS:
+            yield section, key, search
 
 
 # --- facts about a run ----------------------------------------------------------------------------
@@ -270,7 +291,7 @@ def errors_of(run: StoredRun) -> Iterator[tuple[NDArray[Any], NDArray[Any], pa.T
 
 def statistics_of(run: StoredRun) -> ComparisonStatistics:
     """Statistics of all compared draws; memory does not grow with the draws."""
-    statistics = ComparisonStatistics(run.names, run.draws_compared, run.references)
+    statistics = ComparisonStatistics(run.names, run.references)
     for mse, degenerate, _ in errors_of(run):
         statistics.add(mse, degenerate)
     return statistics
@@ -332,18 +353,18 @@ def scenarios_of(run: StoredRun) -> pd.DataFrame:
             of_scenario.add(mse[numbers == number], degenerate[numbers == number])
     table = []
     for number, (scenario, each) in enumerate(zip(scenarios, statistics, strict=True)):
-        for name, moments in each.mse.items():
+        for name in run.names:
             gain = each.gains.get(name, Gain())  # the reference has none
-            low, high = gain.of_means_interval
+            (low, high), estimate = gain.of_means_interval, each.estimate(name)
             row = {
                 "scenario": number,
                 "share": scenario.share,
                 "parameters": dict(scenario.parameters),
                 "name": name,
-                "draws": moments.count,
+                "draws": each.draws,
                 "degenerate_draws": each.degenerate_draws[name],
-                "expected_mse": moments.mean,
-                "standard_error": moments.standard_error,
+                "expected_mse": estimate.value,
+                "standard_error": estimate.standard_error,
                 "gain_of_means": gain.of_means,
                 "gain_of_means_low": low,
                 "gain_of_means_high": high,

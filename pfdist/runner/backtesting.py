@@ -16,6 +16,8 @@ from pfdist.errors import MeasurementsError, TaskError
 from pfdist.filters.draws import Draws
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter import Filter
+from pfdist.filters.filter_estimate import FEW
+from pfdist.filters.interface import Filtered
 from pfdist.filters.predicted import predicted
 from pfdist.filters.replicates import Replicate
 from pfdist.filters.scenarios import stretches
@@ -31,6 +33,7 @@ W = TypeVar("W")
 V = TypeVar("V")
 Array = NDArray[np.float64]
 _SECONDS = 60.0  # of a task at most: how fast a model is, is not known
+_SIGNED = 2**63  # from a key of 64 bits to a seed, which may be negative
 INTERVAL = (0.05, 0.95)
 """Quantiles between which a right model has 90 % of all values."""
 
@@ -90,6 +93,8 @@ class ReplicateErrors:
         The filter's mean of what is judged, and its 90 % interval.
     impossible : int
         Number of sets with a measurement that no particle explains.
+    collapsed : int
+        Number of sets with which the effective sample size falls below `FEW`.
     """
 
     real: Array
@@ -101,6 +106,7 @@ class ReplicateErrors:
     low: Array
     high: Array
     impossible: int
+    collapsed: int
 
     @property
     def intervals(self) -> tuple[Array, Array, Array]:
@@ -116,7 +122,7 @@ def errors_of(work: ReplicateWork) -> ReplicateErrors:
     evaluator, is_angle = work.evaluator, work.evaluator.model.is_angle
     is_judged = ~np.isnan(work.judged)
     simulated, y, z = _simulated(work)
-    real, degenerate = _real(work)
+    real, impossible, collapsed = _real(work)
     if not np.isfinite(real[:, is_judged]).all():
         raise MeasurementsError("the filter's estimates must be finite")
     residuals = _difference(z, simulated, is_angle)
@@ -139,7 +145,8 @@ def errors_of(work: ReplicateWork) -> ReplicateErrors:
         real,
         low,
         high,
-        int(degenerate.sum()),
+        impossible,
+        collapsed,
     )
 
 
@@ -155,47 +162,54 @@ def _simulated(work: ReplicateWork) -> tuple[Array, Array, Array]:
         draws = each.draws(range(first, last), stream)
         lacking = np.isnan(work.y) & ~np.isnan(work.y).all(axis=1, keepdims=True)
         observed = replace(draws, y=np.where(lacking, np.nan, draws.y))
-        estimates.append(_estimates(each, observed, work)[0])
+        estimates.append(_estimates(_filtered(each, observed, work)))
         y.append(draws.y)
         z.append(draws.z)
     return np.concatenate(estimates, axis=1), np.concatenate(y), np.concatenate(z)
 
 
-def _real(work: ReplicateWork) -> tuple[Array, NDArray[np.bool_]]:
-    """The estimates of the real system, (S, T+1, q), and which sets are degenerate, (S,)."""
+def _real(work: ReplicateWork) -> tuple[Array, int, int]:
+    """The estimates of the real system, (S, T+1, q), and how many are degenerate, and collapse."""
     model = work.evaluator.model
     shape = 1, len(work.y), model.components[2]
     draws = Draws(model, range(1), np.empty((1, 0, 0)), work.y[None], np.zeros(shape))
-    estimates, degenerate = _estimates(work.evaluator, draws, work)
-    return estimates[:, 0], degenerate[:, 0]
+    filtered = _filtered(work.evaluator, draws, work)
+    sizes = [each.sizes for each in filtered if each.sizes is not None]
+    return (
+        _estimates(filtered)[:, 0],
+        sum(int(each.degenerate[0]) for each in filtered),
+        sum(bool((each < FEW).any()) for each in sizes),
+    )
 
 
-def _estimates(
-    evaluator: Evaluator, draws: Draws, work: ReplicateWork
-) -> tuple[Array, NDArray[np.bool_]]:
-    """The filter's mean of z with each set, (S, D, T+1, q), and which draws are degenerate."""
+def _estimates(filtered: Sequence[Filtered]) -> Array:
+    """The filter's mean of z with each set, (S, D, T+1, q)."""
+    return np.stack([each.estimate for each in filtered if each.estimate is not None])
+
+
+def _filtered(evaluator: Evaluator, draws: Draws, work: ReplicateWork) -> list[Filtered]:
+    """The results of the filter with each set."""
     engine, settings = evaluator.computed_by, evaluator.settings(work.estimation)
-    filtered = [
+    return [
         engine.filters.filter_checked_draws(
             evaluator.believed, draws, times, work.streams[1], settings, trajectories=True
         )
         for times in work.sets
     ]
-    estimates = np.stack([each.estimate for each in filtered])
-    return estimates, np.stack([each.degenerate for each in filtered])
 
 
 def _surprises(evaluator: Evaluator, work: ReplicateWork) -> Array:
     """The p-value of each measurement of the plan, in the order of time."""
     model, sensors, plan = evaluator.believed, evaluator.sensors, work.sets[0]
     following = Filter(
-        model, work.estimation.particles, engine=evaluator.engine, horizon=evaluator.horizon
-    )
+        model, work.estimation.particles, work.streams[1] - _SIGNED,
+        engine=evaluator.engine, horizon=evaluator.horizon,
+    )  # fmt: skip
     surprises = list[float]()
     for t in sorted({number // sensors for number in plan}):
         here = tuple(number for number in plan if number // sensors == t)
         try:
-            estimate = following.update(t, seen(model, work.y[t], here))
+            estimate = following.update(t, seen(model, work.y[t], here), warn=False)
         except MeasurementsError:  # no particle explains it
             surprises.append(0.0)
             break

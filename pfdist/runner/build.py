@@ -205,7 +205,7 @@ def _with_proposal(job: Job, runs: Sequence[Path]) -> Job:
     job is built with the plain filter first, so whatever is wrong with it is named first.
     """
     # Imported here, so that workers, which know the proposal, need no pandas.
-    from pfdist.runner.particles import guides_better  # noqa: PLC0415
+    from pfdist.runner.particles import why_plain  # noqa: PLC0415
 
     def with_filter(**settings: Any) -> Job:
         return job.with_changes(settings={"filter": settings})
@@ -230,8 +230,8 @@ def _with_proposal(job: Job, runs: Sequence[Path]) -> Job:
     except ModelError:
         return plain
     sets = job.problem.feasible.regular(), _with_long_gap(job)
-    better = guides_better(evaluator, sets, job.seed, built.comparing)
-    return with_filter(proposal=GUIDED) if better else plain
+    is_plain = why_plain(evaluator, sets, job.seed, built.comparing)
+    return plain if is_plain else with_filter(proposal=GUIDED)
 
 
 def _proposal_of(run: Path) -> str:

@@ -17,7 +17,7 @@ from pfdist.common.component_names import Component
 from pfdist.common.estimate import Estimate
 from pfdist.common.measurement_times import Times, validated
 from pfdist.common.streams import stream_of
-from pfdist.errors import StoreError
+from pfdist.errors import SearchError, StoreError
 from pfdist.filters.work import (
     Estimation,
     Result,
@@ -65,8 +65,8 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     references = references_of(names, job.identity())
     interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
-    tables = (trajectories, repeated, distances, variances) if built.study.has_details else ()
-    for table in tables:
+    details = (trajectories, repeated) if built.study.has_details else ()
+    for table in (*details, distances, variances):
         first_draws = table(built, work)
         if first_draws is not None:
             yield from first_draws.fill(COMPARISON, session)
@@ -96,7 +96,8 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
 
     def learn(piece: Work, result: Result) -> bool:
         errors = np.hstack([result.mse, result.control]) if control else result.mse
-        interim.learn(range(*piece.draws), errors)
+        interim.learn(range(*piece.draws), errors, result.degenerate)
+        _check_filters(built, interim.statistics)
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
@@ -121,6 +122,29 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     _publish(session.store, interim.enough or draws, most)
 
 
+def _check_filters(built: Built, statistics: ComparisonStatistics) -> None:
+    """Raise `SearchError` if most draws are degenerate with a found set, and the job forbids it."""
+    draws, is_allowed = statistics.draws, built.job.evaluation.degenerate_draws == "continue"
+    for name, count in statistics.degenerate_draws.items():
+        if count > draws / 2 and not (is_allowed or name in built.study.unsearched):
+            raise SearchError(
+                f"search {name}: there is no plan, because {count:,} of {draws:,} draws are "
+                f"degenerate with its times (no particle explains a measurement): {ways_out(built)}"
+            )
+
+
+def ways_out(built: Built) -> str:
+    """Advise what to do if filters fail in many draws, for the end of an error."""
+    models = built.evaluator.model, built.evaluator.believed
+    is_linear = all(model.linear_gaussian for model in models)
+    exact = "filter.engine = 'kalman' is exact for this model; " * is_linear
+    return (
+        f"pfdist check-model looks for the cause; {exact}more filter.particles may help; "
+        "evaluation.degenerate_draws = 'continue' lets filters leave such measurements out "
+        f"({built.job.path})"
+    )
+
+
 def _range_rows(names: Sequence[str], ranges: Sequence[Range]) -> pa.Table:
     """Rows of the table ``range_sums``, in order of the sets."""
     rows = [
@@ -133,12 +157,12 @@ def _range_rows(names: Sequence[str], ranges: Sequence[Range]) -> pa.Table:
 
 def _result(rows: pa.Table) -> Result:
     """The result from which these rows were made."""
-    starts = ("mse_", "control_")
-    mse, control = (
-        [rows[name].to_numpy() for name in rows.column_names if name.startswith(start)]
-        for start in starts
+    names = rows.column_names
+    mse, control, degenerate = (
+        np.array([rows[name].to_numpy() for name in names if name.startswith(start)]).T
+        for start in ("mse_", "control_", "degenerate_")
     )
-    return Result(np.stack(mse, 1), control=np.stack(control, 1) if control else np.empty(0))
+    return Result(mse, degenerate=degenerate, control=control)
 
 
 def comparison_steps(built: Built) -> int:
@@ -196,18 +220,21 @@ class InterimGains:
     def __init__(
         self, names: list[str], references: Mapping[str, str], draws: int, half_width: float
     ) -> None:
-        self._statistics = ComparisonStatistics(names, references=references)
+        self.statistics = ComparisonStatistics(names, references=references)
         self._draws, self._half_width = draws, half_width
-        # For each block of draws, their MSE, which arrive in any order, and whether each is missing
+        # For each block of draws, their values, which come in any order; whether each is missing
         self._waiting: dict[int, tuple[NDArray[np.float64], NDArray[np.bool_]]] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
         self.so_far = tuple[SetGain, ...]()  # the gain of each set, from the whole blocks so far
 
-    def learn(self, index: range, values: NDArray[np.float64]) -> None:
+    def learn(
+        self, index: range, errors: NDArray[np.float64], degenerate: NDArray[np.bool_]
+    ) -> None:
         """Add errors of draws, and then every whole block without a missing block before it.
 
         The arguments are those of `ComparisonStatistics.add`.
         """
+        values = np.hstack([errors, degenerate])
         for number in range(index.start // BLOCK, (index.stop - 1) // BLOCK + 1):
             start = number * BLOCK
             if number not in self._waiting:
@@ -218,17 +245,18 @@ class InterimGains:
             (mse, missing), places = self._waiting[number], slice(first - start, last - start)
             mse[places], missing[places] = part, False
         while not self.enough and (following := self._next()) is not None:
-            self._statistics.add(following)
+            sets = len(self.statistics.names)
+            self.statistics.add(following[:, :-sets], following[:, -sets:])
             self.so_far = tuple(  # after each block, because outcomes come more often
                 SetGain(name, Estimate(gain.of_means, gain.errors.ratio_error))
-                for name, gain in self._statistics.gains.items()
+                for name, gain in self.statistics.gains.items()
                 if gain.relative.count
             )
-            if self._half_width and self._statistics.half_width() <= self._half_width:
-                self.enough = self._statistics.draws
+            if self._half_width and self.statistics.half_width() <= self._half_width:
+                self.enough = self.statistics.draws
 
     def _next(self) -> NDArray[np.float64] | None:
-        number = self._statistics.draws // BLOCK
+        number = self.statistics.draws // BLOCK
         if number in self._waiting and not self._waiting[number][1].any():
             return self._waiting.pop(number)[0]
         return None

@@ -8,9 +8,9 @@ The steps of a batch, in this order, and the cost of a kill at each:
 
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
    Nothing is computed yet, so a kill costs nothing.
-2. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; a slow model
-   has longer tasks at first, and a block of sums is never cut. A worker holds one or two tasks,
-   which are lost with it.
+2. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; the first
+   tasks have one draw, and a block of sums is never cut. A worker holds one or two tasks, which are
+   lost with it.
 3. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill of the driver costs the rows that wait.
 4. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
@@ -186,7 +186,7 @@ class _Cut(NamedTuple):
 def _cuts(table: str, function: Function, works: list[Work], pace: Pace) -> Iterator[_Cut]:
     for bundle in bundles(works, pace.size):
         key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
-        task = Task(key, function, bundle.works, pace.seconds * bundle.steps)
+        task = Task(key, function, bundle.works, pace.expected(bundle.steps))
         yield _Cut(task, bundle.steps)
 
 

@@ -18,6 +18,7 @@ from pfdist.runner.comparison_phase import (
     TRAJECTORIES,
     comparison_steps,
     run_comparison,
+    ways_out,
 )
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.online_work import OnlineWork
@@ -88,9 +89,8 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
         if name not in compared:
             raise SearchError(
                 f"search {name}: every set of times that it ended with has an infinite error, by a "
-                f"degenerate draw (a measurement no particle explains) or an infinite error; more "
-                f"particles than {built.job.filter.particles} help, or "
-                f"evaluation.degenerate_draws = 'continue'"
+                f"degenerate draw (a measurement no particle explains) or an infinite error: "
+                f"{ways_out(built)}"
             )
     for position, row in enumerate(rows):
         row["position"] = position

@@ -20,6 +20,7 @@ LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
 LEAST_SHARED_SECONDS = 0.05  # for several runs: workers seldom wait for the last tasks of one
 SERVING_SECONDS = 0.001  # the share of the driver and of Ray in its process, for each task
 LONGEST_SECONDS = 2.0  # however many workers there are
+FIRST_SECONDS = 180.0  # that a draw may take while nothing is known of a model's speed
 MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
 _SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
 
@@ -40,16 +41,20 @@ class Pace:
 
     def learn(self, steps: int, seconds: float) -> None:
         """Update the speed with a task of so many particle-steps that took so many seconds."""
-        self.seconds = (self.seconds + seconds / steps) / 2
-        self._learnt = True
+        before = self.seconds if self._learnt else seconds / steps
+        self.seconds, self._learnt = (before + seconds / steps) / 2, True
+
+    def expected(self, steps: int) -> float:
+        """Seconds that a task of so many particle-steps takes; many before the first has ended."""
+        return steps * self.seconds if self._learnt else FIRST_SECONDS
 
     def size(self, remaining: int) -> int:
         """Particle-steps of the next task, given the particle-steps that remain.
 
-        The first tasks are short, because a model may be a hundred times slower than the guess.
+        The first tasks have one draw: a model may be a thousand times slower than the guess.
         """
         if not self._learnt:
-            return max(1, round(LEAST_SECONDS / self.seconds))
+            return 1
         seconds = remaining * self.seconds
         # n tasks keep the driver busy for n * SERVING_SECONDS, and each takes seconds / n of its
         # worker: more workers than make both equal would wait for the driver.

@@ -23,7 +23,7 @@ from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
 NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 """Numbers of particles among which `enough_particles` finds one."""
 _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
-_PROPOSAL_DRAWS = 480
+_TRIED = 480  # draws with which proposals are compared
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
 _SIZE_DRAWS = 100  # behind a mean effective sample size
@@ -66,24 +66,26 @@ def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Momen
     return particle_loss(own.particles, whole, squared, distance, variance), whole
 
 
-def guides_better(
-    evaluator: Evaluator, sets: Sequence[Times], seed: int, plain: Estimation
-) -> bool:
-    """Whether guiding with a third of the particles gives less particle loss than the plain filter.
+def why_plain(
+    evaluator: Evaluator, sets: Sequence[Times], seed: int, plain: Estimation, draws: int = _TRIED
+) -> str:
+    """Why ``filter.proposal = "auto"`` takes the plain filter; empty if it takes the guided one.
 
-    The upper 95 % limit of its loss must lie below that of the plain filter on the same draws, with
-    each set. A plain filter that loses 1 % or less is not replaced.
+    With a third of the particles, the upper 95 % limit of the guided filter's loss must lie below
+    that of the plain filter on the same draws, with each set. A plain filter that loses 1 % or less
+    is not replaced.
     """
     guided = replace(plain, particles=-(-plain.particles // 3), proposal=GUIDED)
     for times in sets:
-        work = work_of_loss(evaluator, times, seed, plain, _PROPOSAL_DRAWS, "proposal")
+        work = work_of_loss(evaluator, times, seed, plain, min(draws, _TRIED), "proposal")
         loss, _ = measured_loss(evaluator, work)
+        found = f"{loss.particles:,} plain particles lose {loss.text}"
         if loss.at_most.value <= SMALL:
-            return False
+            return found
         other, _ = measured_loss(evaluator, replace(work, estimation=guided))
         if other.limit >= loss.limit:
-            return False
-    return True
+            return f"{found}; {other.particles:,} guided ones lose {other.text}"
+    return ""
 
 
 def mean_effective_sizes(evaluator: Evaluator, work: Work) -> "pd.Series[float]":

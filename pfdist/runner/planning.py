@@ -139,16 +139,23 @@ class Replanner:
         draws: int,
         estimation: Estimation,
         draw: int = 0,
+        clouds: Sequence[Prior | None] = (),
     ) -> list[Evaluation]:
         """Evaluations of plans by the expected MSE from now on, on draws that chose no plan.
 
-        `draws` is the number of simulated systems, and `draw` the index of the system. Raises
-        `ModelError` if a formula failed.
+        `draws` is the number of simulated systems, and `draw` the index of the system. Each of
+        `clouds`, which are independent priors for now, starts an equal part of the systems; without
+        any, all start from the prior of `now`. Raises `ModelError` if a formula failed.
         """
-        outlook = _Outlook(self, now, stream_key(self.stream, draw, now.first, "expected"))
+        stream = stream_key(self.stream, draw, now.first, "expected")
         ends = [self.evaluator.horizon] * len(plans)
-        evaluations = outlook.of_sets(outlook.draws(range(draws)), plans, ends, estimation)
-        return [replace(evaluation, purpose="evaluate") for evaluation in evaluations]
+        evaluations, index = list[list[Evaluation]](), range(-(-draws // max(1, len(clouds))))
+        for number, prior in enumerate(clouds or [now.prior]):
+            key = stream_key(stream, number) if clouds else stream
+            outlook = _Outlook(self, now._replace(prior=prior), key)
+            evaluations.append(outlook.of_sets(outlook.draws(index), plans, ends, estimation))
+        each_plan = (Evaluation.together(parts) for parts in zip(*evaluations, strict=True))
+        return [replace(evaluation, purpose="evaluate") for evaluation in each_plan]
 
 
 def check_plannable(evaluator: Evaluator) -> None:

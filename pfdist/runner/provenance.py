@@ -1,7 +1,7 @@
-"""The provenance of a run: the libraries and processors that computed it.
+"""The provenance of a run: every machine, with its libraries and its processor, that computed it.
 
-The last digits of some results differ between processors. So a run records its processors, and
-results that may differ are not reused on another processor.
+The last digits of some results differ between processors. So results that may differ are not reused
+on another processor.
 """
 
 import os
@@ -38,6 +38,15 @@ def provenance(built: Built) -> dict[str, Any]:
         "name_of_model": model.name,
         "names": {"z": [*model.z_names], "y": [*model.y_names]},
         "angles": [*model.is_angle] if model.error is squared_error else [],
+        **_here(),
+        "execution": job.execution.model_dump(mode="json"),
+        **({"declared": declared} if declared else {}),
+    }
+
+
+def _here() -> dict[str, Any]:
+    """The machine of this process, and the versions that compute on it."""
+    return {
         "python": platform.python_version(),
         "libraries": {name: version(name) for name in _LIBRARIES},
         "machine": {
@@ -46,8 +55,6 @@ def provenance(built: Built) -> dict[str, Any]:
             "cores": affinity(),
         },
         "processor": processor(),
-        "execution": job.execution.model_dump(mode="json"),
-        **({"declared": declared} if declared else {}),
     }
 
 
@@ -69,21 +76,18 @@ def _model() -> str:
     return next(names, platform.processor() or platform.machine())
 
 
-def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
-    """Record the processor that resumes a run, and warn that results may differ.
+def note_machine(path: Path, built: Built, say: Callable[[str], Any]) -> None:
+    """Record the machine and the versions that resume a run, and warn that results may differ.
 
     This process must hold the run's folder.
     """
-    provenance, here = read_run(path)[0]["provenance"], processor()
-    before = provenance["processor"]
-    if here == before:
-        return
+    provenance, here = read_run(path)[0]["provenance"], _here()
     others = provenance.get(CONTINUED, [])
-    if here not in others:
+    if here not in ({key: provenance[key] for key in here}, *others):
         add_to_provenance(path, {CONTINUED: [*others, here]})
-    differs = what_may_differ(built)
-    if differs:
-        processors = f"was started on {_described(before)} and resumes on {_described(here)}"
+    before, differs = provenance["processor"], what_may_differ(built)
+    if differs and before != processor():
+        processors = f"was started on {_described(before)} and resumes on {_described(processor())}"
         say(f"this run {processors}: {differs}")
 
 
@@ -103,7 +107,9 @@ def lender(path: Path, built: Built | None = None) -> Store:
     is damaged, or if there is no run.
     """
     about = read_run(path)[0]["provenance"]
-    here = about["processor"] == processor() and CONTINUED not in about
+    # A run of version 0.4 has the processors alone.
+    processors = [each.get("processor", each) for each in (about, *about.get(CONTINUED, []))]
+    here = all(each == processor() for each in processors)
     differs = "the last digits may differ" if built is None else what_may_differ(built)
     if differs and not here:
         raise StoreError(

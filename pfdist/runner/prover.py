@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.measurement_times import Times
+from pfdist.common.percent import CHECK_FAILS
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
 from pfdist.filters.work import BLOCK, Estimation, with_truth
@@ -200,7 +201,7 @@ class Prover:
                 own = replace(draws, model=part.model, y=draws.y[..., part.y])
                 state, text = looked(likelihood, part.model, own)
                 if state == "wrong":
-                    return f"check-model finds that the likelihood is wrong: {text}"
+                    return f"{CHECK_FAILS}: {text}"
         return ""
 
     def _misplaces_truth(

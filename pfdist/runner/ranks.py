@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import CLEAR_ERRORS
+from pfdist.common.percent import RANKS_FAIL
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
 from pfdist.kernels.variates import TRUTH_RANK, variates
@@ -73,7 +74,7 @@ def wrong_likelihood(sums: Array, draws: int) -> str:
         if not abs(mean) <= CLEAR_ERRORS * error:
             distance = abs(mean) / error if error else math.inf
             return (
-                "the log-likelihood does not fit the measurements: the true z lies too often "
+                f"{RANKS_FAIL}: the true z lies too often "
                 f"{places[int(mean > 0)]} ({distance:.1f} standard errors on {draws:,} draws)"
             )
     return ""

@@ -25,7 +25,7 @@ class Study:
     feasible: Feasible
 
     has_details: ClassVar[bool] = True
-    """Whether the comparison also keeps trajectories and the parts of errors."""
+    """Whether the comparison also keeps trajectories and errors over time."""
 
     @property
     def purpose(self) -> str:

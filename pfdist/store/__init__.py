@@ -13,7 +13,7 @@ from pfdist.store.about import (
     read_run,
     run_key,
     run_text,
-    unreadable,
+    unusable,
     write_about,
 )
 from pfdist.store.files import remove as remove_file

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +75,7 @@ def read_models(path: Path) -> tuple["StateSpaceModel", "StateSpaceModel"]:
     try:
         return models_of(check_models(path))
     except ValueError as error:
-        raise unreadable(path, MODELS, str(error)) from error
+        raise unusable(path, MODELS, str(error)) from error
 
 
 def check_models(path: Path) -> bytes:
@@ -99,6 +100,14 @@ def unreadable(path: Path, name: str, reason: str) -> StoreError:
     """The error for a run with a damaged job.toml, model.json or run.json."""
     remedy = "remove it, and resume the run by its job" if name == MODELS else REMEDY
     return StoreError(f"{path / name} is damaged: {reason}; {remedy}")
+
+
+def unusable(path: Path, name: str, reason: str) -> StoreError:
+    """The error for a file with the right hash that this version or machine cannot use."""
+    return StoreError(
+        f"{path / name} is undamaged, but pfdist {version('pfdist')} on this machine cannot use "
+        f"it: {reason} (run.json names the version that wrote it)"
+    )
 
 
 def _read(path: Path, name: str) -> str:

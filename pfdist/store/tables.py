@@ -27,6 +27,7 @@ NAME = re.compile(r"([a-z][a-z0-9_.]*)-(?:\d{5}-)?([0-9a-f]{16})\.parquet")
 HASH_DIGITS = 16  # of the SHA-256 in a name
 REMEDY = "remove it, and run the same command again"
 
+_USUAL_VALUES, _MOST_VALUES_A_BYTE = 10_000_000, 100  # that a file may hold when it is unpacked
 _LONGEST_NAME = 64  # a search's name and a number of measurements
 _NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
 
@@ -75,7 +76,8 @@ def read_file(
         content = read_if_hashed(path, named[2]) if named else None
         if content is None:
             return None
-        about = pq.read_schema(pa.BufferReader(content))
+        unpacked = pq.read_metadata(pa.BufferReader(content))
+        about = unpacked.schema.to_arrow_schema()
         metadata, table = about.metadata or {}, path.parent.name
         check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
         for name, wanted in ((b"table", table), (RUN_KEY, run_key or "none")):
@@ -86,6 +88,9 @@ def read_file(
                 )
         if wrong := wrong_columns(about, table):
             raise StoreError(f"{path} {wrong}; {REMEDY}")
+        values = sum(chunk.num_values for chunk in column_chunks(unpacked))
+        if values > max(_USUAL_VALUES, _MOST_VALUES_A_BYTE * len(content)):
+            raise ValueError(f"{len(content):,} bytes must not hold {values:,} values")
         return pq.read_table(
             pa.BufferReader(content),
             columns=columns,
@@ -93,6 +98,12 @@ def read_file(
             partitioning=None,
             use_threads=False,  # each thread would keep its own memory
         )
+
+
+def column_chunks(about: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
+    """Describe each column of a Parquet file in each group of rows, before it is unpacked."""
+    for group in map(about.row_group, range(about.num_row_groups)):
+        yield from map(group.column, range(group.num_columns))
 
 
 def signed(table: pa.Table, run_key: str | None) -> pa.Table:

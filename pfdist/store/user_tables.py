@@ -1,15 +1,18 @@
 """Tables of numbers from a user, in CSV or Parquet, and tables for the user."""
 
+import csv
 import stat
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -17,13 +20,15 @@ from pfdist.common.calendar import as_text
 from pfdist.common.nearest import must_be
 from pfdist.errors import PfdistError, shown
 from pfdist.store.files import begins_with, check_replaceable, write_file
-from pfdist.store.tables import holds_table, write_table
+from pfdist.store.tables import column_chunks, holds_table, write_table
 
 Array = NDArray[np.float64]
 
 MOST_BYTES = 200_000_000  # of a file: a million particles of ten components take 90 million
 MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold many times over
 MOST_COLUMNS = 1000
+_LONGEST_LINE, _LONGEST_TEXT = 1_000_000, 250  # of a header or comment; of a cell in Parquet
+_CELLS = 1_000_000  # that are read at once
 _NONE: Mapping[str, Sequence[str]] = {}  # no column holds texts
 _NO_READERS: Mapping[str, Callable[[str], float]] = {}  # all numbers are written as numbers
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
@@ -36,6 +41,7 @@ def read_user_table(
     only: Collection[str] = (),
     names: Mapping[str, Sequence[str]] = _NONE,
     readers: Mapping[str, Callable[[str], float]] = _NO_READERS,
+    most_rows: int = MOST_NUMBERS,
 ) -> dict[str, Any]:
     """The columns of a table of numbers by name; a missing number is NaN.
 
@@ -48,25 +54,40 @@ def read_user_table(
     are wrong, and may return those that hold texts. With `only`, other columns are left out, and
     may hold anything. Errors count rows from 1, without the line of names and blank lines.
 
+    The names of the columns, and of Parquet the types and sizes, are checked before any row is
+    read. Rows become numbers a part at a time, so memory grows with the numbers alone.
+
     Raises `ValueError` if the file is too large, is not such a table, or holds anything but
     numbers. Raises `OSError` if it cannot be read.
     """
-    if isinstance(source, pd.DataFrame):
-        table = source if source.index.name is None else source.reset_index()
-        header = list(map(str, table.columns))
-        _check_size(header, len(table))
-    else:
-        header, table = _read(source)
-    any_text = check_header(header) or ()
-    return {
-        name: _texts(name, table.iloc[:, place])
-        if name in any_text
-        else _as_read(readers[name], table.iloc[:, place])
-        if name in readers and table.iloc[:, place].dtype.kind not in "iuf"
-        else _numbers(name, table.iloc[:, place], names.get(name, ()))
-        for place, name in enumerate(header)
-        if not only or name in only
-    }
+    any_text: Collection[str] = ()
+
+    def wanted(header: list[str]) -> list[str]:
+        nonlocal any_text
+        for name, count in Counter(header).items():
+            if count > 1:
+                rule = "the columns must have different names"
+                raise ValueError(f"{rule}, got {shown(name)} twice")
+        if len(header) > MOST_COLUMNS:
+            rule = f"a table must have at most {MOST_COLUMNS:,} columns"
+            raise ValueError(f"{rule}, got {len(header):,}")
+        any_text = check_header(header) or ()
+        return [name for name in header if not only or name in only]
+
+    columns, rows = defaultdict[Any, list[NDArray[Any]]](list), 0
+    for part in _parts(source, wanted, most_rows):
+        table = part.set_axis(pd.RangeIndex(rows, rows + len(part)))
+        rows += len(table)
+        _check_rows(rows, table.shape[1], most_rows)
+        for name in table.columns:
+            columns[name].append(
+                _texts(name, table[name])
+                if name in any_text
+                else _as_read(readers[name], table[name])
+                if name in readers and table[name].dtype.kind not in "iuf"
+                else _numbers(name, table[name], names.get(name, ()))
+            )
+    return {name: np.concatenate(columns.pop(name)) for name in [*columns]}
 
 
 def is_parquet(path: Path) -> bool:
@@ -74,22 +95,30 @@ def is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
-    """The names of a file's columns, and its rows."""
-    about = path.stat()
+def _parts(
+    source: Path | pd.DataFrame, wanted: Callable[[list[str]], list[str]], most_rows: int
+) -> Iterator[pd.DataFrame]:
+    """The wanted columns of a table, some rows at a time; `wanted` checks the names of all."""
+    if isinstance(source, pd.DataFrame):
+        table = source if source.index.name is None else source.reset_index()
+        table = table.set_axis([*map(str, table.columns)], axis=1)
+        yield table[wanted([*table.columns])]
+        return
+    about = source.stat()
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
         raise ValueError("a table must be a file, got a folder, a pipe or a device")
     if about.st_size > MOST_BYTES:
         raise ValueError(f"a table must have at most {MOST_BYTES:,} bytes, got {about.st_size:,}")
     try:
-        return _in_parquet(path) if is_parquet(path) else _in_csv(path)
+        if is_parquet(source):
+            yield from _in_parquet(source, wanted, most_rows)
+        else:
+            yield from _in_csv(source, wanted)
     except UnicodeDecodeError as error:
         raise ValueError(
             "a CSV table must be UTF-8 text, got other bytes: save the sheet as CSV in UTF-8"
         ) from error
-    except pd.errors.EmptyDataError as error:
-        raise ValueError("a table must have a line that names the columns, got none") from error
-    except (pd.errors.ParserError, OverflowError) as error:
+    except (csv.Error, pd.errors.ParserError, OverflowError) as error:
         reason = _first_line(error).rpartition("error: ")[2]
         raise ValueError(
             f"{SEPARATORS}; lines must have as many values as the first: {reason}"
@@ -100,49 +129,90 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
         ) from error
 
 
-def _in_csv(path: Path) -> tuple[list[str], pd.DataFrame]:
+def _in_csv(path: Path, wanted: Callable[[list[str]], list[str]]) -> Iterator[pd.DataFrame]:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        start = 0
-        while file.readline().startswith("#"):  # comments
-            start = file.tell()
-        file.seek(start)
-        # With a header, pandas would rename equal columns and make an index of further values.
-        lines = pd.read_csv(file, header=None, dtype=str, keep_default_na=False)
-    header = [str(name).strip() for name in lines.iloc[0]]
-    _check_size(header, len(lines) - 1)
-    return header, lines.iloc[1:]
+        lines = iter(partial(file.readline, _LONGEST_LINE), "")
+        above, line = -1, "#"
+        while line.startswith("#") or line.isspace():  # comments
+            above, line = above + 1, next(lines, "")
+        if len(line) == _LONGEST_LINE:
+            raise ValueError(f"the first line must be shorter than {_LONGEST_LINE:,} letters")
+        if not line:
+            raise ValueError("a table must have a line that names the columns, got none")
+        header = [name.strip("\ufeff ") for name in next(csv.reader(chain([line], lines)))]
+        kept, start = wanted(header), 1
+        file.seek(0)
+        for _ in range(above):
+            file.readline(_LONGEST_LINE)
+        # With a header, pandas would rename equal columns and make an index of further values; with
+        # `usecols`, it would take lines of any length.
+        with pd.read_csv(
+            file, header=None, dtype=str, keep_default_na=False, chunksize=_CELLS // len(header)
+        ) as parts:
+            for part in parts:
+                yield part.set_axis(header, axis=1)[kept].iloc[start:]
+                start = 0
 
 
-def _in_parquet(path: Path) -> tuple[list[str], pd.DataFrame]:
-    with path.open("rb") as file, pq.ParquetFile(file) as table:
-        header = list(map(str, table.schema_arrow.names))
-        _check_size(header, table.metadata.num_rows)  # before the table is unpacked
-        return header, table.read().to_pandas(ignore_metadata=True)  # an index is a column
+def _in_parquet(
+    path: Path, wanted: Callable[[list[str]], list[str]], most_rows: int
+) -> Iterator[pd.DataFrame]:
+    with path.open("rb") as file:
+        about = pq.read_metadata(file)
+        schema = about.schema.to_arrow_schema()
+        kept = wanted([*map(str, schema.names)])
+        texts = [name for name in kept if _holds_texts(schema.field(name))]
+        chunks = [each for each in column_chunks(about) if each.path_in_schema in kept]
+        rows = sum(each.num_values for each in chunks) // len(kept)
+        _check_rows(rows, len(kept), most_rows)
+        size = sum(each.total_uncompressed_size for each in chunks)
+        if size > (most := 8 * MOST_NUMBERS):
+            raise ValueError(f"a table must have at most {most:,} bytes unpacked, got {size:,}")
+        yield schema.empty_table().select(kept).to_pandas(ignore_metadata=True)  # index: a column
+        # A text that many rows share is unpacked once, and measured before it is repeated.
+        with pq.ParquetFile(file, metadata=about, read_dictionary=texts) as table:
+            for batch in table.iter_batches(_CELLS // len(kept), columns=kept):
+                for name in texts:
+                    values = batch.column(name).dictionary_encode().dictionary
+                    if (longest := pc.max(pc.binary_length(values)).as_py() or 0) > _LONGEST_TEXT:
+                        rule = f"a text must have at most {_LONGEST_TEXT} bytes, got {longest:,}"
+                        raise ValueError(f"{rule} in column {shown(name)}")
+                yield batch.to_pandas(ignore_metadata=True)
+
+
+def _holds_texts(field: pa.Field) -> bool:
+    """Whether a column of a Parquet file holds texts; a `ValueError` if it can hold no numbers."""
+    kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+    must = f"column {shown(field.name)} must"
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return True
+    if not (pa.types.is_primitive(kind) or pa.types.is_decimal(kind) or pa.types.is_null(kind)):
+        raise ValueError(f"{must} hold numbers, texts or dates, got {kind}")
+    try:
+        pa.array([], kind).to_pandas()
+    except (pa.ArrowException, KeyError) as error:
+        raise ValueError(f"{must} have a time zone that this machine knows, got {kind}") from error
+    return False
 
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().partition("\n")[0]
 
 
-def _check_size(header: list[str], rows: int) -> None:
-    if len(header) > MOST_COLUMNS:
-        raise ValueError(f"a table must have at most {MOST_COLUMNS:,} columns, got {len(header):,}")
-    if rows * len(header) > MOST_NUMBERS:
+def _check_rows(rows: int, columns: int, most_rows: int) -> None:
+    if rows > (most := min(most_rows, MOST_NUMBERS // columns)):
         raise ValueError(
-            f"a table must have at most {MOST_NUMBERS:,} numbers, got {rows:,} rows of "
-            f"{len(header)} columns"
+            f"a table of {columns} columns must have at most {most:,} rows, got {rows:,}"
         )
-    for name, count in Counter(header).items():
-        if count > 1:
-            raise ValueError(f"the columns must have different names, got {shown(name)} twice")
 
 
 def _texts(name: str, column: "pd.Series[Any]") -> NDArray[Any]:
     """The texts of a column, none of which may be empty."""
     texts = column.astype(str).str.strip()
-    for row in np.flatnonzero(column.isna() | texts.str.lower().isin(_MISSING))[:1]:
+    for row in column.index[column.isna() | texts.str.lower().isin(_MISSING)][:1]:
         raise ValueError(f"column {shown(name)} must not be empty, got nothing in row {row + 1}")
-    return texts.to_numpy()
+    places, different = pd.factorize(texts)
+    return different.to_numpy(object)[places]  # equal texts are one object
 
 
 def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array:
@@ -156,10 +226,10 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
         else:
             numbers = pd.to_numeric(texts, errors="coerce")
             wrong = numbers.isna() & column.notna() & ~texts.str.lower().isin(_MISSING)
-        for row in np.flatnonzero(wrong)[:1]:
+        for row in column.index[wrong][:1]:
             rule = f"one of {', '.join(names)}" if names else "a number"
             place = f"column {shown(name)} in row {row + 1}"
-            raise ValueError(must_be(place, rule, texts.iloc[row], names))
+            raise ValueError(must_be(place, rule, texts[row], names))
     elif kind not in "iuf":
         raise ValueError(f"column {shown(name)} must hold numbers, got {column.dtype}")
     return numbers.to_numpy(np.float64, copy=True, na_value=np.nan)
@@ -168,11 +238,11 @@ def _numbers(name: str, column: "pd.Series[Any]", names: Sequence[str]) -> Array
 def _as_read(read: Callable[[str], float], column: "pd.Series[Any]") -> Array:
     """The numbers of a column of texts or dates."""
     numbers = list[float]()
-    for row, value in enumerate(column, 1):
+    for row, value in zip(column.index, column, strict=True):
         try:
             numbers.append(read(str(as_text(value)).strip()))
         except PfdistError as error:
-            raise ValueError(f"{error} (row {row})") from error
+            raise ValueError(f"{error} (row {row + 1})") from error
     return np.array(numbers, np.float64)
 
 

@@ -130,13 +130,13 @@ def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printe
     assert folder == str(tmp_path)
     assert head.split() == ["run", "state", "age", "size", "found"]
     assert max(map(len, (bad, unfinished, good))) <= COLUMNS
-    assert "damaged" in bad
+    assert "unreadable" in bad
     assert "run.json is damaged" in bad
     assert unfinished.split()[:2] == ["b", "unfinished"]
     assert unfinished.endswith("0 of 250 draws")
     assert re.search(r"(genetic|random): [\d.]+ % (below|above) evenly spaced$", good)
     answer = json.loads(printed("list", tmp_path, "--json"))
-    assert [row["state"] for row in answer["runs"]] == ["damaged", "unfinished", "finished"]
+    assert [row["state"] for row in answer["runs"]] == ["unreadable", "unfinished", "finished"]
     assert answer["runs"][1]["gain_of_means"] is None
 
 
@@ -171,6 +171,9 @@ class Budget:
                     "measurements": 16,
                     "expected_mse": scale * mse,
                     "standard_error": scale * error,
+                    "label": "plan of 16",
+                    "particle_loss": 0.15,
+                    "particle_loss_limit": 0.3,
                 }
             )
             for kind, mse, error in (("regular", 34.207, 0.195), ("found", 25.846, 0.187))
@@ -179,11 +182,12 @@ class Budget:
         self.target = None if reached is None else 25.0
         nobody = {"measurements": None, "impossible": None}
         nobody |= {"interval": [None, None], "larger_that_do_not": [], "measurement_times": None}
+        nobody |= {"with_more_particles": None}
         answers = {"found": nobody if reached is None else reached, "regular": nobody}
-        self.reaching = lambda target: answers
+        self.reaching = lambda *target: answers
         if reached is not None and reached["measurements"]:
             self.rows["found_16"].measurements = reached["measurements"]
-        self.run = SimpleNamespace(tables=())
+        self.run = SimpleNamespace(tables=(), job={"filter": {"particles": 400}})
 
     unit = ""
 
@@ -235,13 +239,19 @@ AT = f": t = {[*range(16)]} (typical error {{}} g/L)"  # as `Budget` gives it
             {"measurements": None},
             f"None of these numbers of measurements reaches an MSE of 25; {FEW}.",
         ),
+        (
+            {"measurements": None, "with_more_particles": 16},
+            "None of these numbers of measurements reaches an MSE of 25; with more particles 16 "
+            "may be enough: these 400 lose at most 30.00 % of the expected MSE (95 % confidence; "
+            f"estimate 15.00 %); {FEW}.",
+        ),
     ],
 )
 def test_a_line_says_which_number_reaches_a_target_and_which_cannot(
     changes: dict[str, Any], told: str
 ) -> None:
     found = {"measurements": 17, "interval": [16, 18], "larger_that_do_not": []}
-    found |= {"impossible": 15, "measurement_times": None} | changes
+    found |= {"impossible": 15, "measurement_times": None, "with_more_particles": None} | changes
     blocks = budget(cast("Any", Budget(reached=found))).blocks
     texts = [block.text for block in blocks if isinstance(block, Text)]
     assert told in texts

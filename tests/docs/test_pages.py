@@ -167,6 +167,7 @@ def test_the_page_about_particles_prints_and_draws_what_it_shows(
 
 
 @pytest.mark.usefixtures("checkout")
+@pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")  # y fits no model
 def test_the_planner_of_the_page_about_online_times_measures_as_often_as_the_plan(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -91,7 +91,8 @@ def drag(page: Any, at: int, to: float) -> None:
 
 
 def shown(page: Any, term: str) -> str:
-    text: str = page.locator("dl div").filter(has_text=term).locator("dd").inner_text()
+    head = page.locator("dt", has_text=re.compile(f"^{term}$"))
+    text: str = page.locator("dl div").filter(has=head).locator("dd").inner_text()
     return text
 
 
@@ -135,9 +136,24 @@ def test_a_dragged_time_moves_to_allowed_instants_only_and_the_figures_follow(
     drag(page, 4, 2)  # required
     assert times(page) == [0, 4, 6, 11]
     assert page.locator(".broken li").count() == 0
-    assert "against evenly spaced" in page.locator("dl").inner_text()
+    assert "against evenly spaced" in page.locator("dl.verdict").inner_text()
     drag(page, 6, 1.9)  # past the required time
     assert times(page) == [0, 2, 4, 11]
+
+
+def test_the_paired_difference_stands_first_and_is_the_largest(
+    open_page: Open, address: str, session: Session
+) -> None:
+    page = open_page(address)
+    slider(page, 12).press("ArrowLeft")
+    answered(page, session)
+    assert " ± " in shown(page, "expected MSE against evenly spaced")
+    own, *others = page.evaluate("""() => [...document.querySelectorAll(".verdict dd, main *")]
+        .sort((a, b) => b.matches(".verdict dd") - a.matches(".verdict dd"))
+        .map((each) => parseFloat(getComputedStyle(each).fontSize))""")
+    assert own > max(others)
+    difference, chart = (page.locator(each).bounding_box() for each in (".verdict", "figure"))
+    assert difference["y"] + difference["height"] < chart["y"]
 
 
 def test_touch_drags_too(open_page: Open, address: str) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import pfdist
 from oracles.explored import SMALL, job_of
+from pfdist.common.estimate import Estimate
 from pfdist.common.parsing import parse_toml
 from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.errors import JobError, MeasurementTimesError, PfdistError, StoreError
@@ -26,6 +27,11 @@ def facts_of(session: Session, times: tuple[int, ...], draws: int = 0) -> dict[s
     return dict(session.answer(times, draws)["facts"])
 
 
+def own(fact: str) -> str:
+    """Part of a fact that is about one's own times."""
+    return fact.partition(";")[0].removeprefix("yours ")
+
+
 # --- answers --------------------------------------------------------------------------------------
 
 
@@ -38,26 +44,56 @@ def test_an_answer_is_that_of_evaluate_on_the_same_draws() -> None:
     np.testing.assert_allclose(
         np.square(answer["curves"]["yours"][0]), known.profile["error"], rtol=1e-12
     )
-    mean, error = map(float, facts["expected MSE"].split(" ± "))
+    mean, error = map(float, own(facts["expected MSE"]).split(" ± "))
     assert mean == pytest.approx(known.expected_mse, abs=0.06 * known.standard_error)
     assert error == pytest.approx(known.standard_error, rel=0.05)
-    assert float(facts["typical error"]) == pytest.approx(known.expected_mse**0.5, rel=0.005)
+    assert float(own(facts["typical error"])) == pytest.approx(known.expected_mse**0.5, rel=0.005)
 
 
 def test_the_gain_is_that_of_the_same_draws_with_its_interval() -> None:
     session = Session(job_of())
     played = session.played
-    own, even = (played.errors(times, 480).mse for times in (MINE, session.even))
-    text = facts_of(session, MINE, 480)["against evenly spaced"]
-    value, side, low, high = re.match(  # type: ignore[union-attr]
-        r"([\d.]+) % (\w+) \(95 % CI (-?[\d.]+) to (-?[\d.]+) %\)", text
+    mine, even = (played.errors(times, 480).mse for times in (MINE, session.even))
+    ((head, text), *_) = session.answer(MINE, 480)["facts"]
+    assert head == "against evenly spaced"  # there is no plan
+    is_unclear, value, side, low, high, amount, amount_error = re.fullmatch(  # type: ignore[union-attr]
+        r"(no clear difference: )?([\d.]+) % (\w+) \(95 % CI (-?[\d.]+) to (-?[\d.]+) %\), "
+        r"by ([\d.]+) ± ([\d.]+)",
+        text,
     ).groups()
-    gain = 100 * (1 - own.mean() / even.mean()) * (1 if side == "lower" else -1)
+    gain = 100 * (1 - mine.mean() / even.mean()) * (1 if side == "lower" else -1)
     assert float(value) == pytest.approx(gain, abs=0.1)
     # The delta method agrees with Fieller's theorem where the errors are small.
-    ratio = own.mean() / even.mean()
-    error = 100 * np.std(own - ratio * even, ddof=1) / even.mean() / 480**0.5
+    ratio = mine.mean() / even.mean()
+    error = 100 * np.std(mine - ratio * even, ddof=1) / even.mean() / 480**0.5
     assert float(high) - float(low) == pytest.approx(2 * 1.965 * error, rel=0.1)
+    assert bool(is_unclear) == (float(low) <= 0 <= float(high))
+    apart = mine - even  # draw by draw
+    assert float(amount) == pytest.approx(abs(apart.mean()), abs=0.06 * apart.std() / 480**0.5)
+    assert float(amount_error) == pytest.approx(apart.std(ddof=1) / 480**0.5, rel=0.05)
+
+
+def test_numbers_that_stand_together_are_of_the_same_draws(small_run: pfdist.Run) -> None:
+    """So the mean of few draws never looks like an improvement over that of many before it."""
+    session = Session(small_run)
+    sets = (MINE, session.plan, session.even)
+    session.answer(session.plan, 3840)  # what a user has seen before the move
+    answer = session.answer(MINE, 120)
+    heads, texts = zip(*answer["facts"], strict=True)
+    assert heads[:4] == (
+        "against the plan",
+        "against evenly spaced",
+        "expected MSE",
+        "typical error",
+    )
+    means = [session.played.errors(times, 120).mse.mean() for times in sets]
+    shown = re.findall(r"(yours|the plan|evenly spaced) ([\d.]+) ± ([\d.]+)", texts[2])
+    assert [name for name, *_ in shown] == ["yours", "the plan", "evenly spaced"]
+    for mean, (_, value, error) in zip(means, shown, strict=True):
+        assert float(value) == pytest.approx(mean, abs=0.06 * float(error))
+    for text, other in zip(texts, means[1:], strict=False):
+        assert ("lower" if means[0] < other else "higher") in text
+    assert dict(session.answer(session.plan)["facts"])["against the plan"] == "the same times"
 
 
 def test_further_draws_give_the_bits_of_one_computation() -> None:
@@ -133,10 +169,10 @@ def test_the_worst_scenario_decides() -> None:
     session = Session(job_of(model, scenarios, search))
     known = pfdist.evaluate(session.job, {"a": MINE}, draws=480)["a"]
     facts = facts_of(session, MINE, 480)
-    value, error = map(float, facts["expected MSE"].split(" ± "))
+    value, error = map(float, own(facts["expected MSE"]).split(" ± "))
     assert value == pytest.approx(known.expected_mse, abs=5 * (error + known.standard_error))
     assert value > 1.5 * known.mse.mean()  # that of both scenarios
-    assert float(facts["typical error"]) == pytest.approx(value**0.5, rel=0.02)
+    assert float(own(facts["typical error"])) == pytest.approx(value**0.5, rel=0.02)
 
 
 def test_broken_constraints_are_named(session: Session, of_sensors: Session) -> None:
@@ -168,17 +204,56 @@ def test_a_run_shows_its_plan_its_bound_and_its_windows(small_run: pfdist.Run) -
     assert [*state["plan"]] == best.measurement_times
     assert {int(each) for each in state["windows"]} == {*state["plan"]}
     assert all(int(m) in inside for m, inside in state["windows"].items())
-    facts = facts_of(session, state["plan"])
-    assert "against the plan" not in facts
-    gap, bound = re.match(  # type: ignore[union-attr]
-        r"([\d.]+) % \(bound ([\d.]+)\)", facts["gap to the bound"].replace("\xa0", " ")
+    gap, error, bound = re.fullmatch(  # type: ignore[union-attr]
+        r"([\d.]+) ± ([\d.]+) % \(bound ([\d.]+) ± [\d.]+\)",
+        facts_of(session, state["plan"])["gap to the bound"],
     ).groups()
-    mse = float(facts["expected MSE"].partition(" ")[0])
-    assert float(bound) == pytest.approx(best.bound, rel=1e-4)
-    assert float(gap) == pytest.approx(100 * (1 - best.bound / mse), abs=0.2)
+    assert float(bound) == pytest.approx(best.bound, abs=0.06 * best.bound_error)
+    # At the plan it is the gap of the run, on no other draws.
+    assert float(gap) == pytest.approx(100 * best.bound_gap, abs=0.06 * float(error))
+    assert 100 * (best.bound_gap_at_most - best.bound_gap) > 1.6 * float(error)  # one-sided 95 %
     assert "gap to the bound" not in facts_of(session, (1, 2, 3))  # of another number
     assert "against the plan" in facts_of(session, MINE)
     assert Session(str(run.path)).plan == session.plan
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        (Estimate(1.0), "10.0 ± 3.0 %"),
+        # 1 - 0.9 / 1.2; its error by the delta method: sqrt(0.03^2 + (0.75 * 0.048)^2) / 1.2
+        (Estimate(1.2, 0.048), "25.0 ± 3.9 %"),
+        (Estimate(0.91, 0.01), "not above its error, 3.5 %"),  # 1.1 %
+        (Estimate(0.5), "not above its error, 6.0 %"),  # below the bound: nothing is cut off at 0
+    ],
+)
+def test_no_gap_below_its_own_error_is_shown(
+    session: Session, monkeypatch: pytest.MonkeyPatch, ratio: Estimate, said: str
+) -> None:
+    zero = {"filter_model": 0.0, "filter_model_error": 0.0}
+    proof = {"expected_mse": 20.0, "bound": 18.0, "bound_error": 0.5, "reason": "", **zero}
+    parts = {"relaxation": 1.5, "relaxation_error": 0.36, "estimate": 0.5, "estimate_error": 0.48}
+    monkeypatch.setattr(session, "_proof", proof | parts)
+    assert session._gap(ratio) == f"{said} (bound 18.00 ± 0.50)"
+    exact = dict.fromkeys(("relaxation_error", "estimate_error", "bound_error"), 0.0)
+    monkeypatch.setattr(session, "_proof", proof | parts | exact)
+    assert session._gap(Estimate(0.9)) == "none (bound 18.000)"  # 1 - 0.9 / 0.9 is not exactly 0
+
+
+def test_with_a_plan_sets_are_judged_against_it(small_run: pfdist.Run) -> None:
+    session = Session(small_run)
+    stream = stream_of("judge", session.job.seed, 0, MINE)
+    work = session.built.evaluator.work(
+        (MINE, session.plan), stream, stream, (0, session.judging_draws), session.built.comparing
+    )
+    mine, plan = session.built.evaluator(work).mse.T
+    (row,) = session.judge("mine", MINE)
+    assert row["gain"] == pytest.approx(1 - mine.mean() / plan.mean(), rel=1e-12)
+    with pytest.raises(JobError, match="these are the times of the plan"):
+        session.judge("plan", session.plan)
+    plan = ",".join(map(str, session.plan))
+    expected = f" --times regular --times plan={plan} --times mine=1,4,6,12"
+    assert session.command_line({"mine": MINE}).endswith(expected)
 
 
 def test_a_job_file_finds_its_run(finished: Callable[..., Path], tmp_path: Path) -> None:

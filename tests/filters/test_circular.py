@@ -4,9 +4,10 @@ Mardia, Jupp, "Directional statistics", 2000, sections 2.2 to 2.3.
 """
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, takewhile
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from pfdist.filters.work import Estimation
 from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
 from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import differences, recorded
+from pfdist.questions.model_checks import check_loaded
 
 HORIZON, TIMES = 8, (1, 4, 5)
 Array = NDArray[np.float64]
@@ -248,6 +250,40 @@ def test_a_filter_of_real_measurements_has_a_mean_direction_and_quantiles_around
 def test_an_unknown_component_is_refused(circular: Sequence[Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         replace(HEADING, circular=circular)
+
+
+DEGREES = ["heading [deg]", "heading [°]", "heading [Degrees]", "heading_deg", "heading [deg true]"]
+
+
+@pytest.mark.parametrize("name", DEGREES)
+def test_an_angle_in_degrees_is_refused_with_the_remedy(name: str) -> None:
+    says = r"must be in radians, got '{}': convert it by np\.radians, and name the unit rad$"
+    with pytest.raises(ModelError, match=says.format(re.escape(name))):
+        replace(HEADING, z_names=(name,), circular=(0,))
+    assert replace(HEADING, z_names=(name,), circular=()).named("z")[0].label == name
+    if "[" in name:  # a measurement with the name of an angle is compared as one
+        with pytest.raises(ModelError, match=says.format(re.escape(name))):
+            replace(HEADING, y_names=(name,))
+    replace(HEADING, y_names=("compass [deg]",), z_names=("heading [rad]",))
+
+
+@pytest.mark.parametrize(
+    ("drift", "scale", "is_said"), [(2.0, 1.0, False), (50.0, 1.0, False), (2.0, 57.3, True)]
+)
+def test_only_a_wide_first_instant_looks_like_degrees(
+    drift: float, scale: float, is_said: bool
+) -> None:
+    """A heading that counts its turns spreads and grows without end, and is right."""
+    turned = replace(HEADING, parameters={**HEADING.parameters, "drift": drift})
+    model = replace(
+        turned,
+        measurement=lambda x, t, v, p: (x[0] + v[0],),
+        quantity_of_interest=lambda x, t, p: (scale * x[0],),
+    )
+    first = takewhile(lambda each: each.name != "log_likelihood", check_loaded(lambda: model, 6, 5))
+    said = [each.text for each in first if each.name == "angles"]
+    assert len(said) == is_said
+    assert all("heading [rad] is circular, so in radians, but lies in" in text for text in said)
 
 
 def test_a_linear_gaussian_model_has_no_angles() -> None:

@@ -4,6 +4,8 @@ Sources: Del Moral, "Feynman-Kac formulae", 2004, section 7.4 (the estimate of t
 unbiased). Malik, Pitt, 2011 (sorted particles).
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,3 +112,26 @@ def test_impossible_measurements_have_no_evidence(measured: np.ndarray) -> None:
     evidence = log_evidence(walk(noise=1e-3), far, 100, 7)
     assert evidence[0] == -np.inf
     assert np.isfinite(evidence[3:]).any()
+
+
+def test_a_first_component_that_never_differs_orders_nothing(measured: np.ndarray) -> None:
+    """A model with a constant beside its state has the same evidence: it measures the same."""
+    model = walk()
+
+    def after(formula, *, gives_state=False):
+        def shifted(x, *others):
+            found = formula(x[1:], *others)
+            return (0.5 * x[0], *found) if gives_state else found
+
+        return shifted
+
+    widened = replace(
+        model,
+        initial=lambda w, p: (3.0 + 0.0 * w[0], *model.initial(w, p)),
+        transition=after(model.transition, gives_state=True),
+        measurement=after(model.measurement),
+        log_likelihood=lambda y, x, t, p: model.log_likelihood(y, x[1:], t, p),
+        quantity_of_interest=after(model.quantity_of_interest),
+    )
+    found, wanted = (log_evidence(each, measured, 100, 7) for each in (widened, model))
+    assert found.tolist() == wanted.tolist()

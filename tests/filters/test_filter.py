@@ -14,6 +14,7 @@ from pfdist.errors import (
     EngineWarning,
     MeasurementsError,
     ModelError,
+    PfdistWarning,
     PriorError,
     TraceError,
 )
@@ -21,12 +22,14 @@ from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.engines import ENGINES
 from pfdist.filters.filter import SUSPICIOUS
-from pfdist.filters.filter_estimate import PREDICTIVE
+from pfdist.filters.filter_estimate import FEW, PREDICTIVE
 from pfdist.filters.interface import Filtered
 from pfdist.filters.one_filter import OneFilter
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
 
+# Few particles are wanted here: they are quick, and right or wrong as many are.
+pytestmark = pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")
 HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
@@ -342,6 +345,22 @@ def test_an_update_does_not_fail_because_one_of_many_states_overflows() -> None:
         surprise = filtering.update(t, 30.0 * t).surprise
         assert surprise is not None
         assert 0 < surprise < SUSPICIOUS
+
+
+# --- few particles ----------------------------------------------------------------------------
+
+
+def test_a_filter_that_collapses_says_so_ever_after() -> None:
+    walk, exact = Filter("random_walk", 500, seed=1), Filter("random_walk", engine="kalman")
+    assert walk.update(0, 0.3).collapsed is None
+    with pytest.warns(PfdistWarning, match=r"few particles, not the .* below 5 at t = 3\. What m"):
+        few = walk.update(3, 60.0)
+    assert (few.collapsed, walk.predict(5).collapsed) == (3, 3)
+    later = walk.update(6, 9.0)  # no second warning, although the size is large again
+    assert later.effective_sample_size > FEW
+    assert (later.collapsed, walk.update(7, math.nan).collapsed) == (3, 3)
+    for t, y in ((0, 0.3), (3, 60.0), (6, 9.0)):
+        assert exact.update(t, y).collapsed is None
 
 
 # --- the prior ------------------------------------------------------------------------------------

@@ -224,7 +224,9 @@ def test_files_that_are_no_tables_are_named(
     said(tmp_path / "latin.csv", "must be UTF-8 text")
     large = pd.DataFrame({"day": ["a"] * 4, "t": range(4), "y0": 1.0})
     monkeypatch.setattr(user_tables, "MOST_NUMBERS", 11)
-    with pytest.raises(MeasurementsError, match="data: a table must have at most 11 numbers"):
+    with pytest.raises(
+        MeasurementsError, match="data: a table of 3 columns must have at most 3 rows"
+    ):
         read_replicates(large, "", MODEL, COUNTS, [])
 
 

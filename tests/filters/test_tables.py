@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from pfdist import StateSpaceModel, load_model
 from pfdist.common.clock import Clock
 from pfdist.errors import MeasurementsError, PriorError
 from pfdist.filters.measurements import read_measurements
+from pfdist.filters.replicates import read_replicates
 from pfdist.filters.user_prior import read_prior
 from pfdist.store import user_tables
 
@@ -129,7 +132,9 @@ def test_a_file_that_is_none_or_too_large_is_not_read(
         path = _written(tmp_path / name, rows)
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_NUMBERS", 5)
-            with pytest.raises(MeasurementsError, match="at most 5 numbers, got 2 rows of 3"):
+            with pytest.raises(
+                MeasurementsError, match="of 3 columns must have at most 1 rows, got 2"
+            ):
                 read_measurements(path, ship, Clock.counting(10))
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_BYTES", 15)
@@ -166,6 +171,123 @@ def test_a_column_in_memory_that_holds_no_numbers_is_named(
     must = re.escape(f"measurements: column 'y0' {words}")
     with pytest.raises(MeasurementsError, match=must):
         read_measurements(table, ship, Clock.counting(10))
+
+
+# --- large tables ---------------------------------------------------------------------------------
+
+
+def _in_file(path: Path, **columns: Any) -> Path:
+    pq.write_table(pa.table(columns), path, compression="zstd")
+    return path
+
+
+def _repeated(text: str, rows: int) -> pa.DictionaryArray:
+    return pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), pa.array([text]))
+
+
+ZEROS = np.zeros(12_000)
+LISTS = pa.ListArray.from_arrays(pa.array([0, 400_000]), pa.array(np.zeros(400_000, np.int8)))
+OF_MARS = pa.array([0], pa.timestamp("ns", "Mars/Base"))
+UNREAD: list[tuple[dict[str, Any], str]] = [
+    ({"t": [1.0], "y0": [1.0], "y1": [1.0], "note": LISTS}, "the columns must be t, y0, y1, got"),
+    ({"t": [1.0], "y0": LISTS, "y1": [1.0]}, "column 'y0' must hold numbers, texts or dates, got"),
+    ({"t": [1.0], "y0": [b"x"], "y1": [1.0]}, "column 'y0' must hold numbers, .* got binary"),
+    ({"t": ZEROS, "y0": ZEROS, "y1": ZEROS}, "3 columns must have at most 10,011 rows, got 12,000"),
+    (
+        {"t": [1], "y0": OF_MARS, "y1": [1.0]},
+        "must have a time zone that .* knows, got .*Mars/Base",
+    ),
+]
+
+
+@pytest.mark.parametrize(("columns", "words"), UNREAD)
+def test_names_types_and_sizes_are_refused_before_a_row_is_unpacked(
+    columns: dict[str, Any], words: str, tmp_path: Path, ship: StateSpaceModel,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    path = _in_file(tmp_path / "bomb.parquet", **columns)
+    monkeypatch.setattr(user_tables.pq, "ParquetFile", None)  # it reads rows
+    with pytest.raises(MeasurementsError, match=words):
+        read_measurements(path, ship, Clock.counting(10))
+
+
+def test_the_unpacked_size_of_a_file_is_limited(
+    tmp_path: Path, ship: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts = [f"{row:0200}" for row in range(100)]  # a kilobyte in the file, 20 when unpacked
+    path = _in_file(tmp_path / "texts.parquet", t=texts, y0=texts, y1=texts)
+    assert path.stat().st_size < 5000
+    monkeypatch.setattr(user_tables, "MOST_NUMBERS", 1000)
+    with pytest.raises(MeasurementsError, match="must have at most 8,000 bytes unpacked, got 6"):
+        read_measurements(path, ship, Clock.counting(10))
+
+
+def test_a_text_that_many_rows_share_is_measured_before_it_is_repeated(tmp_path: Path) -> None:
+    rows = 20_000
+    path = _in_file(tmp_path / "days.parquet", day=_repeated("x" * 100_000, rows), t=np.zeros(rows))
+    before = pa.default_memory_pool().max_memory()
+    with pytest.raises(MeasurementsError, match="at most 250 bytes, got 100,000 in column 'day'"):
+        read_replicates(path, "day", load_model("ungm"), Clock.counting(10), [])
+    assert pa.default_memory_pool().max_memory() - before < 20_000_000  # repeated: 2 GB
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (",".join(f"c{k}" for k in range(100_000)), "at most 1,000 columns, got 100,000"),
+        ("t," + "y" * 2_000_000, "the first line must be shorter than 1,000,000 letters"),
+        ("#" + "x" * 2_000_000, "the first line must be shorter than 1,000,000 letters"),
+        (
+            't,"' + "y\n" * 200_000 + '"',
+            "lines must have as many values as the first: field larger",
+        ),
+    ],
+)
+def test_a_line_of_names_is_refused_before_pandas_reads_it(
+    line: str, words: str, tmp_path: Path, ship: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "wide.csv").write_text(f"{line}\n1,2\n")
+    monkeypatch.setattr(user_tables.pd, "read_csv", None)
+    with pytest.raises(MeasurementsError, match=words):
+        read_measurements(tmp_path / "wide.csv", ship, Clock.counting(10))
+
+
+@pytest.mark.parametrize("name", ["days.csv", "days.parquet"])
+def test_a_table_is_the_same_however_many_parts_it_is_read_in(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(1)
+    written = {"day": ["a", "b b"] * 15, "t": np.arange(30), "y0": rng.normal(size=30)}
+    written["y1"] = np.where(written["t"] % 4 == 0, NAN, rng.normal(size=30))
+    path = _written(tmp_path / name, written)
+    for cells in (4, 16, 1000):
+        monkeypatch.setattr(user_tables, "_CELLS", cells)
+        found = user_tables.read_user_table(path, lambda header: ["day"])
+        assert found["day"].tolist() == written["day"]
+        for column in ("t", "y0", "y1"):
+            np.testing.assert_array_equal(found[column], written[column])
+        (only,) = user_tables.read_user_table(path, lambda header: None, only=["y1"]).values()
+        np.testing.assert_array_equal(only, written["y1"])
+    monkeypatch.setattr(user_tables, "_CELLS", 8)
+    wrong = [str(value) for value in written["y0"]]
+    wrong[20] = "high"
+    path = _written(tmp_path / name, written | {"y0": wrong})
+    with pytest.raises(ValueError, match="column 'y0' in row 21 must be a number, got 'high'"):
+        user_tables.read_user_table(path, lambda header: ["day"])
+
+
+def test_lines_of_other_lengths_are_found_in_every_part(
+    tmp_path: Path, ship: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(user_tables, "_CELLS", 6)
+    rows = "".join(f"{t},1,2\n" for t in range(8))
+    (tmp_path / "ship.csv").write_text(f"# a\n\n#b\nt,y0,y1\n{rows}8,1,2,3\n")
+    with pytest.raises(MeasurementsError, match="Expected 3 fields in line 10, saw 4"):
+        read_measurements(tmp_path / "ship.csv", ship, Clock.counting(10))
+    (tmp_path / "ship.csv").write_text(f"# a\n\n#b\nt,y0,y1\n{rows}8,1\n9,1,2\n")
+    found = read_measurements(tmp_path / "ship.csv", ship, Clock.counting(10))
+    assert found.t == tuple(range(10))
+    assert np.isnan(found.y[8, 1])
 
 
 # --- priors ---------------------------------------------------------------------------------------

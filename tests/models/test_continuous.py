@@ -12,6 +12,7 @@ from pfdist import StateSpaceModel, ode, sde
 from pfdist.errors import ArgumentError, ModelError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.simulation import simulate
+from pfdist.models.continuous import doubled
 from pfdist.models.recorded import recorded
 from pfdist.models.written import models_of, text_of
 
@@ -258,6 +259,53 @@ def test_a_model_with_loops_travels_as_text_with_all_bits():
     assert read.transition == model.transition
     states = [simulate(each, 6, range(100), 1).x for each in (model, read)]
     np.testing.assert_array_equal(*states)
+
+
+# --- twice as many steps --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["euler", "heun"])
+def test_twice_as_many_steps_follow_the_same_brownian_motions(method):
+    """Halves (a + b) / sqrt 2 and (a - b) / sqrt 2 of a step: a rotation of normal variates."""
+
+    def flow(substeps):
+        return sde(linear, lambda x, t, p: B, noises=2, method=method, substeps=substeps)
+
+    model, noise = made(flow(3)), np.random.default_rng(0).standard_normal((2, 3, 2))
+    halves = np.stack([noise[0] + noise[1], noise[0] - noise[1]], axis=1) / np.sqrt(2)
+    finer = doubled(model)
+    assert finer.process_noise == ("normal",) * 12
+    x = finer.transition(START, 0, tuple(noise.ravel()), None)
+    assert x == pytest.approx(flow(6)(START, 0, tuple(halves.ravel()), None), rel=1e-13)
+    still = made(sde(lambda x, t, p: (0.0, 0.0), lambda x, t, p: B, noises=2, substeps=3))
+    few, many = (simulate(each, 5, range(50), 1).x for each in (still, doubled(still)))
+    np.testing.assert_allclose(few, many, rtol=1e-12, atol=1e-12)  # without drift, it is the end
+
+
+@pytest.mark.parametrize(("given", "twice"), [
+    ({"substeps": 3}, {"substeps": 6}), ({"largest_step": 0.25}, {"largest_step": 0.125})
+])  # fmt: skip
+def test_twice_as_many_steps_of_an_equation_in_a_transition(given, twice):
+    def model(**steps):
+        rest = ode(linear, **steps)
+        step = lambda x, t, w, p: tuple(a + 0.2 * w[0] for a in rest(x, t, (), p))  # noqa: E731
+        return made(step, process_noise=("normal",)).on_clock(CLOCK)
+
+    finer = doubled(model(**given))
+    assert len(finer.process_noise) == 1
+    states = [simulate(each, len(CLOCK) - 1, range(50), 1).x for each in (finer, model(**twice))]
+    np.testing.assert_array_equal(*states)
+
+
+def test_what_has_no_equation_is_not_changed():
+    walk = made(lambda x, t, w, p: x)
+    for model in (walk, recorded(made(ode(linear)), range(3))):
+        assert doubled(model) is model
+    proposal = {"proposal": lambda x, y, t, u, p: u, "proposal_log_density": lambda *_: 0.0}
+    noise = ("normal",) * 20
+    flow = sde(linear, lambda x, t, p: (1.0, 1.0), noises=2)
+    with pytest.raises(ModelError, match="continuous has a proposal, which draws no noise of more"):
+        doubled(made(flow, process_noise=noise, **proposal))
 
 
 # --- mistakes -------------------------------------------------------------------------------------

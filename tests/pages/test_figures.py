@@ -433,6 +433,7 @@ def curve() -> pd.DataFrame:
                 "draws": 100,
             }
             | {"standard_error": 0.1, "bound": np.nan, "bound_low": np.nan}
+            | {"particle_loss": np.nan, "particle_loss_limit": np.nan}
             for kind, column in costs.items()
             for number, mse in enumerate(column, start=2)
         ]

@@ -125,6 +125,7 @@ def test_small_budgets_with_huge_errors_leave_the_curve_its_room() -> None:
         pd.DataFrame({"kind": kind, "measurements": numbers, "expected_mse": mse})
         for kind, mse in costs.items()
     ).assign(bound=np.nan, bound_low=np.nan, draws=9, standard_error=0.1, measurement_times=None)
+    table = table.assign(particle_loss=np.nan, particle_loss_limit=np.nan)
     for end, factor in (("low", 0.9), ("high", 1.1)):
         table[f"expected_mse_{end}"] = factor * table["expected_mse"]
     axes = budget(table, ax=_axes())

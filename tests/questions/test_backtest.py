@@ -105,6 +105,7 @@ def test_a_wrong_model_is_found_and_a_promise_is_kept(planned: Path) -> None:
     with pytest.warns(PfdistWarning, match="The model is wrong: the real error differs from"):
         found = judged(planned, data, times=late)
     assert found.wrong == [*found.sets]
+    assert repr(found).startswith("<The model is wrong: ")  # before the verdict
     assert found.promises["late"].verdict == KEPT
     assert found.promises["late"].ratio == pytest.approx(3.0, rel=0.5)
     assert found.improbable > 0.02
@@ -234,6 +235,16 @@ def test_a_number_of_replicates_that_nobody_has_is_not_named(
                      foreseen=0.2, foreseen_interval=(0.1, 0.3))  # fmt: skip
     answer = replace(found, promises={**found.promises, "centred": unsure})
     assert says in answer_of(answer).sections[0].blocks[0].text
+
+
+def test_filters_that_collapse_come_first(planned: Path) -> None:
+    found = judged(planned, days(2))
+    assert found.as_json()["collapsed"] == 0  # the filter is exact
+    told = replace(found, collapsed=3)
+    assert told.as_json()["collapsed"] == 3
+    few = "<The estimate is that of a few particles, not the model's: the effective sample size "
+    few += "falls below 5 in 3 of 6 filters. What may help: more particles, filter.proposal = "
+    assert repr(told).startswith(few)
 
 
 def test_replicates_that_cannot_be_judged_are_named(planned: Path) -> None:

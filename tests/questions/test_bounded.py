@@ -10,9 +10,13 @@ import pytest
 
 import pfdist
 from oracles.three_sensors import HORIZON, ThreeSensors
-from pfdist import Problem, StateSpaceModel, load_model
+from pfdist import Problem, StateSpaceModel, load_model, ode, sde
+from pfdist.common.measurement_times import regular
+from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.kalman import expected_mse
+from pfdist.filters.work import Estimation
 from pfdist.questions import model_checks as checks_of_models
+from pfdist.questions.check_model import checks_of
 from pfdist.questions.model_checks import Check, check_loaded
 
 WALK = load_model("random_walk")
@@ -203,3 +207,53 @@ def test_a_job_with_the_kalman_filter_has_no_particles() -> None:
     mse, error = estimated(checks["expected MSE"][1])
     exact = expected_mse(WALK, 12, [problem.job().problem.feasible.regular()])[0]
     assert mse == pytest.approx(exact, abs=4 * error)
+
+
+# --- differential equations -----------------------------------------------------------------------
+
+
+def stiff(substeps: int) -> StateSpaceModel:
+    """A level that returns to 1 at a rate that varies between draws, and is seldom high."""
+    level = ode(lambda x, t, p: (x[1] * (1.0 - x[0]), 0.0), substeps=substeps)
+    return replace(
+        WALK,
+        name="stiff",
+        initial=lambda w, p: (1.0 + 0.3 * w[0], np.minimum(np.exp(0.8 * w[1]), 8.6)),
+        transition=lambda x, t, w, p: (level(x, t, (), p)[0] + 0.3 * w[0], x[1]),
+        initial_noise=("normal", "normal"),
+        parameters={**WALK.parameters, "measurement_sd": 0.2},
+        linear_gaussian=False,
+    )
+
+
+def on_substeps(model: StateSpaceModel, **others: Any) -> tuple[str, str]:
+    """State and text of the check of sub-steps; those behind it are not computed."""
+    keys: dict[str, Any] = {"horizon": 20, "measurement_budget": 7, "particles": 100}
+    checks = checks_of(Problem(model, **keys, **others))
+    return next((each.state, each.text) for each in checks if each.name == "substeps")
+
+
+def test_steps_that_are_too_long_for_rare_draws_are_found() -> None:
+    """Runge and Kutta's method is unstable beyond 2.785 rates a step (Hairer, Wanner, IV.2).
+
+    Rates above 8.355 have a probability of 0.4 %. The change is that of a model with twice the
+    steps on the same draws.
+    """
+    state, text = on_substeps(stiff(3))
+    assert (state, "give twice the substeps=" in text) == ("note", True), text
+    evaluators = [Evaluator(stiff(substeps), 20) for substeps in (3, 6)]
+    work = evaluators[0].work((regular(20, 7),), 3, 3, (0, 1000), Estimation(100))
+    few, many = (each(work).mse.mean() for each in evaluators)
+    change, _ = estimated(text.partition(" by ")[2])
+    assert change == pytest.approx(100 * (many / few - 1), abs=0.5)  # as many digits as it has
+    state, text = on_substeps(stiff(12))
+    assert (state, "give" in text) == ("ok", False), text
+
+
+def test_the_brownian_motions_of_an_equation_are_the_same_with_more_steps() -> None:
+    """A walk in continuous time has the same states with any steps, as truth and in the filter."""
+    flow = sde(lambda x, t, p: (0.0,), lambda x, t, p: (p.step_sd,), noises=1, substeps=4)
+    model = replace(WALK, transition=flow, process_noise=flow.process_noise)
+    state, text = on_substeps(model, filter_model=replace(model, name="own"))
+    assert state == "ok"
+    assert "x by 0.0 % of its standard deviation (root mean square; at most 0 %)" in text

@@ -13,11 +13,14 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
+from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import rounded
 from pfdist.errors import JobError
 from pfdist.filters.kalman import expected_mse
 from pfdist.problem.feasible import Feasible
 from pfdist.problem.sections import DEFAULT_METHOD
+from pfdist.problem.set_key import phrase_of
+from pfdist.questions.run_page import answer_of, page_of
 from pfdist.results import reaching
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.progress import Progress
@@ -109,6 +112,29 @@ def test_with_particles_the_limit_lies_below_the_optimum(
         assert row["bound_error"] > 0
         assert 0.9 * optimum < row["bound_low"] < optimum
         assert row["bound_low"] < row["bound"] < optimum + 4 * row["bound_error"]
+
+
+def test_few_particles_that_reach_no_target_say_that_more_may(
+    small_job: Job, tmp_path: Path, optima: "pd.Series[float]"
+) -> None:
+    """The exact filter reaches it with 3 measurements; 4 particles do not with 3 or 4."""
+    few = small_job.with_changes(["model.name=random_walk", "filter.particles=4"])
+    run = pfdist.budget(few, (3, 4), tmp_path / "run", draws=400, bound_draws=0, figures=False)
+    sets = run.table("sets").set_index("name")
+    assert (sets["particle_loss_limit"] > 0.1).all()
+    target = optima[3] * 1.05
+    reached = reaching(run.table("sets"), target)["found"]
+    assert (reached["measurements"], reached["with_more_particles"]) == (None, 3)
+    said = " ".join(str(answer_of(run, target)).split())
+    own = sets.loc[f"{DEFAULT_METHOD}_03"]
+    loss = particle_loss_text(own["particle_loss"], own["particle_loss_limit"])
+    more = f"with more particles 3 may be enough: these 4 lose {loss}"
+    assert f"reaches an MSE of {target:g}; {more}" in said
+    assert len(sets["warnings"].explode().dropna()) == 1  # of the set with the largest loss
+    worst = sets.loc[sets["particle_loss_limit"].idxmax(), "label"]
+    assert f"The particles lose most with {phrase_of(worst)}: at most" in " ".join(
+        str(page_of(run)).split()
+    )
 
 
 def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(

@@ -316,7 +316,7 @@ def test_a_model_that_reads_the_clock_needs_one(job: Path) -> None:
     model = pfdist.load_model(f"{job.with_name('ou.py')}:model")
     with pytest.raises(PfdistError, match=r"or take the model's on_clock\(times\)"):
         pfdist.Filter(model, particles=20, engine="numpy").update(1, 0.3)
-    filtering = pfdist.Filter(model.on_clock([0.0, 0.5, 2.0]), particles=20, engine="numpy")
+    filtering = pfdist.Filter(model.on_clock([0.0, 0.5, 2.0]), particles=200, engine="numpy")
     assert np.isfinite(filtering.update(2, 0.3).mean).all()
 
 

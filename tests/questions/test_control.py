@@ -48,7 +48,8 @@ def test_a_job_asks_for_controls_and_the_printed_mean_is_less_them(
     for name in asked.names:
         values = rows[f"mse_{name}"] - rows[f"control_{name}"]
         assert sets["expected_mse"][name] == pytest.approx(values.mean())
-        assert sets["standard_error"][name] == pytest.approx(values.sem())
+        alone = (rows[f"mse_{name}"].max() - values.mean()) / len(rows)  # the control fails there
+        assert sets["standard_error"][name] == pytest.approx(math.hypot(values.sem(), alone))
         assert values.sem() < before["standard_error"][name]
         apart = rows[f"control_{name}"]
         assert abs(apart.mean()) < 4 * apart.sem()

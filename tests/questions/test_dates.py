@@ -283,6 +283,20 @@ def test_an_export_for_a_diary_has_the_moments_of_the_plan(run: pfdist.Run, tmp_
     assert (tmp_path / "plan.ics").read_bytes() == before
 
 
+def test_an_export_leaves_other_names_of_the_file_as_they_are(
+    run: pfdist.Run, tmp_path: Path
+) -> None:
+    for name in ("plan.csv", "plan.ics"):
+        file = run.export(tmp_path / name)
+        with file.open("a") as mine:
+            mine.write("a note of mine\n")
+        kept = tmp_path / f"kept-{name}"
+        kept.hardlink_to(file)
+        before = kept.read_bytes()
+        run.export(file)
+        assert kept.read_bytes() == before != file.read_bytes()
+
+
 def test_an_export_has_how_far_each_measurement_may_move(run: pfdist.Run, tmp_path: Path) -> None:
     with run.export(tmp_path / "plan.csv").open(newline="") as file:
         rows = [*csv.DictReader(file)]

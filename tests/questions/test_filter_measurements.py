@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -162,15 +163,20 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
         "measured": [0, 5, 8], "missing": [4], "extra": [5], "to_come": [12],
     }  # fmt: skip
     assert answer["log_evidence"] is None
-    assert answer["is_improbable"] is False
+    assert (answer["is_improbable"], answer["collapsed"]) == (False, None)
     assert answer["most_surprising"]["t"] in (0, 5, 8)
     y[5] = 1e3
     _written(path, (0, 5, 8), y)
     assert main(words) == 0
     text = capsys.readouterr().out
-    assert "most surprising       t = 5, p = " in text
-    note = r"Note: The measurement at t = 5 is improbable, p = [\de.-]+ \([\de.-]+ among all\): "
-    assert re.search(note + "the model may be wrong about this system", " ".join(text.split()))
+    few = "The estimate is that of a few particles, not the model's: the effective sample size "
+    assert " ".join(text.split()).startswith(f"{few}falls below 5 at t = 5. What may help: ")
+    assert "most surprising       t = 5, p at most " in text
+    note = r"The measurement at t = 5 is improbable, p at most [\de.-]+ \(at most [\de.-]+ "
+    note += r"among all\): the model may be wrong about this system"
+    assert re.search(note, " ".join(text.split()))
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["collapsed"] == 5
 
 
 def test_an_improbable_measurement_is_a_warning_and_shows_itself(
@@ -180,13 +186,14 @@ def test_an_improbable_measurement_is_a_warning_and_shows_itself(
     y[5] = 1e3
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
     options: Any = {"planned": "regular", "report": False}
-    with pytest.warns(
-        PfdistWarning, match=r"^The measurement at t = 5 is improbable, p = "
-    ) as said:
+    with pytest.warns(PfdistWarning) as said:
         found = pfdist.filter_measurements(job, path, **options)
-    line = str(said[0].message)
-    assert repr(found).endswith(f" | {line}>")
-    assert f"<p>Note: {line}</p>" in found._repr_html_()
+    few, line = (str(each.message) for each in said)
+    assert few.startswith("The estimate is that of a few particles, not the model's: ")
+    assert line.startswith("The measurement at t = 5 is improbable, p at most 1.0e-05 (")
+    assert repr(found).startswith(f"<{few} | {line} | At t = 8: ")
+    assert f"<p>{escape(few)}</p>" in found._repr_html_()
+    assert f"<p>{line}</p>" in found._repr_html_()
     lines = list[str]()
     pfdist.filter_measurements(job, path, **options, say=lines.append)  # raises no warning
     _written(path, (0, 8), y)
@@ -209,7 +216,7 @@ def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often() -> None:
 
 def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
     filtering = Filter(model, 400, draw=draw)
-    surprises = [filtering.update(t, y[t]).surprise for t in times]
+    surprises = [filtering.update(t, y[t], warn=False).surprise for t in times]
     table = pd.DataFrame({"t": list(times), "surprise": surprises})
     found = FilteredMeasurements(
         Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
@@ -229,6 +236,11 @@ def test_the_exact_filter_gives_its_evidence(
     exact.update(0, 3.0)
     exact.update(4, 1.0)
     assert found.log_evidence == exact.log_evidence
+    path.write_text("t,y0\n0,3.0\n4,1e6\n")
+    with pytest.warns(PfdistWarning, match="improbable, p = ") as said:
+        assert pfdist.filter_measurements(job, path).collapsed is None
+    assert len(said) == 1
+    path.write_text("t,y0\n0,3.0\n4,1.0\n")
     assert found.table["effective_sample_size"].isna().all()
     np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
     assert main(["filter", str(job), str(path)]) == 0

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 import pfdist
 from pfdist.filters.evaluator import recorded_evaluator
 from pfdist.filters.evidence import exact_log_evidence
+from pfdist.questions.fit import Fitted
 
 HORIZON, SYSTEMS = 20, 30
 TRUE = {"a": 0.9, "sd": 0.5, "noise": 0.7}
@@ -95,10 +96,102 @@ def test_training_replicates_alone_are_used(data: pd.DataFrame) -> None:
     assert fitted.parameters == first.parameters
 
 
-def test_bounds_hold(data: pd.DataFrame) -> None:
-    fitted = pfdist.fit(problem(engine="kalman"), data, {"noise": (0.9, 2.0)}, pool="serial")
-    assert fitted.parameters["noise"] == pytest.approx(0.9, abs=1e-3)
-    assert fitted.parameters["noise"] >= 0.9
+@pytest.mark.parametrize("bounds", [(0.9, 2.0), (1.0, 2.0), (0.01, 0.1)])
+def test_a_maximum_outside_of_the_bounds_is_on_a_bound(
+    data: pd.DataFrame, bounds: tuple[float, float]
+) -> None:
+    """The likelihood has one maximum, at .17, because other parameters are wrong."""
+    start = np.clip(START["noise"], *bounds)
+    job, changes = problem(engine="kalman"), [f"model.parameters.noise={start}"]
+    fitted = pfdist.fit(job, data, {"noise": bounds}, changes=changes, pool="serial")
+    nearest = float(np.clip(0.17, *bounds))
+    assert fitted.parameters == {"noise": nearest}
+    assert fitted.on_bound == ("noise",)
+    assert f"noise lies on its bound, {nearest:.4f}" in str(fitted)
+
+
+def cubic(**parameters: float) -> pfdist.StateSpaceModel:
+    """Measurements k^2 and .3 k of a constant k: with k = -1, another maximum is near k = .9."""
+    return pfdist.StateSpaceModel(
+        name="cubic",
+        initial=lambda w, p: (p.spread * w[0],),
+        transition=lambda x, t, w, p: (x[0] + 0.0 * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + p.k**2 + 0.1 * v[0], 0.3 * p.k + 0.1 * v[1]),
+        log_likelihood=lambda y, x, t, p: (
+            pfdist.densities.normal_logpdf(y[0], x[0] + p.k**2, 0.1)
+            + pfdist.densities.normal_logpdf(y[1], 0.3 * p.k, 0.1)
+        ),
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal", "normal"),
+        parameters={"k": 0.8, "spread": 0.02, **parameters},
+        parameter_ranges={"spread": (0.0, 9.0)},
+        linear_gaussian=True,
+        normalised=True,
+    )
+
+
+MEASURED = pd.DataFrame({"system": 0, "t": range(9), "y0": 1.0, "y1": -0.3})
+
+
+def exact(start: float, bounds: tuple[float, float]) -> Fitted:
+    """The fit of k by the exact likelihood."""
+    job = pfdist.Problem(cubic(k=start), horizon=8, measurement_budget=4, engine="kalman")
+    return pfdist.fit(job, MEASURED, {"k": bounds}, pool="serial")
+
+
+@pytest.mark.parametrize("start", [-2.0, 0.0])
+def test_a_start_on_a_bound_is_left(start: float) -> None:
+    """At k = -1 both measurements are those that are expected: no value has a larger likelihood."""
+    fitted = exact(start, (-2.0, 0.0))
+    assert fitted.parameters["k"] == pytest.approx(-1.0, abs=1e-3)
+    assert fitted.is_converged
+    assert fitted.on_bound == ()
+
+
+def test_of_two_maxima_the_larger_is_found() -> None:
+    """The search from the start alone finds the other maximum, on the positive side."""
+    fitted = exact(0.95, (-4.0, 9.0))
+    assert fitted.parameters["k"] == pytest.approx(-1.0, abs=1e-3)
+    assert fitted.is_converged
+    assert fitted.starts > 2  # the first two do not agree
+
+
+def test_a_deviation_without_which_the_data_are_most_likely_is_0() -> None:
+    """A logarithm only comes near 0. All measurements are the same, so the states differ by 0."""
+    job = pfdist.Problem(cubic(k=-1.0), horizon=8, measurement_budget=4, engine="kalman")
+    fitted = pfdist.fit(job, MEASURED, ["spread"], pool="serial")
+    assert fitted.parameters == {"spread": 0.0}
+    assert fitted.on_bound == ("spread",)
+
+
+def test_without_two_starts_that_agree_the_search_has_not_converged(data: pd.DataFrame) -> None:
+    """The first search alone, which needs more evaluations than these, proves nothing."""
+    fitted = pfdist.fit(problem(engine="kalman"), data, ["noise"], evaluations=9, pool="serial")
+    assert fitted.evaluations == 9
+    assert not fitted.is_converged
+    assert "no two distant starts" in str(fitted)
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_the_error_contains_that_of_the_maximum(seed: int) -> None:
+    """Few particles: the exact likelihood of k = -1, the largest, beside that of what is found."""
+    settings = {"horizon": 8, "measurement_budget": 4}
+    few = pfdist.Problem(cubic(), **settings, particles=10)
+    changes = [f"seed={seed}"]
+    fitted = pfdist.fit(few, MEASURED, {"k": (-2.0, 0.8)}, changes=changes, pool="serial")
+    most, found = (
+        pfdist.fit(
+            pfdist.Problem(cubic(k=k), **settings, engine="kalman"),
+            *(MEASURED, ["k"]),
+            evaluations=1,
+        ).started_at
+        for k in (-1.0, fitted.parameters["k"])
+    )
+    assert fitted.is_converged
+    assert most - found < fitted.error
+    assert abs(fitted.log_likelihood - most) < 3 * fitted.error
 
 
 def test_a_likelihood_without_its_constant_is_not_fitted(data: pd.DataFrame) -> None:

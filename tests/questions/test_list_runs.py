@@ -128,7 +128,7 @@ def test_a_damaged_run_is_a_row_that_says_what_is_wrong(
     (tmp_path / "bad" / ".lock").unlink(missing_ok=True)
     spoil(tmp_path / "bad")
     bad, good = pfdist.list_runs(tmp_path).to_dict("records")
-    assert (bad["run"], bad["state"], bad["best"]) == ("bad", "damaged", None)
+    assert (bad["run"], bad["state"], bad["best"]) == ("bad", "unreadable", None)
     assert words in bad["fault"]
     assert str(tmp_path) not in bad["fault"]
     assert "\n" not in bad["fault"]

@@ -15,7 +15,10 @@ from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import PfdistError, PfdistWarning
+from pfdist.filters.estimate import difference
 from pfdist.filters.simulation import simulate
+from pfdist.problem.problem import as_job
+from pfdist.runner.build import build
 
 JOB = """
 seed = 3
@@ -66,6 +69,37 @@ def test_a_coin_never_has_a_larger_error_than_a_quarter() -> None:
     assert none.expected_mse == pytest.approx(q * (1 - q), abs=4 * none.standard_error)
     exact = oracles.modes.Modes(switch=0.0, sd=1.0, horizon=10, start=q).fixed((1, 2, 3))
     assert left.expected_mse == pytest.approx(exact, abs=0.01)  # 500 particles, 2,000 draws
+
+
+def test_the_standard_error_of_an_expected_error_contains_the_noise_of_the_particles() -> None:
+    """Planners with other noise, beside the exact error of a chain of two states, by enumeration.
+
+    Filters with few particles have a larger error, by a share of about 2 / particles.
+    """
+    particles = 30
+    switch, sd, y = 0.1, 0.5, (0.7, 0.2, 0.4)
+    chain = oracles.modes.Modes(switch, sd, horizon=2)
+    q = chain.start
+    for each in y:
+        q = chain._after(q * (1 - switch) + (1 - q) * switch, each)  # at first, both are 1/2
+    later = oracles.modes.Modes(switch, sd, horizon=6, start=float(q))
+    wanted = later.fixed((2, 4)), later.fixed((5, 6))
+    quick = ["online.judging_draws=2", "online.search.evaluation={draws=2, particles=2}"]
+    model = oracles.modes.model(switch, sd)
+    problem = Problem(model, horizon=8, measurement_budget=5, particles=particles)
+    built, found = build(as_job(problem, quick)), list[tuple[float, float, float]]()
+    for number in range(20):
+        planner = Planner(built, (0, 1, 2, 4, 6), draw=number)
+        for t, each in enumerate(y):
+            planner.update(each, t)
+        plan, other = planner.expected((4, 6), (7, 8), draws=1000)
+        apart = difference(plan, other)
+        miss = apart.value - wanted[0] + wanted[1]
+        found.append((plan.expected_mse, plan.standard_error, miss / apart.standard_error))
+    value, error, z = np.array(found).T
+    assert 0 <= value.mean() / wanted[0] - 1 < 4 / particles
+    assert ((value - value.mean()) / error).std(ddof=1) < 1.5  # 20 normal variates: 1 +- .16
+    assert z.std(ddof=1) < 1.5
 
 
 def test_it_measures_the_whole_budget_and_keeps_the_constraints(job: Job) -> None:
@@ -227,6 +261,11 @@ def test_time_that_has_passed_replaces_the_plan(kept: Path, tmp_path: Path) -> N
     assert found.plan[0] > 9
     assert len(found.plan) == 4
     assert found.now == 9
+    low, high = found.as_json()["difference_low"], found.as_json()["difference_high"]
+    assert low < found.difference.value < high
+    alone = np.hypot(found.expected.standard_error, found.expected_before.standard_error)
+    assert found.difference.standard_error < alone  # both plans are filtered with common noise
+    assert "(95 % CI " in found._repr_html_()
 
 
 def test_the_command_says_when_or_why_no_measurement_is_left(
@@ -257,12 +296,21 @@ def test_measurements_that_contradict_the_model_are_told(
 ) -> None:
     file = tmp_path / "y.csv"
     file.write_text("t,y0\n0,3000.0\n")
-    with pytest.warns(PfdistWarning, match="^The model may be wrong about this system: look at"):
+    with pytest.warns(PfdistWarning) as said:
         told = pfdist.next_time(kept, file)
+    few, wrong = (str(each.message) for each in said)
+    assert few.startswith("The estimate is that of a few particles, not the model's")
+    assert wrong.startswith("The model may be wrong about this system: look at")
     assert told.is_improbable
-    assert " | The model may be wrong about this system" in repr(told)
+    assert repr(told).startswith(f"<{few} | {wrong} | Measure next at t = ")
+    assert (told.collapsed, told.as_json()["collapsed"]) == (0, 0)
     assert main(["next", str(kept), str(file)]) == 0
-    assert "The model may be wrong about this system" in capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.startswith(f"{few} {wrong} Measure next")
+    planner = pfdist.Planner(kept)
+    with pytest.warns(PfdistWarning, match="^The estimate is that of a few particles"):
+        assert planner.update(3000.0, 0).collapsed == 0
+    assert planner.estimate().collapsed == 0
 
 
 def test_a_first_plan_that_is_no_longer_possible_is_not_compared(

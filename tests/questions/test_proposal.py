@@ -1,5 +1,6 @@
 """Which proposal the filter of a job has: "auto" decides on draws of its own."""
 
+import warnings
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -8,9 +9,12 @@ import pytest
 
 import pfdist
 from oracles.guided import bootstrap, sharp_walk
+from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.filters.work import GUIDED, PLAIN
 from pfdist.problem.job import Job
+from pfdist.questions import model_checks as checks_of_models
+from pfdist.questions.check_model import checks_of
 from pfdist.runner import particles
 from pfdist.runner.build import _with_long_gap, build
 
@@ -80,9 +84,56 @@ def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.Monke
     run = pfdist.plan(job, tmp_path / "run", pool="serial", figures=False, say=said.append)
     assert any(line.startswith("filter.proposal: guided") for line in said)
     assert 'proposal = "guided"\n' in (run.path / "job.toml").read_text()
-    monkeypatch.setattr(particles, "guides_better", lambda *_: 1 / 0)
+    monkeypatch.setattr(particles, "why_plain", lambda *_: 1 / 0)
     again = pfdist.plan(job, run.path, pool="serial", figures=False)
     assert again.job["filter"]["proposal"] == GUIDED
+
+
+SQUARE = StateSpaceModel(  # whose sign no measurement sees
+    name="square",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: (0.5 * x[0] + w[0],),
+    measurement=lambda x, t, v, p: (x[0] ** 2 + 0.2 * v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0] ** 2) / 0.2) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+)
+
+
+@pytest.mark.parametrize(("model", "state"), [(SHARP, "ok"), (SQUARE, "note")])
+def test_a_guided_filter_by_hand_is_judged_as_auto_judges(
+    model: StateSpaceModel, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.5)  # no larger numbers are tried
+    asked = problem(model, particles=200, horizon=20, measurement_budget=7)
+    is_plain = state == "note"
+    assert proposal_of(asked.job()) == (PLAIN if is_plain else GUIDED)
+    for proposal, is_judged in ((PLAIN, False), (GUIDED, True)):
+        by_hand = asked.with_changes(proposal=proposal)
+        found = [each for each in checks_of(by_hand) if each.name == "filter.proposal"]
+        assert [each.state for each in found] == [state] * is_judged
+        assert all(("67 guided ones lose" in each.text) is is_plain for each in found)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            pfdist.particle_losses(by_hand, (200,), draws=20)
+        texts = [str(each.message) for each in said]
+        assert len(texts) == (is_plain and is_judged)
+        assert all("'auto' takes 'plain': 200 plain particles" in text for text in texts)
+
+
+def test_auto_is_checked_with_a_proposal_of_the_model() -> None:
+    """A run of "auto" has the plain filter, whose noise comes from the model's own proposal."""
+    own, by_hand, without = (
+        next(each.text for each in checks_of(asked) if each.name == "expected MSE")
+        for asked in (
+            problem(sharp_walk(3)),
+            problem(sharp_walk(3), proposal="plain"),
+            problem(SHARP, proposal="plain"),
+        )
+    )
+    assert own == by_hand != without
 
 
 def test_the_bound_of_a_guided_run_is_tight(tmp_path: Path) -> None:

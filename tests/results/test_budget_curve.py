@@ -43,6 +43,8 @@ def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
             "expected_mse_low": low,
             "expected_mse_high": high,
             "draws": column.size,
+            "particle_loss": math.nan,  # as of an exact engine
+            "particle_loss_limit": math.nan,
         }
         rows.append(row)
     table = pd.DataFrame(rows)
@@ -87,6 +89,7 @@ def test_the_least_number_that_reaches_a_target(table: pd.DataFrame) -> None:
         "interval": [3, 5],  # 7.0 may be 7.1
         "measurement_times": [0, 1, 2],
         "larger_that_do_not": [4],  # 7.15 is not 7.0
+        "with_more_particles": None,
     }
     assert found["found"]["measurements"] == 3
     assert found["found"]["interval"] == [2, 3]  # 7.02 may be 7.0
@@ -180,3 +183,47 @@ def test_the_largest_number_that_cannot_reach_a_target_is_proved(
     assert "impossible" not in reached["regular"]
     assert reached["found"]["measurements"] == least
     assert reached["found"]["impossible"] == impossible
+
+
+def test_a_target_that_is_an_estimate_brings_its_error_into_the_proof() -> None:
+    """If bound and target are equal, at most 5 % of the proofs may say that the bound is higher.
+
+    The bound's error is that of 20 groups of draws, the target's is twice as large. Without it, the
+    test would find a difference as often as a normal variate exceeds 1.73 / sqrt(5): 22 %.
+    """
+    table, rng, tries = _table({"relaxation_2": 9.0 + NOISE}), np.random.default_rng(1), 200
+    groups = rng.normal(5.0, 1.0, (tries, GROUPS))
+    errors = groups.std(axis=1, ddof=1) / math.sqrt(GROUPS)
+    targets = rng.normal(5.0, 2 / math.sqrt(GROUPS), tries)
+    wrong, without = 0, 0
+    for bound, error, target in zip(groups.mean(axis=1), errors, targets, strict=True):
+        columns = _columns(_proof(6.0, 7.0, (0.1, 0.1, 0.1)))
+        proof = {"relaxation_2": columns | {"bound": bound, "bound_error": error}}
+        bounded = with_bounds(table, proof)
+        own = reaching(bounded, target, 2 / math.sqrt(GROUPS))["found"]
+        wrong += own["impossible"] is not None
+        without += reaching(bounded, target)["found"]["impossible"] is not None
+    most = tries * 0.05 + 3 * math.sqrt(tries * 0.05 * 0.95)
+    assert wrong <= most < without
+    assert wrong > 0  # the test is not idle
+
+
+@pytest.mark.parametrize(
+    ("loss", "limit", "fewer"),
+    [
+        (0.15, 0.30, 3),  # 6 (1 - 0.30) = 4.2 may be enough, 7.02 (1 - 0.30) = 4.9 is not
+        (0.15, 0.38, 2),
+        (0.15, 0.10, None),  # 5 (1 - 0.10) = 4.5 is not enough
+        (0.005, 0.045, None),  # small
+        (math.nan, math.nan, None),  # unknown
+    ],
+)
+def test_a_number_that_more_particles_may_make_enough(
+    table: pd.DataFrame, loss: float, limit: float, fewer: int | None
+) -> None:
+    table = table.assign(particle_loss=loss, particle_loss_limit=limit)
+    found = reaching(table, 4.4)["found"]
+    assert (found["measurements"], found["with_more_particles"]) == (5, fewer)
+    sure = {"bound": 6.5, "bound_error": 0.0, "particles": 0, "reason": "", "budget": 2}
+    proved = reaching(with_bounds(table, {"relaxation_2": sure}), 4.4)["found"]
+    assert proved["with_more_particles"] != 2  # no filter reaches it

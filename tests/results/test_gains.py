@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pfdist.filters.estimate import Evaluation
 from pfdist.results import (
     BIN,
     EDGES,
@@ -17,6 +18,7 @@ from pfdist.results import (
     relative_gain,
 )
 from pfdist.results.moments import QUANTILES, disagree, gain_over_itself
+from pfdist.results.particle_loss import top_percent_share
 
 Array = np.ndarray
 
@@ -329,28 +331,28 @@ def test_the_share_of_the_top_percent_is_the_lorenz_curve_of_a_pareto_distributi
     draws = 200_000
     mse = (1 - (np.arange(draws) + 0.5) / draws) ** (-1 / alpha)
     values = np.random.default_rng(1).permutation(mse)
-    shares = []
-    for blocks in (1, 7, 1000):
-        statistics = ComparisonStatistics(["regular"], draws)
-        for block in np.array_split(values, blocks):
-            statistics.add(block[:, None])
-        shares.append(statistics.top_percent_share("regular"))
-    assert shares[0] == pytest.approx(
-        0.01 ** (1 - 1 / alpha), rel=(0.01 * draws) ** (1 / alpha - 1)
-    )
-    assert shares[1:] == pytest.approx(shares[:1] * 2, rel=1e-12)
+    share = top_percent_share(values)
+    assert share == pytest.approx(0.01 ** (1 - 1 / alpha), rel=(0.01 * draws) ** (1 / alpha - 1))
     exact = np.sort(mse)[-draws // 100 :].sum() / mse.sum()
-    assert shares[0] == pytest.approx(exact, rel=1e-12)
+    assert share == pytest.approx(exact, rel=1e-12)
 
 
 def test_degenerate_draws_count_with_their_errors() -> None:
     mse = np.r_[np.full(199, 1.0), 101.0]
-    statistics = ComparisonStatistics(["regular"], mse.size)
+    statistics = ComparisonStatistics(["regular"])
     statistics.add(mse[:, None], (mse > 100)[:, None])
     assert statistics.degenerate_draws == {"regular": 1}
     assert statistics.mse["regular"].mean == pytest.approx(1.5)
-    # 1 % of 200 draws are two draws: 101 + 1 of 300
-    assert statistics.top_percent_share("regular") == pytest.approx(102 / 300)
-    few = ComparisonStatistics(["regular"], 99)
-    few.add(mse[101:200, None])
-    assert np.isnan(few.top_percent_share("regular"))
+
+
+def test_the_share_of_the_ten_largest_draws() -> None:
+    """Ten of 200 draws have the error 101, the others 1: they carry 1,010 of 1,200."""
+    mse = np.r_[np.full(190, 1.0), np.full(10, 101.0)]
+    for blocks in (1, 7):
+        statistics = ComparisonStatistics(["regular"])
+        for block in np.array_split(mse[::-1], blocks):
+            statistics.add(block[:, None])
+        assert statistics.largest_share("regular") == pytest.approx(1010 / 1200)
+    assert Evaluation((0,), mse).largest_share == pytest.approx(1010 / 1200)
+    assert np.isnan(Evaluation((0,), mse[101:]).largest_share)
+    assert np.isnan(Evaluation((0,), np.r_[mse, np.inf]).largest_share)

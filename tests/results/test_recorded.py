@@ -9,6 +9,7 @@ import pytest
 
 from oracles.listed import rewrite
 from pfdist.cli.main import main
+from pfdist.results.stored_run import read_recorded
 
 ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
 RUN = json.loads((ASSET / "run.json").read_text())
@@ -90,3 +91,99 @@ def test_keys_that_are_lacking_have_their_defaults(
     rewrite(run / "job.toml", text)
     assert main(["status", str(run)]) == 0
     assert "finished" in capsys.readouterr().out
+
+
+# --- what this machine or this version lacks is not damaged ---------------------------------------
+
+SEARCH = _job('method = "genetic"', 'method = "greedy"').decode()
+"""The job of a run by a search and a model that were installed elsewhere."""
+ELSEWHERE = SEARCH.replace('name = "ungm"', 'name = "lost_models"', 1)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "status run",
+        "status run --json",
+        "verify run",
+        "list run",
+        "table run",
+        pytest.param("report run", marks=pytest.mark.slow),
+        pytest.param("plot run", marks=pytest.mark.slow),
+    ],
+)
+def test_a_run_is_read_without_its_search_and_its_model(
+    line: str, run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(run.parent)
+    rewrite(run / "job.toml", ELSEWHERE)
+    assert main(line.split()) == 0, capsys.readouterr().err
+    assert "unreadable" not in capsys.readouterr().out
+
+
+def test_a_recorded_search_keeps_its_own_keys(run: Path) -> None:
+    text = SEARCH.replace("[comparison]", "[online]\ndraws = 5\n[comparison]", 1)
+    online = '[online.search]\nname = "x"\nmethod = "greedy"\nkept = 7\n'
+    rewrite(run / "job.toml", text.replace("[comparison]", f"{online}[comparison]", 1))
+    _, job = read_recorded(run)
+    genetic, survivors = job["search"]
+    assert (genetic["method"], genetic["name"], genetic["population"]) == ("greedy", "genetic", 6)
+    assert survivors["method"] == "survivors"
+    assert job["online"]["search"] == {"name": "x", "method": "greedy", "kept": 7}
+    assert job["online"]["judging_draws"] == 1024  # a default that the file lacks
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["run run", "why run", "bound run", "evaluate run --times 0,3", "next run no"],
+)
+def test_a_command_that_needs_a_search_says_which_and_what_to_do(
+    line: str, run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(run.parent)
+    rewrite(run / "job.toml", SEARCH)
+    error = _line(line.split(), capsys)
+    assert "got 'greedy'; another method needs its package installed, or in Python" in error
+    assert "run/job.toml" in error
+    assert "damaged" not in error
+
+
+CLOCK = (
+    "measurement_budget = 4\n",
+    'measurement_budget = 4\n[problem.clock]\nstart = "2026-04-01"\nstep = "1 d"\n'
+    'timezone = "Mars/Base"\n',
+)
+NEWER = [
+    (
+        _job("particles = 40", "particles = 40\nbrightness = 1"),
+        "unknown key 'brightness' in [filter]",
+    ),
+    (_job('engine = "auto"', 'engine = "quantum"'), "filter.engine must be"),
+    (_job(*CLOCK), "timezone must be a name of the IANA database, as Europe/Brussels, got 'Mars/B"),
+]
+
+
+@pytest.mark.parametrize(("job", "words"), NEWER)
+def test_what_this_version_or_machine_lacks_is_named_and_not_called_damaged(
+    job: bytes, words: str, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rewrite(run / "job.toml", job.decode())
+    line = _line(["status", str(run)], capsys)
+    assert f"{run / 'job.toml'} is undamaged, but pfdist " in line
+    assert words in line
+    assert "remove it" not in line
+    assert main(["list", str(run)]) == 0
+    assert "unreadable" in capsys.readouterr().out
+
+
+def test_an_operation_of_a_newer_version_is_named_where_the_model_is_needed(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (run / "model.json").read_text()
+    assert '"cos"' in text
+    rewrite(run / "model.json", text.replace('"cos"', '"zeta"'))
+    assert main(["status", str(run)]) == 0
+    capsys.readouterr()
+    line = _line(["evaluate", str(run), "--times", "0,3"], capsys)
+    assert "model.json is undamaged, but pfdist " in line
+    assert "unknown operation 'zeta'" in line

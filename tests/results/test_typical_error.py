@@ -9,8 +9,10 @@ import pytest
 
 import pfdist
 from pfdist import Job, Problem, StateSpaceModel
-from pfdist.questions.evaluate import evaluated
+from pfdist.common.component_names import named_component
+from pfdist.questions.evaluate import Evaluated, Evaluation, evaluated
 from pfdist.questions.subject import Subject
+from pfdist.results.columns import Row
 
 WALKS = StateSpaceModel(
     name="walks",
@@ -50,6 +52,23 @@ def test_an_angle_has_a_circular_deviation(tmp_path: Path) -> None:
     row = Subject(run).rows["early"]
     assert row.typical_error[1] == pytest.approx(math.sqrt(-2 * math.log(mean_cosine)), rel=0.05)
     assert Subject(run).typical_errors(row).endswith(" rad")
+    # 1 - cos of a direction of which nothing is known is 1 on average: it has no deviation.
+    some, none = (Row(typical_error=[1.0, angle]) for angle in (0.5, math.inf))
+    assert (
+        Subject(run).typical_errors(some, none) == "place 1.00 instead of 1.00 m, angle 0.500 rad"
+    )
+    assert Subject(run).typical_errors(none, some) == ""
+
+
+@pytest.mark.parametrize("others", [{}, {"b": math.inf}, {"b": 1.0}])
+def test_no_headline_says_infinite(others: dict[str, float]) -> None:
+    sets = {
+        name: Evaluation((0,), np.full(2, mse)) for name, mse in {"": math.inf, **others}.items()
+    }
+    quantity = named_component("place [m]")
+    page = Evaluated(sets, dict.fromkeys(sets, ()), (), 1.0, quantity)._page()
+    assert "not finite" in page.sections[0].blocks[0].text
+    assert "infinite" not in page.sections[0].blocks[0].text
 
 
 def test_it_is_unknown_where_errors_are_not_squares_in_the_unit_of_z(tmp_path: Path) -> None:

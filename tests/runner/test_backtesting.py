@@ -270,6 +270,15 @@ def test_an_impossible_measurement_is_counted_and_left_out(y: Any) -> None:
     assert np.isfinite(found.real).all()
 
 
+def test_a_filter_that_collapses_is_counted(y: Any) -> None:
+    """At 20 of about 100 deviations of the noise, the nearest particles carry all the weight."""
+    far = y.copy()
+    far[11] = 20.0  # a measurement of the plan alone
+    for engine, collapsed in (("compiled", 1), ("kalman", 0)):
+        assert errors_of(work(far, engine=engine, particles=500, draws=20)).collapsed == collapsed
+    assert errors_of(work(y, engine="compiled", particles=500, draws=20)).collapsed == 0
+
+
 def test_an_error_of_a_task_names_the_purpose() -> None:
     def fails(work: int) -> int:
         raise MeasurementsError("the filter's estimates must be finite")

@@ -3,10 +3,13 @@
 The reporter alone adds up how far a run is.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pfdist.filters.work import Estimation, Work
+from pfdist.pools.base import patience
 from pfdist.runner.pace import (
     LEAST_SECONDS,
     LONGEST_SECONDS,
@@ -115,7 +118,19 @@ def test_the_pace_is_learnt() -> None:
 
 
 def test_nothing_is_risked_on_a_first_guess() -> None:
-    assert Pace(1e-4, 2).size(10**9) == LEAST_SECONDS / 1e-4
+    """A model a million times slower than the guess: the first tasks have one draw each.
+
+    After the first, no task takes longer than it may, and what a signal can cost is bounded.
+    """
+    pace, truth = Pace(2e-9, 2), 2e-3
+    whole = replace(work(1, 0, 100_000), estimation=Estimation(particles=10))  # .02 s a draw
+    seconds = list[float]()
+    for bundle in bundles([whole], pace.size):
+        (piece,) = bundle.works
+        assert seconds or (piece.draws == (0, 1) and patience(pace.expected(bundle.steps)) >= 3600)
+        seconds.append(truth * bundle.steps)
+        pace.learn(bundle.steps, seconds[-1])
+    assert max(seconds) <= MOST_SECONDS
 
 
 # --- progress ---

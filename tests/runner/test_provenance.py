@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,9 +30,9 @@ def lines_when_it_goes_on(
     return [line for line in said if "processor" in line]
 
 
-def provenance(path: Path) -> dict[str, object]:
+def provenance(path: Path) -> dict[str, Any]:
     about = json.loads((path / "run.json").read_text())
-    found: dict[str, object] = about["provenance"]
+    found: dict[str, Any] = about["provenance"]
     return found
 
 
@@ -48,7 +49,26 @@ def test_nothing_is_said_where_nothing_may_differ(
     path = tmp_path / "run"
     assert lines_when_it_goes_on(small_job, path, monkeypatch, THERE, THERE, HERE) == []
     assert provenance(path)["processor"] == HERE
-    assert provenance(path)["continued_on"] == [THERE]
+    (there,) = provenance(path)["continued_on"]
+    assert there["processor"] == THERE
+
+
+def test_every_version_that_computed_for_a_run_stands_in_run_json(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if the run was moved, and another NumPy resumed it, twice."""
+    path = tmp_path / "run"
+    first = pfdist.run(small_job, path, figures=False)
+    before = provenance(first.path)
+    monkeypatch.setattr(provenance_module, "version", lambda name: f"9.{name}")
+    for draws in (10, 20):
+        more = small_job.comparison.draws + draws
+        pfdist.run(small_job.with_changes([f"comparison.draws={more}"]), path, figures=False)
+    after = provenance(path)
+    (there,) = after.pop("continued_on")
+    assert after == before
+    assert there["libraries"]["numpy"] == "9.numpy"
+    assert (there["machine"], there["python"]) == (before["machine"], before["python"])
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from pfdist.store import (
     distance_schema,
     parquet,
     schema,
+    tables,
     trajectories_schema,
     variance_schema,
 )
@@ -226,6 +227,21 @@ def test_what_cannot_be_read_is_an_error_that_says_why(store: Store) -> None:
     store.publish("comparison", "comparison", [rows.replace_schema_metadata(newer)])
     with pytest.raises(StoreError, match="use the newer pfdist"):
         store.read("comparison")
+
+
+def test_a_small_file_of_far_too_many_values_is_not_unpacked(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constant = pa.table({name: [None] * 10_000 for name in schema("draws").names})
+    rows = constant.cast(schema("draws"))
+    store.publish("draws", "genetic", [rows])
+    assert len(store.read("draws")) == 1  # equal keys
+    monkeypatch.setattr(tables, "_USUAL_VALUES", 100)
+    monkeypatch.setattr(tables, "_MOST_VALUES_A_BYTE", 1)
+    with pytest.raises(StoreError, match=r"cannot read .* bytes must not hold 40,000 values"):
+        store.read("draws")
+    store.publish("draws", "genetic", [_draws("a", 0, 500)])
+    assert len(store.read("draws")) == 500
 
 
 @pytest.mark.parametrize("count", [1, 3, 4, 100])

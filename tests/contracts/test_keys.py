@@ -1,0 +1,117 @@
+"""Each key of noise has the unit over which results are averaged."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pfdist
+
+ROOMS = "filters", "questions", "runner"
+# Functions that make a key, that give it to noise, and that make one from a seed.
+MAKERS = {
+    "stream_of", "stream_key", "generator", "variates", "noise_of", "log_evidence",
+    "Filter", "OneFilter", "filter_of", "Planner", "Replanner",
+}  # fmt: skip
+# For each function that calls one of these: the unit over which results are averaged, and the words
+# by which the calls say it. "draws" without a word: the key is that of a whole stream, in which
+# each draw has its number. "hash": no noise has this key.
+UNITS = {
+    "filters/cloud.py Cloud.starts": "draw: draws self.t",
+    "filters/cloud.py Cloud.chosen_for_filters": "draw: draws self.t",
+    "filters/draws.py _given": "draw: index component",
+    "filters/evaluator.py Evaluator.id_of": "hash:",
+    "filters/evidence.py log_evidence": "replicate: draws t",
+    "filters/evidence.py _ancestors": "replicate: draws key",
+    "filters/evidence.py exact_log_evidence": "nothing, it is exact:",
+    "filters/filter.py Filter.__init__": "system: seed draw",
+    "filters/filter.py Filter._begun": "system: draw",
+    "filters/filter_estimate.py surprise_of_particles": "system, instant: draw cloud.t component",
+    "filters/one_filter.py again": "cloud: again number",
+    "filters/one_filter.py filter_of_truths": "system, whose number stays: first.stream",
+    "filters/particle_filter.py _truth_noise": "draw: index",
+    "filters/plain.py simulate": "draw: index t",
+    "filters/plain.py _first": "draw: draws.index",
+    "filters/plain.py step": "draw: draws t",
+    "filters/plain.py noise_of": "draw: draws t component",
+    "filters/scenarios.py scenarios_of_draws": "block of draws: begins",
+    "filters/work.py filter_streams": "draws: stream",
+    "questions/evaluate.py prepare": "draws: fresh",
+    "questions/filter_measurements.py filter_measurements": "nothing, it is one system:",
+    # Replicates with the same parameters have numbers. Groups of them share the numbers, which
+    # changes neither the mean of the log evidence nor clearly its error.
+    "questions/fit.py _evidence": "replicate of a group: part.first",
+    "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
+    "questions/fit.py _Fitting._likelihood": "repetition: repeat",
+    "questions/measured.py _Step._variates": "state: self.draw self.t",
+    "questions/next_time.py next_time": "nothing, it is one system:",
+    "questions/planned_run.py filter_of": "system: draw",
+    "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner
+    "questions/simulate.py simulate": "draws:",
+    "questions/thinned.py plans_of": "replicate: each.name",
+    "questions/thinned.py judged_errors": "replicate: each.replicate.name",
+    "questions/worth.py _work": "draws: name",
+    "runner/backtesting.py _surprises": "replicate: work.streams",
+    "runner/backtesting.py plan_of": "replicate: work.stream",
+    "runner/block_sums.py grown": "draws:",
+    "runner/build.py _with_long_gap": "nothing, it is one choice:",
+    "runner/comparison_phase.py _work": "draws: name",
+    "runner/comparison_phase.py repeated": "draws: again",
+    "runner/comparison_phase.py _by_set": "draws: table",
+    "runner/door.py _cuts": "hash:",
+    "runner/driver.py online_work": "draws: planner",
+    "runner/evenly_spaced.py _Tried._computed": "draws: number",
+    "runner/gap_parts.py gap_parts": "draws:",
+    "runner/gap_parts.py _per_draw": "draws: draws_stream",
+    "runner/likelihood.py measured": "state: draw t component",
+    "runner/online_work.py OnlineWork.chosen": "draw: draw",
+    "runner/particles.py work_of_loss": "draws: role",
+    "runner/phase.py Phase.stream": "draws: self.name keyed_by",
+    "runner/phase.py run_phase": "generation: name generation",
+    "runner/planning.py Replanner.plan": "system, instant: draw now.first",
+    "runner/planning.py Replanner.expected": "system, instant: draw now.first",
+    "runner/planning.py _Outlook.search": "generation: self.stream generation",
+    "runner/planning.py _Outlook.of_sets": "draws: self.stream",
+    "runner/prover.py Prover._weigh_scenarios": "draws:",
+    "runner/prover.py Prover._streams": "draws:",
+    "runner/ranks.py RankWork._statistics": "draw: draws.index t c",
+}
+
+
+def words_of(function: ast.FunctionDef) -> set[str] | None:
+    """The words in the arguments of the calls that make keys; None if there are no such calls.
+
+    ``*parts`` has the words of what the function assigns to ``parts``.
+    """
+    nodes = [*ast.walk(function)]
+    made = [node for node in nodes if isinstance(node, ast.Call)
+            and ast.unparse(node.func).rpartition(".")[2] in MAKERS]  # fmt: skip
+    given = [part for call in made for part in (*call.args, *call.keywords)]
+    starred = {ast.unparse(each.value) for each in given if isinstance(each, ast.Starred)}
+    given += [node.value for node in nodes if isinstance(node, ast.Assign)
+              and starred & {ast.unparse(target) for target in node.targets}]  # fmt: skip
+    kinds = ast.Name | ast.Attribute | ast.Constant
+    words = (ast.unparse(each) for part in given for each in ast.walk(part)
+             if isinstance(each, kinds))  # fmt: skip
+    return {word.strip("'") for word in words} if made else None
+
+
+def functions(tree: ast.AST, name: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Yield functions and methods with their names; a function within one belongs to it."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef):
+            yield name + node.name, node
+        elif isinstance(node, ast.ClassDef):
+            yield from functions(node, f"{node.name}.")
+
+
+def test_each_place_that_makes_a_key_says_over_what_it_averages() -> None:
+    found = dict[str, set[str]]()
+    for room in ROOMS:
+        for file in (Path(pfdist.__file__).parent / room).glob("*.py"):
+            for name, function in functions(ast.parse(file.read_text(encoding="utf-8"))):
+                if (words := words_of(function)) is not None:
+                    found[f"{room}/{file.name} {name}"] = words
+    assert found.keys() == UNITS.keys()
+    for place, unit in UNITS.items():
+        lacking = {*unit.partition(":")[2].split()} - found[place]
+        assert not lacking, (place, unit)
