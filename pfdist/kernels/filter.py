@@ -348,7 +348,7 @@ def _fill_log_weights(instant):
             (batch.cloud, 0),
             (batch.weight, 0),
             (batch.means, 0, 0),
-                (1, used),
+            (1, used),
         )
         for d in range(at.draws):
             if batch.weighted[d]:

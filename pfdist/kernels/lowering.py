@@ -320,7 +320,7 @@ class _Arranged:
         return [[self._add("put", (each,), first + k)] for k, each in enumerate(values)]
 
     def _groups(self, half: Half) -> Iterator[list[int]]:
-        """What is not cut, in order: operations and loops."""
+        """The pieces that are not cut, in order: operations and loops."""
         ends, finals = dict[int, int](), defaultdict[int, list[int]](list)
         for number, (name, arguments, _) in enumerate(half.operations):
             if name == "again":

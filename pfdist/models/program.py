@@ -173,7 +173,7 @@ def merged(program: Program) -> Program:
 
 
 def excess_of_loops(operations: Sequence[Operation]) -> str:
-    """What is too large in the loops of a program; empty if nothing is."""
+    """Say what is too large in the loops of a program; empty if nothing is."""
     taken = sum(len(each.arguments) for each in operations if each.name in _TAKING)
     if taken > MOST_TAKEN:
         return f"the loops of a formula must take at most {MOST_TAKEN:,} values, got {taken:,}"

@@ -105,12 +105,12 @@ def change_operation(traced, rng):
 def move_operations(traced, rng):
     """Add an operation, which one behind it takes, or remove one."""
     program = rng.choice(traced["programs"])
-    operations, by = program["operations"], rng.choice([1, 1, -1])
+    operations, shift = program["operations"], rng.choice([1, 1, -1])
     number = rng.randrange(len(operations))
     for each in operations[number:]:
-        each[1] = [k + by if k >= number else k for k in each[1]]
-    program["outputs"] = [k + by if k >= number else k for k in program["outputs"]]
-    if by < 0:
+        each[1] = [k + shift if k >= number else k for k in each[1]]
+    program["outputs"] = [k + shift if k >= number else k for k in program["outputs"]]
+    if shift < 0:
         del operations[number]
         return
     taken = [rng.randrange(max(1, number)) for _ in range(2)]
