@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from hypothesis import settings
 
 import pfdist
 from pfdist import Job, StateSpaceModel, load_job, load_model
@@ -23,6 +24,10 @@ from pfdist.errors import started_in
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
+
+# No test depends on measured time, and each finds the same when it is repeated.
+settings.register_profile("steady", deadline=None, derandomize=True, database=None)
+settings.load_profile("steady")
 
 PROMISES = (
     "a run killed at any instant and started again ends with the same bytes as one never killed",

@@ -12,7 +12,7 @@ Transactions on Automatic Control 49, 2004.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,25 +58,6 @@ class LinearGaussian:
     # (S (T-s+1),): from (x(t), v) to y(t), for each instant and each of S sensors
     measurement: tuple[Affine, ...]
     quantity_of_interest: tuple[Affine, ...]  # (T-s+1,): from x(t) to z(t)
-
-
-class _SameModel:
-    """A model as a key of a cache: only the very same object is the same key."""
-
-    def __init__(self, model: StateSpaceModel) -> None:
-        self.model = model
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _SameModel) and other.model is self.model
-
-    def __hash__(self) -> int:
-        return id(self.model)
-
-
-@lru_cache(maxsize=8)
-def _cached(key: _SameModel, horizon: int) -> LinearGaussian:
-    """The cached matrices for t = 0..horizon: a search needs them again and again."""
-    return matrices_of(key.model, horizon)
 
 
 def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
@@ -150,9 +131,15 @@ def _check_declared(model: StateSpaceModel) -> None:
         )
 
 
-def cached_matrices(model: StateSpaceModel, horizon: int) -> LinearGaussian:
-    """The matrices for t = 0..horizon, computed once for each model; raises as `matrices_of`."""
-    return _cached(_SameModel(model), horizon)
+def cached_matrices(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
+    """The matrices for t = start..horizon, computed once for each model; raises as `matrices_of`.
+
+    Searches and comparisons need them again and again.
+    """
+    matrices: LinearGaussian = model.kept(
+        ("matrices", horizon, start), lambda: matrices_of(model, horizon, start)
+    )
+    return matrices
 
 
 def expected_mse(
@@ -221,7 +208,7 @@ def filter_checked_draws(
     of y that is NaN in every draw was not measured.
     """
     instants = draws.instants
-    matrices = matrices_of(model, instants[-1], draws.start)
+    matrices = cached_matrices(model, instants[-1], draws.start)
     begin, covariance = _begin(matrices, settings.prior)
     mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
@@ -256,7 +243,7 @@ def log_evidence(model: StateSpaceModel, y: Array) -> Array:
 
     Raises `ModelError` if the model is not linear-Gaussian.
     """
-    matrices, parts = matrices_of(model, y.shape[1] - 1), model.parts
+    matrices, parts = cached_matrices(model, y.shape[1] - 1), model.parts
     begin, covariance = _begin(matrices, None)
     mean, evidence = np.repeat(begin[None], len(y), axis=0), np.zeros(len(y))
     for t in range(y.shape[1]):

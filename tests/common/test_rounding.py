@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pfdist.common.rounding import rounded, with_error, with_interval
 
 LARGE_AND_SMALL = st.floats(-300, 300).map(lambda exponent: 10.0**exponent)
-exactly = settings(max_examples=300, deadline=None, derandomize=True, database=None)
+exactly = settings(max_examples=300)
 
 
 def _read(text: str) -> tuple[float, float]:

@@ -22,9 +22,6 @@ from pfdist.search.exchange import shifts
 NAMES = "|".join(field.name for field in fields(Constraints))
 quick = settings(
     max_examples=50,
-    deadline=None,
-    derandomize=True,
-    database=None,
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 LARGE = [

@@ -157,17 +157,21 @@ def test_check_model_names_the_faster_engine(tmp_path: Path, line: str, says: st
     assert not any(each.state == "wrong" for each in checks.values())
 
 
-def test_check_model_asks_for_smaller_arrays_of_a_slow_simulator(tmp_path: Path) -> None:
-    """Few draws do not fill an array, and each of its particles takes 2 microseconds."""
-    line = "__import__('time').sleep(2e-6 * x.shape[1])"
-    job = written(tmp_path / "here", line=line)
-    name = f"{job.with_name('simulator.py')}:model"
+@pytest.mark.parametrize(("power", "is_asked"), [(1, True), (0, False)])
+def test_check_model_asks_for_smaller_arrays_of_a_slow_simulator(
+    power: int, is_asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Few draws do not fill an array, and the time may grow with its particles, or may not."""
+    monkeypatch.setattr(
+        "pfdist.questions.model_checks.seconds_a_step",
+        lambda evaluator, *_: 1e-6 * getattr(evaluator.model, "together", 1) ** power,
+    )
+    name = f"{written(tmp_path / 'here', line='pass').with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}
-    assert checks["together"].state == "note"
-    assert "together=40)" in checks["together"].text
-    fast = written(tmp_path / "fast", line="pass").with_name("simulator.py")
-    names = [each.name for each in check_loaded(partial(pfdist.load_model, f"{fast}:model"), 8, 40)]
-    assert "together" not in names
+    assert ("together" in checks) == is_asked
+    if is_asked:
+        assert checks["together"].state == "note"
+        assert "together=40)" in checks["together"].text
 
 
 def test_it_is_the_filter_of_the_same_formulas(finished: Run, tmp_path: Path) -> None:
