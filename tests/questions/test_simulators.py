@@ -164,7 +164,7 @@ def test_check_model_asks_for_smaller_arrays_of_a_slow_simulator(
     """Few draws do not fill an array, and the time may grow with its particles, or may not."""
     monkeypatch.setattr(
         "pfdist.questions.model_checks.seconds_a_step",
-        lambda evaluator, *_: 1e-6 * getattr(evaluator.model, "together", 1) ** power,
+        lambda evaluator, *_: 1e-6 * (getattr(evaluator.model, "together", 1) / 1e4) ** power,
     )
     name = f"{written(tmp_path / 'here', line='pass').with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}
