@@ -12,8 +12,9 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ MOST_LEVELS = 16  # a job has four, model.json eleven
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
 _DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")
 _LONGEST = 80  # characters of a key that an error shows
+_NESTED = (dict, list)
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -96,26 +98,21 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
 
 def _check(data: Any) -> None:
     """Raise a `ValueError` if data nests too deeply or has numbers of more than 64 bits."""
-    level: Iterable[tuple[str, Any]] = [("", data)]
+    filled: list[tuple[str, Any]] = [("", [data])]  # sections and lists that are not empty
     for _ in range(MOST_LEVELS):
-        filled = []  # sections and lists; a model has too many numbers to list them
-        for key, value in level:
-            if isinstance(value, dict | list) and value:
-                filled.append((key, value))
-            elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-                where = f"{key[:_LONGEST]} " if key else ""
-                raise ValueError(f"{where}must be a number of 64 bits, got {shown(value)}")
-        if not filled:
+        inside = []
+        for name, box in filled:
+            for key, value in box.items() if isinstance(box, dict) else zip(repeat(name), box):
+                if isinstance(value, int):
+                    if not -(2**63) <= value < 2**63:
+                        where = f"{key[:_LONGEST]} " if key else ""
+                        raise ValueError(f"{where}must be a number of 64 bits, got {shown(value)}")
+                elif isinstance(value, _NESTED) and value:
+                    inside.append((key, value))
+        if not inside:
             return
-        level = ((key or name, inner) for name, value in filled for key, inner in _inner(value))
+        filled = inside
     raise _too_deep()
-
-
-def _inner(value: Any) -> Iterable[tuple[str, Any]]:
-    """The values in a section or a list, each with its key, which is empty in a list."""
-    if isinstance(value, dict):
-        return value.items()
-    return (("", inner) for inner in value) if isinstance(value, list) else ()
 
 
 def _too_deep() -> ValueError:
