@@ -23,7 +23,7 @@ def test_every_file_and_extra_that_the_page_names_exists() -> None:
 
 
 def test_workflows_install_locked_versions_on_every_python() -> None:
-    """Of other packages, that is: --no-deps installs the checkout alone."""
+    """With --no-deps, the checkout alone is installed."""
     root = Path(__file__).parents[2]
     text = (root / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
     steps = [step for job in yaml.safe_load(text)["jobs"].values() for step in job["steps"]]
