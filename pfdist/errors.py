@@ -98,7 +98,7 @@ def one_line(text: str) -> str:
     return " ".join(printable(text).splitlines())
 
 
-def reason_of(error: Exception) -> str:
+def reason_of(error: BaseException) -> str:
     """The message of an error in a line; after the name of its type, if pfdist did not expect it.
 
     >>> reason_of(StoreError("no run")), reason_of(KeyError("a"))

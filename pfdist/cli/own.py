@@ -81,7 +81,8 @@ def explore(job: str, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     """Move the measurements by hand in a local page, and see the error at once.
 
     The page answers this machine alone, at an address that is printed, and ends with the command:
-    press Ctrl-C. Needs pip install 'pfdist[explore]'.
+    press Ctrl-C. Whoever has the address can ask, so show it to nobody. Needs
+    pip install 'pfdist[explore]'.
 
     Parameters
     ----------

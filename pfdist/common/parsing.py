@@ -1,29 +1,33 @@
 """Plain data from TOML and JSON that may be edited or damaged, within limits; numbers from text.
 
-Every TOML and JSON file but model.json, and every option that a user writes, is read by these
-functions; `pfdist.store.user_tables` reads tables, and `pfdist.models.written` models. If the text
-is wrong or the data nests too deeply, a `ValueError` with a message of one line is raised.
+Every TOML and JSON text, and every option that a user writes, is read by these functions;
+`pfdist.store.user_tables` reads tables. If the text is wrong or the data nests too deeply, a
+`ValueError` with a message of one line is raised.
 """
 
 import errno
 import json
+import math
 import os
 import re
 import stat
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 from pfdist.common.calendar import as_text
-from pfdist.errors import shown
+from pfdist.errors import shown, shown_text
 
 MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than a million
 MOST_BYTES_OF_MODELS = 256_000_000  # of the model.json of a run
-MOST_LEVELS = 16  # a job has four
+MOST_LEVELS = 16  # a job has four, model.json eleven
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
 _DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")
 _LONGEST = 80  # characters of a key that an error shows
+_NESTED = (dict, list)
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -67,12 +71,19 @@ def with_texts(value: Any) -> Any:
     return type(value)(map(with_texts, value)) if type(value) in (list, tuple) else as_text(value)
 
 
-def parse_json(text: str) -> Any:
-    """The data of a JSON text, within the limits of this module."""
-    return _parsed(json.loads, text)
+def parse_json(text: str | bytes) -> Any:
+    """The data of a JSON text, within the limits of this module; its numbers are finite."""
+    return _parsed(partial(json.loads, parse_float=_finite, parse_constant=_finite), text)
 
 
-def _parsed(parse: Callable[[str], Any], text: str) -> Any:
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):  # NaN and Infinity are no JSON, and 1e999 is too large
+        raise ValueError(f"numbers must be finite, got {shown_text(text)}")
+    return number
+
+
+def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
     try:
         data = parse(text)
     except RecursionError as error:
@@ -87,23 +98,21 @@ def _parsed(parse: Callable[[str], Any], text: str) -> Any:
 
 def _check(data: Any) -> None:
     """Raise a `ValueError` if data nests too deeply or has numbers of more than 64 bits."""
-    level = [("", data)]
+    filled: list[tuple[str, Any]] = [("", [data])]  # sections and lists that are not empty
     for _ in range(MOST_LEVELS):
-        for key, value in level:
-            if isinstance(value, int) and not -(2**63) <= value < 2**63:
-                where = f"{key[:_LONGEST]} " if key else ""
-                raise ValueError(f"{where}must be a number of 64 bits, got {shown(value)}")
-        level = [(key or name, inner) for name, value in level for key, inner in _inner(value)]
-        if not level:
+        inside = []
+        for name, box in filled:
+            for key, value in box.items() if isinstance(box, dict) else zip(repeat(name), box):
+                if isinstance(value, int):
+                    if not -(2**63) <= value < 2**63:
+                        where = f"{key[:_LONGEST]} " if key else ""
+                        raise ValueError(f"{where}must be a number of 64 bits, got {shown(value)}")
+                elif isinstance(value, _NESTED) and value:
+                    inside.append((key, value))
+        if not inside:
             return
+        filled = inside
     raise _too_deep()
-
-
-def _inner(value: Any) -> Iterable[tuple[str, Any]]:
-    """The values in a section or a list, each with its key, which is empty in a list."""
-    if isinstance(value, dict):
-        return value.items()
-    return (("", inner) for inner in value) if isinstance(value, list) else ()
 
 
 def _too_deep() -> ValueError:

@@ -3,7 +3,8 @@
 Whoever knows the address may ask. So the address has a random token, and only requests that this
 page makes itself are answered: with its own Host and, where the browser names one, its own Origin.
 A page of the web cannot know the token, and another name of this machine (DNS rebinding) does not
-help it.
+help it. Every local user sees the words with which a browser is started. So the browser gets a
+private file that leads to the address.
 """
 
 import asyncio
@@ -12,9 +13,12 @@ import json
 import os
 import secrets
 import socket
+import tempfile
+import threading
 import webbrowser
 from collections.abc import Iterator
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -69,18 +73,12 @@ def server_of(session: Session, token: str, port: int) -> uvicorn.Server:
 
     async def answer(page: WebSocket) -> None:
         await page.accept()
-        tasks = set[asyncio.Task[None]]()
-
-        async def send(text: str) -> None:
-            # In a thread: the server stays responsive, and another page need not wait.
-            found = await asyncio.to_thread(reply, session, _read(text))
+        while (asked := await page.receive())["type"] == "websocket.receive":
+            # One question of a page after another. In a thread: no other page need wait.
+            text = asked.get("text") or asked.get("bytes")
+            found = await asyncio.to_thread(reply, session, text)
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page was closed
                 await page.send_text(json.dumps(found))
-
-        with contextlib.suppress(WebSocketDisconnect):
-            while True:
-                tasks.add(task := asyncio.create_task(send(await page.receive_text())))
-                task.add_done_callback(tasks.discard)
 
     app = Starlette(
         routes=[
@@ -93,19 +91,13 @@ def server_of(session: Session, token: str, port: int) -> uvicorn.Server:
         app,
         ws="websockets-sansio",
         ws_max_size=MOST_BYTES,
+        ws_ping_interval=None,  # a page that waits for an answer is not read
         log_level="critical",  # a line a request would show the token
         timeout_graceful_shutdown=1,
         server_header=False,
         lifespan="off",
     )
     return uvicorn.Server(settings)
-
-
-def _read(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return None
 
 
 class _Own:
@@ -137,9 +129,7 @@ class _Own:
         return origins == [b"http://" + hosts[0]] or not (origins or needs_origin)
 
 
-def page_of(
-    job: JobSource | Run, *, port: int = 0, browser: bool = True, token: str = ""
-) -> Iterator[str]:
+def page_of(job: JobSource | Run, *, port: int = 0, browser: bool = True) -> Iterator[str]:
     """Yield the page's address, then serve the page until Ctrl-C.
 
     Parameters
@@ -150,8 +140,6 @@ def page_of(
         Port of the page; 0: any that is free.
     browser : bool
         Whether a browser is opened.
-    token : str
-        The part of the address that is secret; by default random.
 
     Raises
     ------
@@ -162,25 +150,43 @@ def page_of(
         raise ArgumentError(f"port must be 0 to {_MOST_PORT:,}, got {port}", argument="port")
     session = Session(job)
     with _listening(port) as listening:
-        port, token = listening.getsockname()[1], token or secrets.token_urlsafe()
+        port, token = listening.getsockname()[1], secrets.token_urlsafe()
         address = f"http://{ADDRESS}:{port}/{token}/"
         yield address
-        if browser:
-            webbrowser.open(address)
-        asyncio.run(_serve(server_of(session, token, port), listening))
+        beside = _browser(address) if browser else contextlib.nullcontext()
+        asyncio.run(_serve(server_of(session, token, port), listening, beside))
     stopping.check()
 
 
-async def _serve(server: Any, listening: socket.socket) -> None:
+async def _serve(
+    server: Any, listening: socket.socket, beside: contextlib.AbstractContextManager[None]
+) -> None:
     """Serve until a signal was received; see `pfdist.common.stopping`."""
     serving = asyncio.create_task(server.serve(sockets=[listening]))
-    while not serving.done():
-        try:
-            stopping.check()
-        except KeyboardInterrupt:
-            server.should_exit = True
-        await asyncio.wait({serving}, timeout=0.1)
+    with beside:
+        while not serving.done():
+            try:
+                stopping.check()
+            except KeyboardInterrupt:
+                server.should_exit = True
+            await asyncio.wait({serving}, timeout=0.1)
     await serving
+
+
+@contextlib.contextmanager
+def _browser(address: str) -> Iterator[None]:
+    """Start a browser, which may last as long as the page, with a file that leads to an address."""
+    with tempfile.TemporaryDirectory(prefix="pfdist-") as folder:
+        link = Path(folder, "explore.html")
+        link.touch(0o600)
+        link.write_text(
+            f'<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n'
+            f'<a href="{address}">pfdist explore</a>\n',
+            encoding="utf-8",
+        )
+        open_it = threading.Thread(target=webbrowser.open, args=[link.as_uri()], daemon=True)
+        open_it.start()
+        yield
 
 
 def _listening(port: int) -> socket.socket:

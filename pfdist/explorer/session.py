@@ -20,10 +20,11 @@ from typing import Any, NamedTuple
 from pfdist.common.estimate import CONFIDENCE, Estimate
 from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.measurement_times import Times, validated
+from pfdist.common.parsing import parse_json
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
-from pfdist.errors import JobError, PfdistError, StoreError, one_line
+from pfdist.errors import JobError, StoreError, reason_of
 from pfdist.explorer.filtered import Change, Filtered
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK
@@ -352,33 +353,35 @@ _LONGEST_NAME = 200  # characters that are shown
 
 
 def reply(session: Session, message: Any) -> dict[str, Any]:
-    """The answer to a message of the page, as JSON values; an error is one line.
+    """The answer to a message of the page, as JSON values; any error is one line.
 
     Parameters
     ----------
     session : Session
     message : object
-        A mapping with ``ask``, "state", "answer", "judge" or "take", and ``id``, which the answer
-        repeats; ``times`` and ``draws``, ``name`` and ``times``, or ``sets``.
+        A mapping, or its JSON, with ``ask``, "state", "answer", "judge" or "take", and ``id``,
+        which the answer repeats; ``times`` and ``draws``, ``name`` and ``times``, or ``sets``.
     """
-    asked = message if isinstance(message, Mapping) else {}
-    given: Any = asked.get("times", ()), asked.get("sets", {})
-    answer = {"id": asked.get("id"), "ask": asked.get("ask")}
+    answer: dict[str, Any] = {}
     try:
-        match asked.get("ask"):
+        given: Any = parse_json(message) if isinstance(message, str | bytes) else message
+        asked = given if isinstance(given, Mapping) else {}
+        answer = {"id": asked.get("id"), "ask": asked.get("ask")}
+        times, sets = asked.get("times", ()), asked.get("sets", {})
+        match answer["ask"]:
             case "state":
                 return answer | session.state()
             case "answer":
-                return answer | session.answer(given[0], _whole(asked.get("draws")))
+                return answer | session.answer(times, _whole(asked.get("draws")))
             case "judge":
                 name = str(asked.get("name", ""))[:_LONGEST_NAME]
-                return answer | {"judged": session.judge(name, given[0])}
+                return answer | {"judged": session.judge(name, times)}
             case "take":
-                sets = {str(name): times for name, times in given[1].items()}
+                sets = {str(name): each for name, each in sets.items()}
                 job, command = session.job_text(sets), session.command_line(sets)
                 return answer | {"job": job, "command": command}
-    except (PfdistError, TypeError, ValueError, AttributeError) as error:
-        return answer | {"error": one_line(str(error))}
+    except (Exception, KeyboardInterrupt) as error:  # a page without an answer waits for ever
+        return answer | {"error": reason_of(error)}
     return answer | {"error": "ask must be state, answer, judge or take"}
 
 

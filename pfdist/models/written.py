@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pfdist.common.parsing import MOST_BYTES_OF_MODELS
+from pfdist.common.parsing import MOST_BYTES_OF_MODELS, parse_json
 from pfdist.errors import ModelError
 from pfdist.models.base import Sensor, StateSpaceModel
 from pfdist.models.checks import MEASURING, MOST_COMPONENTS, own_formulas
@@ -133,10 +133,7 @@ def models_of(content: bytes) -> tuple[StateSpaceModel, StateSpaceModel]:
     """
     lists = content.count(b"[")
     _need(lists <= MOST_LISTS, f"at most {MOST_LISTS:,} lists are read, got {lists:,}")
-    try:
-        data = json.loads(content, parse_constant=_refused)
-    except RecursionError as error:
-        raise ValueError("it nests too deeply") from error
+    data = parse_json(content)
     _need(isinstance(data, dict) and {*data} == {"truth", "filter"}, "it must have two models")
     try:
         truth = _model(data["truth"])
@@ -145,10 +142,6 @@ def models_of(content: bytes) -> tuple[StateSpaceModel, StateSpaceModel]:
         raise ValueError(str(error)) from error
     except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
         raise ValueError(f"a part is missing, or of a wrong kind ({error})") from error
-
-
-def _refused(word: str) -> Any:
-    raise ValueError(f"{word} must be written as a text in quotes")
 
 
 def _need(is_right: bool, what: str) -> None:

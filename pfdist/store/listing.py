@@ -113,7 +113,8 @@ def forget_pages(folder: Path) -> None:
 
 def _content(listing: Listing) -> dict[str, Any]:
     """The content of files.json, as JSON has it."""
-    content = json.loads(json.dumps(asdict(replace(listing, files=tuple(sorted(listing.files))))))
+    about = {name: [*hashes] for name, hashes in listing.about.items()}
+    content = {**asdict(listing), "files": sorted(listing.files), "about": about}
     text = json.dumps(content, sort_keys=True)
     return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **content}
 

@@ -16,10 +16,12 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pfdist.common.parsing import parse_json
 from pfdist.errors import BusyError, PfdistWarning, StoreError
 from pfdist.store import files
 
 _LOCK = ".lock"
+_MOST_BYTES = 4096  # of a lock that names its holder
 _PAUSE_SECONDS = 0.05
 _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
@@ -82,7 +84,7 @@ def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> bool:
             except BlockingIOError as error:
                 if time.monotonic() > deadline:
                     raise BusyError(
-                        f"{folder} is being computed by {_holder(folder)}; wait for it, end it, or "
+                        f"{folder} is being computed by {_holder(lock)}; wait for it, end it, or "
                         "use another results folder"
                     ) from error
                 time.sleep(_PAUSE_SECONDS)
@@ -112,8 +114,8 @@ def _sign(lock: int, folder: Path) -> None:
         os.pwrite(lock, json.dumps(holder).encode(), 0)
 
 
-def _holder(folder: Path) -> str:
+def _holder(lock: int) -> str:
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        holder = json.loads((folder / _LOCK).read_text(encoding="utf-8"))
+        holder = parse_json(os.pread(lock, _MOST_BYTES, 0))
         return f"process {holder['process']} on {holder['host']} since {holder['since']}"
     return "another process"

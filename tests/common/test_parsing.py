@@ -1,10 +1,12 @@
 """Text from outside becomes plain data within limits, or one line."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import pfdist
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.parsing import (
     MOST_BYTES,
@@ -44,6 +46,10 @@ LONG_KEY = ".".join("a" * 5000)
         pytest.param(parse_json, "", id="nothing"),
         pytest.param(parse_json, "{} {}", id="two values"),
         pytest.param(parse_json, '{"a": 9223372036854775808}', id="65 bits in JSON"),
+        pytest.param(parse_json, '{"a": NaN}', id="NaN in JSON"),
+        pytest.param(parse_json, "[-Infinity]", id="an infinite number in JSON"),
+        pytest.param(parse_json, "[1e999]", id="a number that is too large in JSON"),
+        pytest.param(parse_json, b"\x00\xff", id="bytes that are no JSON"),
     ],
 )
 def test_text_that_no_job_and_no_run_has_is_refused_in_one_short_line(
@@ -59,6 +65,14 @@ def test_what_is_within_the_limits_is_what_the_text_says() -> None:
     deep = "[" * (MOST_LEVELS - 1) + "]" * (MOST_LEVELS - 1)
     assert parse_toml(f"a = {2**63 - 1}\nb = -9223372036854775808")["a"] == 2**63 - 1
     assert parse_json(f'{{"a": {deep}}}')["a"] != []
+    assert parse_json(b'[1.5e308, -1e-320, "NaN"]') == [1.5e308, -1e-320, "NaN"]
+
+
+def test_one_function_reads_json() -> None:
+    package = Path(pfdist.__file__).parent
+    words = re.compile(r"json\.loads?\b|JSONDecoder|validate_json|receive_json|\bread_json")
+    readers = [file for file in package.rglob("*.py") if words.search(file.read_text("utf-8"))]
+    assert readers == [package / "common" / "parsing.py"]
 
 
 def test_a_file_of_any_size_is_read_up_to_a_limit(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
+from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +15,7 @@ import pytest
 import pfdist
 from oracles.explored import SMALL, served
 from pfdist import load_job
+from pfdist.explorer import server
 from pfdist.explorer.session import Session, reply
 
 pytestmark = pytest.mark.browser
@@ -378,6 +381,18 @@ def test_finer_draws_follow_while_the_user_rests(open_page: Open, address: str) 
 
     wait(page, more)
     assert draws == sorted(draws)
+
+
+def test_the_file_that_a_browser_gets_leads_to_the_page(
+    browser: Any, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = SimpleQueue[str]()
+    monkeypatch.setattr("webbrowser.open", opened.put)
+    with server._browser(address), closing(browser.new_page()) as page:
+        page.goto(opened.get(timeout=20))
+        page.locator("dl div").first.wait_for()
+        assert page.url == address
+        assert page.evaluate("document.referrer") == ""
 
 
 def test_a_lost_connection_is_said_and_found_again(open_page: Open, session: Session) -> None:

@@ -1,14 +1,18 @@
 """The local page answers this machine's own page alone, and ends with the command."""
 
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -16,7 +20,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from oracles.explored import SMALL, TOKEN
+from oracles.explored import SMALL, TOKEN, served
 from pfdist.explorer.server import MOST_BYTES
 
 FILES = ("", "explore.js", "explore.css")
@@ -131,8 +135,9 @@ def test_the_socket_answers_and_a_message_that_is_too_long_closes_it(port: int) 
         answer = json.loads(page.recv(20))
         assert answer["id"] == 1
         assert answer["times"] == [0, 4, 8, 12]
-        page.send("{")
-        assert "ask must be" in json.loads(page.recv(20))["error"]
+        for wrong in ("{", "[" * 100_000, '{"id": NaN}', '{"ask": 7}', "", b"\x00\xff", "9" * 5000):
+            page.send(wrong)
+            assert json.loads(page.recv(20))["error"]
         page.send(json.dumps({"ask": "answer", "times": "0" * MOST_BYTES}))
         with pytest.raises(ConnectionClosed):
             page.recv(20)
@@ -144,6 +149,25 @@ def test_a_long_judgement_keeps_nobody_waiting(port: int) -> None:
         other.send(json.dumps({"ask": "answer", "times": [0, 4, 8, 12], "id": "quick"}))
         assert json.loads(other.recv(20))["id"] == "quick"
         assert json.loads(page.recv(20))["id"] == "slow"
+
+
+def test_the_questions_of_a_page_are_answered_one_at_a_time_and_in_order() -> None:
+    at_work, most = threading.Semaphore(0), list[int]()
+
+    def answer(times: object, _: int) -> dict[str, object]:
+        at_work.release()
+        most.append(at_work._value)
+        time.sleep(0.01)
+        at_work.acquire()
+        return {"times": times}
+
+    asked = [{"ask": "answer", "times": [number], "id": number} for number in range(8)]
+    session = SimpleNamespace(answer=answer)
+    with served(session) as address, opened(urlsplit(address).port or 0) as page:
+        for message in asked:
+            page.send(json.dumps(message))
+        assert [json.loads(page.recv(20)) for _ in asked] == asked
+    assert most == [1] * 8
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -165,12 +189,12 @@ sys.exit(main())
 def command(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started = list[subprocess.Popen[str]]()
 
-    def start(*options: str) -> subprocess.Popen[str]:
-        words = [sys.executable, "-c", BEGINS, "explore", str(SMALL), "--no-browser", *options]
+    def start(*options: str, **variables: str) -> subprocess.Popen[str]:
+        words = [sys.executable, "-c", BEGINS, "explore", str(SMALL), *options]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        environment = {**os.environ, **variables}
         started.append(
-            subprocess.Popen(
-                words, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-            )
+            subprocess.Popen(words, cwd=tmp_path, text=True, env=environment, **pipes)  # type: ignore[call-overload]
         )
         return started[-1]
 
@@ -184,7 +208,7 @@ def command(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 def test_the_command_prints_its_address_and_ends_with_a_signal(
     command: Callable[..., subprocess.Popen[str]], number: signal.Signals
 ) -> None:
-    process = command()
+    process = command("--no-browser")
     assert process.stdout is not None
     address = process.stdout.readline().strip()
     host, port = urlsplit(address).hostname, urlsplit(address).port
@@ -202,6 +226,39 @@ def test_the_command_prints_its_address_and_ends_with_a_signal(
     assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 75}[number]
     assert error.splitlines()[-1] == "pfdist: Stopped."
     assert "Traceback" not in error
+
+
+# It stays until the page is served, as one in a terminal does, and writes what it has seen.
+BROWSER = """
+import json, os, re, sys, urllib.request
+from pathlib import Path
+
+link = Path(sys.argv[1].removeprefix("file://"))
+modes = [oct(path.stat().st_mode)[-3:] for path in (link.parent, link)]
+address = re.search('url=([^"]+)', link.read_text())[1]
+status = urllib.request.urlopen(address, timeout=20).status
+Path("seen").write_text(json.dumps([sys.argv[1], modes, address, status]))
+os.rename("seen", "seen.json")
+"""
+
+
+def test_a_browser_that_stays_gets_a_private_file_without_the_token_in_its_words(
+    command: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    (tmp_path / "browser.py").write_text(BROWSER)
+    process = command(BROWSER=f"{sys.executable} {tmp_path / 'browser.py'} %s")
+    assert process.stdout is not None
+    address = process.stdout.readline().strip()
+    seen = tmp_path / "seen.json"
+    for _ in range(400):
+        if not seen.exists():
+            time.sleep(0.05)
+    link, modes, found, status = json.loads(seen.read_text())
+    assert urlsplit(address).path.strip("/") not in link
+    assert (modes, found, status) == (["700", "600"], address, 200)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=20)
+    assert not Path(link.removeprefix("file://")).parent.exists()
 
 
 def test_a_port_in_use_is_an_error_of_one_line(port: int, call: Callable[..., Any]) -> None:

@@ -1,10 +1,13 @@
 """Answers of an exploration: against `pfdist.evaluate`, and intervals computed by hand."""
 
+import contextlib
 import re
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -407,6 +410,21 @@ def test_a_message_that_is_none_is_answered_with_one_line(
     answer = reply(session, message)
     assert "\n" not in answer["error"]
     assert answer["error"]
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("a"), MemoryError(), RecursionError("deep"), OverflowError("large"),
+              KeyboardInterrupt(), ZeroDivisionError("a\nb")],
+)  # fmt: skip
+def test_a_message_is_answered_whatever_it_causes(error: BaseException) -> None:
+    def answer(_: object, __: int) -> None:
+        raise error
+
+    found, session = dict[str, object](), cast("Session", SimpleNamespace(answer=answer))
+    with contextlib.suppress(KeyboardInterrupt):  # it would end pytest
+        found = reply(session, {"ask": "answer", "id": "v-1"})
+    assert str(found.pop("error", "")).startswith(f"{type(error).__name__}: ")
+    assert found == {"id": "v-1", "ask": "answer"}
 
 
 # --- the widget -----------------------------------------------------------------------------------

@@ -175,6 +175,15 @@ def test_a_declaration_that_is_wrong_is_named_in_a_line(declared: Any, says: str
         models_of(json.dumps(data).encode())
 
 
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999", "9" * 30, "[" * 100_000])
+def test_a_number_that_no_model_has_is_refused(number: str) -> None:
+    data = json.loads(text_of(MODEL, MODEL))
+    data["truth"]["parameters"]["dt"] = "here"
+    with pytest.raises(ValueError, match=r"numbers must be finite|64 bits|deep") as refused:
+        models_of(json.dumps(data).replace('"here"', number).encode())
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize("results", [0, -1, 10**9, "1", None])
 def test_a_wrong_number_of_results_is_refused(results: Any) -> None:
     model = batched(load_model("ungm"))

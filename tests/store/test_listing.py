@@ -12,10 +12,11 @@ import pyarrow as pa
 import pytest
 
 from oracles.stored_rows import compared_rows
-from pfdist.errors import PfdistWarning, StoreError
+from pfdist.errors import BusyError, PfdistWarning, StoreError
 from pfdist.store import Store, comparison_schema, files, schema, tables
 from pfdist.store.about import add_to_provenance, read_run, write_about
 from pfdist.store.listing import change_listing, read_listing, record_pages
+from pfdist.store.lock import check_not_held, held
 
 KEY = "0123456789abcdef"
 RUN = {"schema_version": 3, "provenance": {}}
@@ -52,6 +53,14 @@ def test_the_list_names_every_published_file_and_the_hash_of_each_file_that_says
         sha256 = hashlib.sha256((store.path / name).read_bytes()).hexdigest()
         assert content["about"][name] == [sha256]
     assert content["run"] == KEY
+
+
+@pytest.mark.parametrize("holder", ["[" * 100_000, "7", "", '{"process": 1}', "\0"])
+def test_a_lock_that_somebody_has_edited_names_no_process(tmp_path: Path, holder: str) -> None:
+    with held(tmp_path):
+        (tmp_path / ".lock").write_text(holder)
+        with pytest.raises(BusyError, match="is being computed by another process"):
+            check_not_held(tmp_path)
 
 
 class KilledError(BaseException):
