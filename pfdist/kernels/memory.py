@@ -38,6 +38,8 @@ def tuple_type(kind: type, dtype: str = "float64") -> Any:
 
 
 def _type_of(hint: Any, dtype: str) -> Any:
+    if hasattr(get_origin(hint), "__value__"):  # NDArray is an alias from NumPy 2.5 on
+        hint = get_origin(hint).__value__[get_args(hint)]
     if get_origin(hint) is np.ndarray:
         (number,) = get_args(get_args(hint)[1])
         entry = np.dtype(dtype if number is np.floating else number)
