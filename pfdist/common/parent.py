@@ -87,7 +87,7 @@ def _attend(child: int, reports: int, numbers: Iterable[int]) -> NoReturn:
     code = os.waitstatus_to_exitcode(status)
     how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
     say(
-        f"The process that computes ended {how} and without a message: a library or the model ended "
-        "it, or memory ran out. Finished work is saved; run the same command to resume."
+        f"The process that computes ended {how} and without a message: a library or the model "
+        "ended it, or memory ran out. Finished work is saved; run the same command to resume."
     )
     os._exit(_AGAIN)

@@ -16,8 +16,8 @@ CODES = [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
 STOPPING = "pfdist: Stopping after the work in flight; press Ctrl-C again to end now\n"
 STOPPED = "pfdist: Stopped.\n"
 ENDED = (
-    "pfdist: The process that computes ended {} and without a message: a library or the model ended "
-    "it, or memory ran out. Finished work is saved; run the same command to resume.\n"
+    "pfdist: The process that computes ended {} and without a message: a library or the model "
+    "ended it, or memory ran out. Finished work is saved; run the same command to resume.\n"
 )
 # As a terminal starts a program: a shell's background jobs, as CI may be, ignore SIGINT.
 PROGRAM = """

@@ -155,10 +155,7 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
 
 @pytest.mark.parametrize(
     "killed",
-    [
-        pytest.param(AGENT, marks=pytest.mark.fault),
-        *(pytest.param(server, marks=pytest.mark.crash) for server in (RAYLET, GCS)),
-    ],
+    [pytest.param(AGENT, marks=pytest.mark.fault), pytest.param(RAYLET, marks=pytest.mark.crash)],
 )
 def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothing(
     killed: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
@@ -173,7 +170,7 @@ def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothi
         assert time.monotonic() - start < RAY_SECONDS
         assert driver.said[-1].startswith(ENDED) or re.match(LOST, driver.said[-1])
         until(lambda: all_gone(everything), 2 * GONE_SECONDS)
-    assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
+    assert finish(job, tmp_path / "run", "--pool", "threads") == _whole(job)
     record_property("faults", f"{HANGS}: 1")
 
 
