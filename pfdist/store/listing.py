@@ -31,7 +31,7 @@ from typing import Any
 from pfdist.common.parsing import parse_json, read_text
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import ABOUT, FILES
+from pfdist.store.folder import ABOUT, FILES, REPORT, figures_in, has_report
 from pfdist.store.lock import held
 from pfdist.store.tables import REMEDY
 
@@ -93,8 +93,9 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
 def listed_pages(folder: Path) -> set[Path]:
     """The figures and the report of a run that were made from its tables as they are now."""
     listing = read_listing(folder)
-    pages = {folder / name for name in listing.pages} if listing is not None else set()
-    return {page for page in pages if page.exists()}
+    names = listing.pages if listing is not None else {}
+    there = (*figures_in(folder), *([folder / REPORT] if has_report(folder) else []))
+    return {page for page in there if str(page.relative_to(folder)) in names}
 
 
 def record_pages(

@@ -259,7 +259,7 @@ def test_pages_of_fewer_draws_stay_until_new_ones_replace_them(
     """Also if the run is stopped in the comparison, or killed before its new pages are made."""
     edition, folder = ["first"], tmp_path / "run"
     monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: path.write_text(edition[0]))
-    monkeypatch.setattr("pfdist.questions.report.page_of", lambda *_: Page(edition[0], []))
+    monkeypatch.setattr("pfdist.questions.report.page_of", lambda *_: Page(edition[0], "", []))
 
     def pages() -> dict[str, bytes]:
         found = [folder / "report.html", *(folder / "figures").iterdir()]
