@@ -9,6 +9,7 @@ A terminal sends Ctrl-C to both, so the parent hands on only signals that anothe
 child ends with the parent.
 """
 
+import atexit
 import contextlib
 import os
 import select
@@ -21,10 +22,12 @@ from typing import NoReturn
 _AGAIN = 75  # EX_TEMPFAIL: the same command may be started again
 _MOST_REPORTS = 64
 _pipes = list[int]()  # to the parent; empty in Python and in notebooks
+_reported = list[int]()
 
 
 def report(code: int) -> int:
     """Report to the parent the exit code with which this process is about to end; give it back."""
+    _reported.append(code)
     for pipe in _pipes:
         with contextlib.suppress(OSError):  # the parent has ended
             os.write(pipe, bytes([code]))
@@ -61,7 +64,17 @@ def become_child(numbers: Iterable[int]) -> None:
     os.close(reports)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
     _pipes.append(pipe)
+    atexit.register(_end)  # first, so it comes last
     threading.Thread(target=_end_with_parent, args=(pipe,), daemon=True).start()
+
+
+def _end() -> None:
+    """End before the destructors of C++: one that finds a thread, as Arrow has, would abort."""
+    if _reported:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):  # it is full, or closed
+                stream.flush()
+        os._exit(_reported[-1])
 
 
 def _end_with_parent(pipe: int) -> None:

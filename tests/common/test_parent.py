@@ -70,6 +70,15 @@ def test_a_reported_exit_code_stays_whatever_ends_the_process_afterwards() -> No
     assert done("report(0); report(3); sys.exit(report(3))") == (3, "")
 
 
+def test_no_destructor_of_c_runs_after_a_report() -> None:
+    """Threads of C++ that their destructor finds would end the process with SIGABRT."""
+    destroys = "import atexit; atexit.register(print, 'last'); c = ctypes.CDLL(None); "
+    destroys += "c.on_exit(c.psignal, b'a destructor'); "  # it would write this
+    with started(destroys + "sys.exit(report(0))") as process:
+        assert process.communicate(timeout=60) == ("last\n", "")
+    assert process.returncode == 0
+
+
 def test_processes_that_the_child_leaves_delay_no_end() -> None:
     """A fork has the pipe, too, and this one lives for longer than the test waits."""
     left = "os.fork() or (os.close(1), os.close(2), time.sleep(100)); os._exit(1)"
