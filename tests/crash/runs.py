@@ -55,7 +55,7 @@ class Running:
 
     def family(self, word: str = "") -> list[Process]:
         """Processes below that, from those of its children whose command has a word in it."""
-        return [each for one in self.computing for each in family(one.pid, word)]
+        return [each for process in self.computing for each in family(process.pid, word)]
 
     def workers(self) -> list[Process]:
         """Its Ray workers that have a task in their hands."""
