@@ -139,7 +139,7 @@ def no_start() -> Iterator[None]:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No figures and reports by a command line: they take the longest."""
-    monkeypatch.setattr("pfdist.plots.draw_missing_figures", lambda run: None)
+    monkeypatch.setattr("pfdist.plots.draw_missing_figures", lambda run, there: [])
     monkeypatch.setattr("pfdist.questions.run.try_report", lambda run, say: None)
 
 

@@ -20,6 +20,7 @@ from pfdist.cli.commands import COMMANDS
 from pfdist.cli.program import complaint, line_of, welcome
 from pfdist.cli.streams import encode_all_text, flush_output, make_harmless, stream_for_json
 from pfdist.common import stopping
+from pfdist.common.parent import report
 from pfdist.errors import (
     PfdistError,
     PfdistWarning,
@@ -52,15 +53,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int
         The exit code: 0; 1 after an error; 2 after wrong arguments; 130 after Ctrl-C; or 75 if the
-        same command may be started again, because a batch system ended it or its workers no longer
-        answered.
+        same command may be started again, because a batch system ended it, its workers no longer
+        answered, or a library ended its process.
     """
     make_harmless()
     os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
     encode_all_text()
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    if arguments is None:
-        stopping.listen()
+    if arguments is not None:
+        return _main(list(arguments), ends=False)
+    stopping.listen(forks=True)
+    code = _ERROR
+    try:
+        code = _main(sys.argv[1:], ends=True)
+    finally:
+        report(code)
+    return code
+
+
+def _main(words: list[str], *, ends: bool) -> int:
+    """The exit code of a command line; the process ends afterwards if `ends` is true."""
     try:
         started_in(os.getcwd())  # a model may change the working folder
         # Not above: the package itself makes this check, before anything imports Numba.
@@ -76,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _unread()
     except Exception as error:
         return _error(error, debug="--debug" in words)
-    return _DONE if line is None else _run(line, ends=arguments is None)
+    return _DONE if line is None else _run(line, ends=ends)
 
 
 def _run(line: "Line", *, ends: bool) -> int:
@@ -104,7 +115,7 @@ def _run(line: "Line", *, ends: bool) -> int:
         if ends:  # threads of a lost cluster could end the process with another code
             with contextlib.suppress(OSError):
                 flush_output()
-            os._exit(code)
+            os._exit(report(code))
         return code
     except Exception as error:
         return _error(error, debug=line.debug)

@@ -15,7 +15,8 @@ from pfdist.pages.terminal import lines_of, wrapped
 from pfdist.questions.run_page import answer_of
 from pfdist.results import Run, finite, reaching
 from pfdist.results.columns import records_of
-from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in, has_report
+from pfdist.store import listed_pages
+from pfdist.store.folder import FIGURES_FOLDER, REPORT, figures_in
 
 
 def show(answer: Any, line: Line, json_stream: TextIO) -> None:
@@ -114,12 +115,13 @@ def _page_of(frame: pd.DataFrame, line: Line) -> Page:
 def _places(run: Run) -> dict[str, Path]:
     """Tables, figures and report of a run, as far as they are there.
 
-    The user's own files with these names do not count.
+    The user's own files with these names do not count, nor do pages that show fewer draws.
     """
+    pages = listed_pages(run.path)
     places = {
         "tables": ("tables", (run.path / "tables").is_dir()),
-        "figures": (FIGURES_FOLDER, any(figures_in(run.path))),
-        "report": (REPORT, has_report(run.path)),
+        "figures": (FIGURES_FOLDER, not pages.isdisjoint(figures_in(run.path))),
+        "report": (REPORT, run.path / REPORT in pages),
     }
     return {name: run.path / file for name, (file, is_there) in places.items() if is_there}
 

@@ -9,17 +9,17 @@ Loops call `check`. In Python and in notebooks it does nothing, and Ctrl-C raise
 KeyboardInterrupt.
 """
 
-import contextlib
 import os
-import select
 import signal
 import threading
 import time
 from collections.abc import Iterable
 
+from pfdist.common.parent import become_child, received, report, say
+
 _CODES: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 75, signal.SIGUSR1: 75}  # exit codes
 _STOPPING = "Stopping after the work in flight; press Ctrl-C again to end now"
-# A batch script may hand on the signal that its whole group has received.
+# A program, such as a batch script or the parent, may hand on what the whole group has received.
 _SAME_SECONDS = 0.2
 _NOTICE_SECONDS = 25.0  # Slurm kills 30 s after SIGTERM
 _CTRL_C_SECONDS = 2.5  # for the commit of finished work; nobody at a terminal waits for longer
@@ -55,14 +55,18 @@ def exit_code() -> int | None:
     return _CODES[_received[0]] if _received else None
 
 
-def listen() -> None:
+def listen(*, forks: bool = False) -> None:
     """Record signals from now on; only the program's ``main`` calls this, before it starts threads.
+
+    If `forks` is true, it returns in a child whose parent hands on signals.
 
     A signal that is ignored, such as SIGINT under ``nohup``, stays ignored. Later threads also
     block the signals, and so do processes that they start without a fork in Python.
     """
     numbers = [each for each in _CODES if signal.getsignal(each) is not signal.SIG_IGN]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    if forks:
+        become_child(numbers)
     # Ray forks to start its servers, which must hear the signals; so must a model's own processes.
     os.register_at_fork(after_in_child=lambda: signal.pthread_sigmask(signal.SIG_SETMASK, before))
     threading.Thread(target=_listen, args=(numbers,), daemon=True).start()
@@ -70,29 +74,21 @@ def listen() -> None:
 
 def _listen(numbers: Iterable[int]) -> None:
     """Answer signals: the first stops a command at work, a later one ends the process."""
-    number, since = signal.sigwait(numbers), time.monotonic()
+    number, since = received(numbers)[0], time.monotonic()
     is_at_work = _at_work.is_set()
     if is_at_work:
-        _say(_STOPPING)  # before the command can end
+        say(_STOPPING)  # before the command can end
     _received.append(number)
     if is_at_work:
         _heard.set()
         most = _CTRL_C_SECONDS if number == signal.SIGINT else _NOTICE_SECONDS
         threading.Thread(target=_end_after, args=(most,), daemon=True).start()
-        while signal.sigwait(numbers) != signal.SIGINT and time.monotonic() - since < _SAME_SECONDS:
+        while received(numbers)[1] and time.monotonic() - since < _SAME_SECONDS:
             pass
     _end_after(0.0)
 
 
 def _end_after(seconds: float) -> None:
     time.sleep(seconds)
-    _say("Stopped.")
-    os._exit(_CODES[_received[0]])
-
-
-def _say(line: str) -> None:
-    """Write a line to standard error, unless it is closed, or nobody reads it."""
-    with contextlib.suppress(OSError):
-        if select.select([], [2], [], 0)[1]:  # to wait here would leave the next signal unanswered
-            begin = "\n" * os.isatty(2)  # the cursor may stand behind a progress bar
-            os.write(2, f"{begin}pfdist: {line}\n".encode())
+    say("Stopped.")
+    os._exit(report(_CODES[_received[0]]))

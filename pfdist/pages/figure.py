@@ -4,7 +4,7 @@ A module of `pfdist.plots` declares its figures. `pfdist plot` and the folder of
 them; a report shows those that a chapter of `pfdist.questions` names.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -173,20 +173,27 @@ def figure(
     return declare
 
 
-def draw_missing_figures(run: Run) -> None:
-    """Draw those figures of a run whose files are missing. The comparison has begun.
+def draw_missing_figures(run: Run, there: Collection[Path]) -> list[Path]:
+    """Draw those figures of a run whose files are not all there. The comparison has begun.
 
     Parameters
     ----------
     run : Run
+    there : collection of Path
+        Files that exist and are of the tables as they are now; others are replaced.
+
+    Returns
+    -------
+    list of Path
+        The files that were drawn.
     """
     tables = Tables(run)
     missing = (
         figure
         for figure in FIGURES.values()
-        if not all(file.exists() for name in figure.files(run) for file in _files(run, name))
+        if not all(file in there for name in figure.files(run) for file in _files(run, name))
     )
-    save_plots(run, (plot for figure in missing for plot in figure.plots(tables)))
+    return save_plots(run, (plot for figure in missing for plot in figure.plots(tables)))
 
 
 def draw_figures(run: Run, only: str = "") -> list[Path]:
@@ -228,7 +235,7 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
             for file in files:
                 write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
             saved += files
-    record_pages(run.path)
+    record_pages(run.path, saved)
     return saved
 
 

@@ -176,10 +176,10 @@ def bound(
                 workers_at_work = at_work(built.job.execution, [built.evaluator.engine], tell)
                 look: Look = complete(proof, workers_at_work)
             session.reporter.finish()
-            if chosen.figures and store.path == proved.path:
-                from pfdist.pages.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+        if chosen.figures and store.path == proved.path:
+            from pfdist.pages.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
-                draw_figures(proved, "bound")
+            draw_figures(proved, "bound")
         if chosen.report is not False:
             renew_report(proved.path, tell)
     return Bound(

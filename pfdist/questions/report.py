@@ -10,8 +10,8 @@ from pfdist.errors import ArgumentError, PfdistError, reason_of
 from pfdist.questions.run_page import page_of
 from pfdist.results import Run, open_run
 from pfdist.runner.progress import Say, heard, silent
-from pfdist.store import holds_run, is_held, record_pages, remove_file, write_file
-from pfdist.store.folder import REPORT, check_page_replaceable, has_report, runs_below
+from pfdist.store import holds_run, is_held, record_pages, write_file
+from pfdist.store.folder import REPORT, check_page_replaceable, runs_below
 
 SECONDS = 5.0
 """Between two reports of a run that continues."""
@@ -73,9 +73,9 @@ def write_report(run: Run, seconds: int = 0, target: float | None = None) -> Pat
     """
     from pfdist.questions.pictures import with_pictures  # noqa: PLC0415  Matplotlib loads if a page is made
 
-    record_pages(run.path, without=REPORT)
+    record_pages(run.path, [], without=REPORT)
     file = _write(lambda: with_pictures(page_of(run, seconds, target), run), run.path)
-    record_pages(run.path)
+    record_pages(run.path, [file])
     return file
 
 
@@ -117,8 +117,8 @@ def is_sweep(path: Path) -> bool:
     return next(runs_below(path, 1), path) != path
 
 
-def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
-    """Write the report of a run or a sweep; an error becomes one line.
+def try_report(run: Run | Path, say: Say, target: float | None = None) -> bool:
+    """Write the report of a run or a sweep; an error becomes one line. Whether it was written.
 
     The results are stored already. So no error of the report ends the command that has computed
     them, not even a mistake in pfdist.
@@ -142,6 +142,8 @@ def try_report(run: Run | Path, say: Say, target: float | None = None) -> None:
         is_expected = isinstance(error, PfdistError)
         hint = "" if is_expected else f" (`pfdist report {path} --debug` shows where)"
         heard(say, f"there is no report: {reason_of(error)}{hint}")
+        return False
+    return True
 
 
 def renew_report(path: Path, say: Say) -> None:
@@ -177,23 +179,3 @@ def write_page(page: Page, path: Path) -> None:
     check_page_replaceable(path)
     html = as_html(page)
     write_file(path, lambda file: file.write_text(html, encoding="utf-8", errors="replace"))
-
-
-def remove_report(path: Path) -> None:
-    """Remove the report of the run in a folder, if there is one.
-
-    A run writes its report only if the folder has none. So an old report must be removed before
-    the run resumes; otherwise it would stay for ever.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of the run. A file of the user with the report's name is not touched.
-
-    Raises
-    ------
-    StoreError
-        The report cannot be removed.
-    """
-    if has_report(path):
-        remove_file(path / REPORT)

@@ -15,7 +15,7 @@ from pfdist.filters.work import GUIDED
 from pfdist.problem.problem import JobSource, as_job
 from pfdist.questions.at_work import at_work, noted
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.report import remove_report, try_report
+from pfdist.questions.report import try_report
 from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.run_page import answer_in_a_line
 from pfdist.results import Run, open_run, read_recorded
@@ -29,8 +29,8 @@ from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.progress import Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
-from pfdist.store import add_to_provenance, forget_pages
-from pfdist.store.folder import has_report, remove_figures
+from pfdist.store import add_to_provenance, forget_pages, listed_pages, record_pages
+from pfdist.store.folder import REPORT
 
 _OF_FIGURES = ("pfdist.questions.pictures", "pfdist.pages.html", "scipy.special")
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
@@ -129,20 +129,20 @@ def run_built(
         return Run(path, built.job)
     lenders = [lender(open_run(other).path, built) for other in reuse]
 
+    made = list[Path]()  # pages of the tables as they are now, which are listed at the end
+
     def draw() -> Run:
         run = Run(path, built.job)
         if chosen.figures:
             from pfdist.pages.plots import draw_missing_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
-            draw_missing_figures(run)
+            made.extend(draw_missing_figures(run, listed_pages(path).union(made)))
         return run
 
-    def finish(*, is_new: bool) -> Run:
+    def finish() -> Run:
         run = draw()
-        if is_new:
-            remove_report(path)  # somebody may have asked for one of the unfinished run
-        if chosen.has_report and not has_report(path):
-            try_report(run, say)
+        if chosen.has_report and path / REPORT not in listed_pages(path) and try_report(run, say):
+            made.append(path / REPORT)
         return run
 
     # Figures are drawn in a thread, beside the proof, and while the pool is left. One that fails
@@ -154,18 +154,23 @@ def run_built(
                 for module in _OF_FIGURES:  # otherwise they would be waited for later
                     beside.submit(import_module, module)
             session = Session(built, store, show, say)
-            is_new = yield from compute(session, bound, partial(beside.submit, draw))
-            return beside.submit(finish, is_new=is_new)
+            yield from compute(session, bound, partial(beside.submit, draw))
+            return beside.submit(finish)
 
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
-        run: Run = complete(driver(), pool, lenders).result()
+        try:
+            run: Run = complete(driver(), pool, lenders).result()
+        finally:
+            record_pages(path, made, locked=True)
     return run
 
 
 def compute(
     session: Session, settings: BoundSettings | None, compared: Callable[[], object] = lambda: None
-) -> Generator[Batch, None, bool]:
-    """Compute what a run lacks, with its lower bound; False if it lacks nothing.
+) -> Generator[Batch, None, None]:
+    """Compute what a run lacks, with its lower bound.
+
+    Figures and the report of fewer draws stay until new ones replace them, but are not listed.
 
     Parameters
     ----------
@@ -182,18 +187,13 @@ def compute(
     if not unfinished and (
         prover is None or prover.has_proved(open_run(path)) or _is_long(session, prover)
     ):
-        return False
-    forget_pages(path)
-    remove_report(path)
+        return
+    forget_pages(path, *[] if unfinished else [REPORT])
     note_machine(path, built, say)
     if prover is not None:
         session.reporter.foresee(prover.steps, prover.steps)
     with noted(session):
-        if unfinished:
-            remove_figures(path)  # they show fewer draws
         yield from drive(session)
-        if unfinished:
-            remove_figures(path)  # somebody may have drawn them meanwhile
         if prover is not None and not _is_long(session, prover):
             session.reporter.note(optional=0.0)
             if is_known(built) and "evenly_spaced" not in open_run(path).tables:
@@ -208,7 +208,6 @@ def compute(
             except (JobError, ModelError, TaskError) as error:  # the results of the run stand
                 _unproved(session, str(error))
     session.reporter.finish()
-    return True
 
 
 def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
@@ -235,7 +234,7 @@ def _unproved(session: Session, reason: str) -> None:
     """Say why there is no lower bound, and keep the reason for every answer of the run."""
     if read_recorded(session.store.path)[0]["provenance"].get("unproved") != reason:
         add_to_provenance(session.store.path, {"unproved": reason})
-        remove_report(session.store.path)
+        forget_pages(session.store.path, REPORT)
     heard(session.say, f"Not proved: {reason}.")
 
 

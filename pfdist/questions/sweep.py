@@ -32,7 +32,7 @@ from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.door import Driver, Loop
 from pfdist.runner.driver import foreseen_steps
 from pfdist.runner.progress import Progress, Say, Show, heard, silent
-from pfdist.store import holds_run
+from pfdist.store import holds_run, listed_pages
 from pfdist.store.folder import REPORT, has_report
 
 _SHOWN = 3  # failures in an error
@@ -200,7 +200,7 @@ def sweep(
         searches, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
         if chosen.has_report:
             for position, run in enumerate(searches.runs.values(), 1):
-                if not has_report(run.path):
+                if run.path / REPORT not in listed_pages(run.path):
                     tell(f"Writing reports {position}/{len(searches.runs)}")
                     try_report(run, tell)
             if part is None:

@@ -31,7 +31,6 @@ from pfdist.store import (
     key_of,
     read_models,
     read_run,
-    record_pages,
     run_key,
     run_text,
     write_about,
@@ -82,10 +81,7 @@ def opened(path: Path, built: Built) -> Iterator[Store]:
             raise _too_few(path, built.job, committed)
         store.check_published()
         _write_about(path, built, identity, key)
-        try:
-            yield store
-        finally:
-            record_pages(path, locked=True)
+        yield store
 
 
 def is_sealed(path: Path, built: Built) -> bool:

@@ -25,7 +25,7 @@ from pfdist.store.folder import (
     holds_run,
     is_job_of_run,
 )
-from pfdist.store.listing import forget_pages, record_pages
+from pfdist.store.listing import forget_pages, listed_pages, record_pages
 from pfdist.store.lock import held, is_held
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import (

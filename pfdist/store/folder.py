@@ -16,7 +16,6 @@ from pathlib import Path
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
 from pfdist.store.files import begins_with, check_replaceable, reading
-from pfdist.store.files import remove as remove_file
 from pfdist.store.schema import TABLES
 
 MODELS = "model.json"
@@ -87,17 +86,6 @@ def figures_in(path: Path) -> Iterator[Path]:
     for file in (path / FIGURES_FOLDER).glob("*.*"):
         if file.suffix.removeprefix(".") in FORMATS:
             yield file
-
-
-def remove_figures(path: Path) -> None:
-    """Remove every PNG, SVG and PDF file from the folder ``figures`` of the run in a folder."""
-    for file in figures_in(path):
-        remove_file(file)
-
-
-def pages_in(path: Path) -> list[Path]:
-    """Files of the figures and the report in the folder of a run."""
-    return [*sorted(figures_in(path)), *([path / REPORT] if has_report(path) else [])]
 
 
 def check_entries(folder: Path) -> None:

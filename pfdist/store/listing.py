@@ -2,8 +2,8 @@
 
 It names every published file of a table; the name of such a file ends with the hash of its content.
 It has the hashes that job.toml, model.json and run.json may have, and those of the pages: the
-figures and the report. It is replaced as a whole, so a reader sees the list before a change or the
-list after it.
+figures and the report, while they are made from the tables as they are. It is replaced as a whole,
+so a reader sees the list before a change or the list after it.
 
 Only the process that holds the run's lock writes it. These are the orders, and what a kill between
 two steps costs:
@@ -14,13 +14,15 @@ two steps costs:
   behind the list, parts may be left: their phase is published again, with the same bytes.
 - job.toml, model.json or run.json is replaced: files.json lists the hashes of the old and the new
   content, then the file gets its name. The next list keeps only the hash of the file that is there.
+- Tables change: the pages leave the list first. Their files stay until new ones replace them, which
+  are listed once they are there. So the next run makes again what a kill has left unlisted.
 """
 
 import contextlib
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -29,7 +31,7 @@ from typing import Any
 from pfdist.common.parsing import parse_json, read_text
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import ABOUT, FILES, pages_in
+from pfdist.store.folder import ABOUT, FILES, REPORT, figures_in, has_report
 from pfdist.store.lock import held
 from pfdist.store.tables import REMEDY
 
@@ -88,27 +90,42 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
     files.write_file(folder / FILES, lambda file: file.write_text(text, encoding="utf-8"))
 
 
-def record_pages(folder: Path, *, locked: bool = False, without: str = "") -> None:
-    """List the figures and the report of a run, unless another command may write to the run.
+def listed_pages(folder: Path) -> set[Path]:
+    """The figures and the report of a run that were made from its tables as they are now."""
+    listing = read_listing(folder)
+    names = listing.pages if listing is not None else {}
+    there = (*figures_in(folder), *([folder / REPORT] if has_report(folder) else []))
+    return {page for page in there if str(page.relative_to(folder)) in names}
 
-    `locked` is whether the caller holds the run's lock. A driver lists the pages at its end. If a
-    page cannot be listed, no error is raised, because a command can make it again. The page
-    `without` will be replaced and is left out, so that a kill leaves no wrong hash.
+
+def record_pages(
+    folder: Path, made: Iterable[Path], *, locked: bool = False, without: str = ""
+) -> None:
+    """List pages that were made from the tables, unless another command may write to the run.
+
+    `locked` is whether the caller holds the run's lock. If a page cannot be listed, no error is
+    raised, because a command can make it again. The page `without` will be replaced and is left
+    out, so that a kill leaves no wrong hash.
     """
     lock = nullcontext(True) if locked else held(folder, patience=0.0)
     with contextlib.suppress(StoreError, OSError), lock as is_locked:
-        names = {str(page.relative_to(folder)): page for page in pages_in(folder)}
-        pages = {name: files.digest(page) for name, page in names.items() if name != without}
-        listing = read_listing(folder)
-        if is_locked and listing is not None and listing.pages != pages:
-            change_listing(folder, pages=pages)
+        listing, new = read_listing(folder), {str(page.relative_to(folder)): page for page in made}
+        if is_locked and listing is not None:
+            pages = dict(listing.pages) | {name: files.digest(page) for name, page in new.items()}
+            pages.pop(without, None)
+            if pages != listing.pages:
+                change_listing(folder, pages=pages)
 
 
-def forget_pages(folder: Path) -> None:
-    """Remove the pages of a run from the list, because they will be made again; needs the lock."""
+def forget_pages(folder: Path, *names: str) -> None:
+    """List some pages of a run no longer, or none, as they will be made again; needs the lock.
+
+    The files stay until then: they show fewer draws.
+    """
     listing = read_listing(folder)
     if listing is not None and listing.pages:
-        change_listing(folder, pages={})
+        stay = set(listing.pages).difference(names) if names else ()
+        change_listing(folder, pages={name: listing.pages[name] for name in stay})
 
 
 def _content(listing: Listing) -> dict[str, Any]:

@@ -67,22 +67,26 @@ def test_a_signal_before_the_first_look_ends_the_process_at_once(
 
 def test_a_second_signal_ends_the_process_at_once_with_the_code_of_the_first() -> None:
     again = "heard(signal.{}); send(signal.{}); time.sleep(600)"
-    assert done(again.format("SIGINT", "SIGINT")) == (130, "", STOPPING + STOPPED)
-    assert done(again.format("SIGTERM", "SIGINT")) == (75, "", STOPPING + STOPPED)
+    late = "stopping._SAME_SECONDS = 0.0"
+    assert done(again.format("SIGINT", "SIGINT"), late) == (130, "", STOPPING + STOPPED)
+    assert done(again.format("SIGTERM", "SIGINT"), late) == (75, "", STOPPING + STOPPED)
 
 
-def test_a_signal_of_a_batch_system_that_is_handed_on_at_once_counts_once() -> None:
-    lines = """
+@pytest.mark.parametrize(("number", "code"), CODES)
+def test_a_signal_that_a_program_hands_on_at_once_counts_once(
+    number: signal.Signals, code: int
+) -> None:
+    lines = f"""
 stopping._SAME_SECONDS = 60.0
-heard(signal.SIGTERM)
-send(signal.SIGTERM)
-send(signal.SIGTERM)
+heard({number:d})
+send({number:d})
+send({number:d})
 print("alive", flush=True)
 stopping._SAME_SECONDS = 0.0  # as if it were later
-send(signal.SIGTERM)
+send({number:d})
 time.sleep(600)
 """
-    assert done(lines) == (75, "alive\n", STOPPING + STOPPED)
+    assert done(lines) == (code, "alive\n", STOPPING + STOPPED)
 
 
 def test_after_the_notice_of_a_batch_system_the_process_ends_whatever_it_does() -> None:

@@ -30,7 +30,8 @@ GONE_SECONDS = 60.0  # after which nothing of a program that has ended may live
 class Running:
     """``pfdist run`` or another command in a process of its own, whose processes are known.
 
-    It does not outlive the test, nor do its workers.
+    Its process is the parent, whose child computes. It does not outlive the test, nor do its
+    workers.
     """
 
     def __init__(
@@ -47,9 +48,14 @@ class Running:
                 start_new_session=True,  # as a job of a shell
             )
 
+    @property
+    def computing(self) -> list[Process]:
+        """The process that computes, once it has begun."""
+        return family(self.process.pid)[:1]
+
     def family(self, word: str = "") -> list[Process]:
-        """Processes below it, from those of its children whose command has a word in it."""
-        return family(self.process.pid, word)
+        """Processes below that, from those of its children whose command has a word in it."""
+        return [each for process in self.computing for each in family(process.pid, word)]
 
     def workers(self) -> list[Process]:
         """Its Ray workers that have a task in their hands."""
@@ -88,7 +94,7 @@ def running(
     try:
         yield driver
     finally:
-        left = driver.family()
+        left = [*driver.computing, *driver.family()]
         driver.process.kill()
         driver.process.wait()
         end(left)

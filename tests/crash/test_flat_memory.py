@@ -98,7 +98,7 @@ def test_on_ray_too_for_the_driver_and_its_workers(
         peaks[draws] = {}
         with running(job, tmp_path / f"{draws}", *options) as driver:
             while driver.process.poll() is None:
-                processes = {driver.process.pid: "driver"}
+                processes = {each.pid: "driver" for each in driver.computing}
                 processes |= {worker.pid: "worker" for worker in driver.workers()}
                 for process, whose in processes.items():
                     found = PEAK.search(_status(process))

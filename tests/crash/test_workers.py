@@ -49,7 +49,9 @@ TWO = ("--pool", "ray", "--workers", "2")
 RAY_SECONDS = 200.0  # in which a run whose Ray does not answer has ended
 LOST = "pfdist: (no answer from (the Ray cluster|any worker) for|the Ray)"
 
-RAYLET, GCS = "raylet/raylet", "gcs_server"
+ENDED = "pfdist: The process that computes ended with exit code 1 and without a message: "
+
+RAYLET, GCS, AGENT = "raylet/raylet", "gcs_server", "dashboard/agent.py"
 
 Record = Callable[[str, object], None]
 
@@ -149,6 +151,27 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
         until(lambda: all_gone(everything), 2 * GONE_SECONDS)  # Ray's agents wait for a minute
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
     record_property("faults", f"{HANGS}: {len(stopped)}")
+
+
+@pytest.mark.parametrize(
+    "killed",
+    [pytest.param(AGENT, marks=pytest.mark.fault), pytest.param(RAYLET, marks=pytest.mark.crash)],
+)
+def test_a_run_whose_server_is_killed_says_so_with_exit_code_75_and_leaves_nothing(
+    killed: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+) -> None:
+    """Ray ends the process that computes, with exit code 1 and without a line."""
+    job = make_job(100_000)
+    with running(job, tmp_path / "run", *TWO) as driver:
+        driver.wait_for(lambda: _is_comparing(driver))
+        everything, start = driver.family(), time.monotonic()
+        os.kill(*(process.pid for process in everything if killed in command_of(process)), 9)
+        assert driver.wait() == 75
+        assert time.monotonic() - start < RAY_SECONDS
+        assert driver.said[-1].startswith(ENDED) or re.match(LOST, driver.said[-1])
+        until(lambda: all_gone(everything), 2 * GONE_SECONDS)
+    assert finish(job, tmp_path / "run", "--pool", "threads") == _whole(job)
+    record_property("faults", f"{HANGS}: 1")
 
 
 @pytest.mark.crash

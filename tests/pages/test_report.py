@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import pfdist
 from oracles.listed import rewrite
@@ -16,6 +17,7 @@ from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common import stopping
+from pfdist.common.parts import Page
 from pfdist.common.percent import gap_sentence, percent
 from pfdist.errors import StoreError
 from pfdist.problem.set_key import phrase_of
@@ -246,6 +248,48 @@ def test_a_report_of_the_unfinished_run_gives_way_when_the_run_ends(
     pfdist.run(more, run.path, figures=False, report=True, progress=look)
     assert warned == [True]
     assert "not finished" not in (run.path / "report.html").read_text()
+
+
+def test_pages_of_fewer_draws_stay_until_new_ones_replace_them(
+    exact: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Also if the run is stopped in the comparison, or killed before its new pages are made."""
+    edition, folder = ["first"], tmp_path / "run"
+    monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: path.write_text(edition[0]))
+    monkeypatch.setattr("pfdist.questions.report.page_of", lambda *_: Page(edition[0], "", []))
+
+    def pages() -> dict[str, bytes]:
+        found = [folder / "report.html", *(folder / "figures").iterdir()]
+        return {page.name: page.read_bytes() for page in found}
+
+    def places() -> list[str]:
+        assert not list(verify_run(folder))
+        assert main(["status", str(folder)]) == 0
+        return re.findall("^(tables|figures|report):", capsys.readouterr().out, re.MULTILINE)
+
+    pfdist.run(exact, folder, report=True)
+    before, more = pages(), exact.with_changes(["comparison.draws=60"])
+    edition[0] = "second"
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(more, folder, report=True, progress=_stop_at("comparison"))
+    assert (pages(), places()) == (before, ["tables"])
+    with monkeypatch.context() as patch:
+        patch.setattr("pfdist.plots.draw_missing_figures", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            pfdist.run(more, folder, report=True)
+    assert pfdist.open_run(folder).draws_compared == 60
+    assert (pages(), places()) == (before, ["tables"])
+    pfdist.run(more, folder, report=True)
+    after = pages()
+    assert after.keys() == before.keys()
+    assert all(after[page] != before[page] for page in before)
+    assert places() == ["tables", "figures", "report"]
+    edition[0] = "third"
+    pfdist.run(more, folder, report=True)
+    assert pages() == after
 
 
 def test_a_users_own_file_stays_and_no_command_calls_it_a_result(

@@ -288,12 +288,13 @@ def test_without_locks_no_page_is_listed_beside_a_driver(
 
     monkeypatch.setattr("fcntl.flock", no_locks)
     (store.path / "figures").mkdir()
-    (store.path / "figures" / "searches.svg").write_text("a figure")
+    figure = store.path / "figures" / "searches.svg"
+    figure.write_text("a figure")
     before = (store.path / "files.json").read_text()
     with pytest.warns(PfdistWarning, match="only one command at a time"):
-        record_pages(store.path)
+        record_pages(store.path, [figure])
     assert (store.path / "files.json").read_text() == before
-    record_pages(store.path, locked=True)
+    record_pages(store.path, [figure], locked=True)
     assert "searches.svg" in (store.path / "files.json").read_text()
 
 
