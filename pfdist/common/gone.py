@@ -1,4 +1,4 @@
-"""What earlier versions had: keys, options, commands and arguments, and what replaces each.
+"""Keys, options, commands and arguments that earlier versions had, and what replaces each.
 
 Whoever takes something back adds a line to `GONE`. A word that pfdist does not know is looked up
 there first: a key of a job or a sweep file (`common.section`), an option or a command
@@ -10,7 +10,7 @@ GONE = {
     "doctor": "the line of an error says what a machine lacks, see docs/install.md",
     ".tex": "pandas writes LaTeX, as pfdist.table(RUN).to_latex()",
 }
-"""What replaces each word. A key has as many of its last parts as identify it: ``filter.dtype``."""
+"""The replacement of each word. A key has as many of its last parts as identify it: ``filter.dtype``."""
 
 
 def gone(word: str) -> str:

@@ -99,7 +99,7 @@ def tried(what: str, command: str, say: Say) -> Iterator[None]:
     Parameters
     ----------
     what : str
-        What is made.
+        The thing that is made, as the line names it.
     command : str
         The words of a command that makes it again.
     say : callable

@@ -220,7 +220,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 19
+    assert len(NAMES) == 18
 
 
 @every
