@@ -10,7 +10,7 @@ GONE = {
     "doctor": "the line of an error says what a machine lacks, see docs/install.md",
     ".tex": "pandas writes LaTeX, as pfdist.table(RUN).to_latex()",
 }
-"""The replacement of each word. A key has as many of its last parts as identify it: ``filter.dtype``."""
+"""The replacement of each word. A key has its last parts, as many as identify it."""
 
 
 def gone(word: str) -> str:
