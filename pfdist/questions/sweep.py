@@ -107,8 +107,8 @@ def sweep(
     All points share the workers, so that no worker idles while the last tasks of a point are done.
     The first points go first. Evaluations that several points need are computed once. Points that
     another process computes are left out, so several processes may share the points of a sweep.
-    The folder of the sweep gets the table of all points, ``points.csv``, and one figure, that of
-    `pfdist.plots.against`. With `report`, every run has a report. Runs get no other figures.
+    The folder of the sweep gets the table of all runs in it, ``points.csv``, and one figure, that
+    of `pfdist.plots.against`. With `report`, every run has a report. Runs get no other figures.
 
     Parameters
     ----------
@@ -164,8 +164,8 @@ def sweep(
                     try_report(run, tell)
         if part is None and runs:
             with tried("table or figure", f"plot {path}", tell):
-                frame = table(*runs.values(), out=path / TABLE)
-                if chosen.figures and len(runs) > 1:
+                frame = table(path, out=path / TABLE)
+                if chosen.figures and frame["run"].nunique() > 1:
                     from pfdist.pages.plots import draw_points  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
                     draw_points(frame, path)

@@ -406,6 +406,10 @@ def test_a_sweep_has_the_table_of_its_points_and_one_figure(
     assert main(["plot", str(folder)]) == 0
     assert {*map(Path, capsys.readouterr().out.splitlines())} == {*sweep.figures}
     assert sweep.figures[0].read_bytes() == drawn
+    more = partial(pfdist.sweep, small_job, {"seed": [3]}, results=folder, changes=EXACT)
+    assert len(more(report=False).runs) == 1
+    assert len(pd.read_csv(file)) == len(pfdist.table(folder)) > len(frame)
+    assert sweep.figures[0].read_bytes() != drawn
     for command in ("report", "status", "verify"):
         assert main([command, str(folder)]) == 1
         line = capsys.readouterr().err
