@@ -165,7 +165,7 @@ def sweep(
         if part is None and runs:
             with tried("table or figure", f"plot {path}", tell):
                 frame = table(path, out=path / TABLE)
-                if chosen.figures and frame["run"].nunique() > 1:
+                if chosen.figures and len(set(frame["run"])) > 1:
                     from pfdist.pages.plots import draw_points  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
                     draw_points(frame, path)
