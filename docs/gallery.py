@@ -13,14 +13,14 @@ import pfdist
 
 FOLDER = Path(__file__).parent
 JOBS = {  # labels with units: some models leave them to their docstrings
-    "plan": ("typical error of x", "instant"),
-    "tumour": ("typical error\nof the position", "time [0.25 s]"),
-    "xray_tumour": ("typical error [mm]", "time [0.25 s]"),
-    "lorenz63": ("typical error\nof (x, y, z)", "time [0.1]"),
-    "lotka_volterra": ("typical error\nof logarithms", "time"),
-    "constant_velocity": ("typical error [km]", "time [min]"),
-    "pharmacokinetics": ("typical error\nof the logarithm", "time [h]"),
-    "epidemic": ("typical error\nof prevalence [%]", "time [d]"),
+    "plan": ("expected error of x", "instant"),
+    "tumour": ("expected error\nof the position", "time [0.25 s]"),
+    "xray_tumour": ("expected error [mm²]", "time [0.25 s]"),
+    "lorenz63": ("expected error\nof (x, y, z)", "time [0.1]"),
+    "lotka_volterra": ("expected error\nof logarithms", "time"),
+    "constant_velocity": ("expected error [km²]", "time [min]"),
+    "pharmacokinetics": ("expected error\nof the logarithm", "time [h]"),
+    "epidemic": ("expected error\nof prevalence [%²]", "time [d]"),
 }
 DRAWS = 4000
 
@@ -61,7 +61,8 @@ def _draw(run: pfdist.Run, path: Path, error: str, time: str) -> None:
         figure, (errors, times) = plt.subplots(
             2, sharex=True, height_ratios=(3, 1), figsize=(6.4, 3.6), layout="constrained"
         )
-        pfdist.plots.uncertainty(run, ax=errors).set(xlabel="", ylabel=error)
+        profile = run.table("error_over_time")
+        pfdist.plots.error_profile(profile, ax=errors).set(xlabel="", ylabel=error)
         pfdist.plots.times(run, ax=times).set_xlabel(time)
         figure.savefig(path, dpi=110)
         plt.close(figure)

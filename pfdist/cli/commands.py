@@ -227,22 +227,23 @@ COMMANDS = {
         {
             "pfdist table results/plan": "Show the results of a run, a row for each found set",
             "pfdist table results --out runs.csv": "Write all runs in a folder to a file",
-            "pfdist table results --out runs.tex": "Make a table for a paper",
         },
     ),
     "report": Command(
         "pfdist.questions.report:report",
-        "Write the report of a run or a sweep: one HTML file that can be sent to anybody.",
+        "Write the report of a run: one HTML file that can be sent to anybody.",
         {
             "pfdist report results/plan": "Write report.html into the folder of the run",
             "pfdist report results/plan --watch": "Write it again while the run continues",
-            "pfdist report results/budgets": "Write the report of a sweep, with links to points",
         },
     ),
     "plot": Command(
         "pfdist.cli.own:plot",
-        "Draw the figures of a run from its tables.",
-        {"pfdist plot results/plan": "Draw the figures of a run again"},
+        "Draw the figures of a run from its tables, or the figure of a sweep.",
+        {
+            "pfdist plot results/plan": "Draw the figures of a run again",
+            "pfdist plot results/budgets": "Draw the figure of a sweep",
+        },
     ),
     "verify": Command(
         "pfdist.cli.own:verify",
@@ -265,14 +266,6 @@ COMMANDS = {
         "pfdist.cli.own:models",
         "List the models that a job can name.",
         {"pfdist models": "Show which names a job can give as model.name"},
-    ),
-    "doctor": Command(
-        "pfdist.cli.own:doctor",
-        "Check whether this machine is fit for a run.",
-        {
-            "pfdist doctor": "Check this machine, before the first run",
-            "pfdist doctor --results /tmp": "Check whether another disk can hold runs",
-        },
     ),
     "completion": Command(
         "pfdist.cli.own:completion",

@@ -3,12 +3,12 @@
 Each returns an answer, as the functions of `pfdist.questions` do, or yields lines or checks.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from pfdist.common.arguments import path_argument
-from pfdist.errors import ArgumentError, ModelError, PfdistError, PoolError, StoreError
+from pfdist.errors import ArgumentError, ModelError, PfdistError, StoreError
 from pfdist.questions.options import Options, with_options
 from pfdist.runner.progress import silent
 
@@ -28,7 +28,6 @@ def sweep(
     results: str | None = None,
     changes: Sequence[str] = (),
     bound_draws: int = 0,
-    judge: bool | None = None,
     part: tuple[int, int] | None = None,
     dry_run: bool = False,
     **options: Unpack[Options],
@@ -49,12 +48,9 @@ def sweep(
         Other values of keys of the job, at all points.
     bound_draws : int
         Number of draws of the lower bound that is proved at each point; 0 for no bound.
-    judge : bool, optional
-        Also judge the times found at each point at every point, in the folder judged of the sweep;
-        the default is judge of the sweep file.
     part : tuple of two int, optional
         Compute every N-th point, from the K-th, and no other, as tasks of a batch array do. Then
-        the same command without --part judges and reports the whole sweep.
+        the same command without --part makes the table and the figure of the whole sweep.
     dry_run : bool
         Print the points, their work, estimated from a few draws, and how many parts are worthwhile;
         compute no point.
@@ -68,12 +64,12 @@ def sweep(
         raise ArgumentError("--part and --dry-run exclude each other: a dry run computes no point")
     if dry_run:
         return foreseen(
-            job, over or {}, results=results, changes=changes, judge=judge,
+            job, over or {}, results=results, changes=changes,
             progress=options.get("progress"), say=options.get("say", silent),
         )  # fmt: skip
     return computed(
-        job, over or {}, results=results, changes=changes, bound_draws=bound_draws, judge=judge,
-        part=part, **options,
+        job, over or {}, results=results, changes=changes, bound_draws=bound_draws, part=part,
+        **options,
     )  # fmt: skip
 
 
@@ -121,17 +117,21 @@ def status(run: str, *, export: str | None = None) -> "Run":
 
 
 def plot(run: str) -> Iterator[str]:
-    """Draw the figures of a run from its tables.
+    """Draw the figures of a run from its tables, or the figure of a sweep.
 
     Parameters
     ----------
     run : str
-        Folder of a run.
+        Folder of a run, or of a sweep.
     """
-    from pfdist.pages.plots import draw_figures
+    from pfdist.pages.plots import draw_figures, draw_points
+    from pfdist.questions.table import table
     from pfdist.results import open_run
+    from pfdist.store import holds_run
 
-    yield from map(str, draw_figures(open_run(run)))
+    path = path_argument("run", run)
+    is_run = holds_run(path)
+    yield from map(str, draw_figures(open_run(path)) if is_run else draw_points(table(path), path))
 
 
 def verify(run: str) -> Iterator[str]:
@@ -185,35 +185,11 @@ def check_model(
     if horizon is not None and times is not None:
         raise ArgumentError("--horizon and --times exclude each other: a clock has a last instant")
     wrong = list[str]()
-    checks = checks_of(model, horizon, particles, clock_of(times).times if times else ())
-    yield from _noting(wrong, checks)
-    if wrong:
-        raise ModelError(f"{model}: wrong: {', '.join(wrong)}")
-
-
-def doctor(*, results: str = "results", address: str = "") -> Iterator["Check"]:
-    """Check whether this machine is fit for a run.
-
-    Parameters
-    ----------
-    results : str
-        Folder that will hold runs.
-    address : str
-        Also check the nodes of the Ray cluster at this address.
-    """
-    from pfdist.questions.machine import examine
-
-    wrong = list[str]()
-    yield from _noting(wrong, examine(path_argument("results", results), address))
-    if wrong:
-        raise PoolError(f"not fit for a run: {', '.join(wrong)}")
-
-
-def _noting(wrong: list[str], checks: Iterable["Check"]) -> Iterator["Check"]:
-    """Yield the checks, and note the names of those that found something wrong."""
-    for check in checks:
+    for check in checks_of(model, horizon, particles, clock_of(times).times if times else ()):
         yield check
         wrong += [check.name] * (check.state == "wrong")
+    if wrong:
+        raise ModelError(f"{model}: wrong: {', '.join(wrong)}")
 
 
 def models() -> Iterator[str]:

@@ -18,6 +18,7 @@ from cyclopts.exceptions import (
 
 import pfdist
 from pfdist.cli.commands import COMMANDS
+from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean, must_be
 from pfdist.errors import one_line, shown, shown_text
 from pfdist.pages.terminal import line_width
@@ -208,9 +209,9 @@ def _unknown(error: UnknownCommandError | UnknownOptionError) -> str:
         return _unknown_option(word, _options(error.argument_collection))
     word = (error.unused_tokens or [""])[0]
     is_option = word.startswith("-")
-    return (
-        _unknown_option(word, _options([])) if is_option else _not_one_of("COMMAND", COMMANDS, word)
-    )
+    if is_option:
+        return _unknown_option(word, _options([]))
+    return gone(word) or _not_one_of("COMMAND", COMMANDS, word)
 
 
 def _missing(error: MissingArgumentError, argument: Argument) -> str:
@@ -247,4 +248,6 @@ def _unknown_option(word: str, options: Collection[str]) -> str:
     if option in options:  # after "--", or with a value
         return f"unexpected word {shown(word)}"
     keys = " (--set KEY=VALUE changes a key of the job)" if "--set" in options else ""
-    return f"unknown option {shown_text(option)}{keys}{did_you_mean(option, options)}"
+    return gone(option) or (
+        f"unknown option {shown_text(option)}{keys}{did_you_mean(option, options)}"
+    )

@@ -166,7 +166,6 @@ WORDS: dict[str, Word | Callable[[], Word]] = {
     "folder": _file("DIR"),
     "horizon": _number("T"),
     "job": _file("JOB"),
-    "judge": Word(bool | None, Parameter()),
     "measurements": _file("MEASUREMENTS"),
     "memory": _number("MIB"),
     "model": _file("MODEL"),

@@ -57,16 +57,10 @@ class Cell:
     text : str
     value : float, str or None
         The key of the row in its column; by default the text.
-    link : str
-        Address of a file beside the page, percent-encoded; empty for none.
-    linked : str
-        The target of the link in words, for screen readers.
     """
 
     text: str
     value: Value = None
-    link: str = ""
-    linked: str = ""
 
     @property
     def key(self) -> Value:
@@ -219,8 +213,6 @@ class Page:
         Seconds after which the page reloads itself; 0 for never.
     source : str
         The source of the page, for its last line.
-    links : str
-        The target of the page's links in words; empty for a page without links.
     place : str
         Where the answer is kept and how it was computed: the last line in a terminal.
     """
@@ -231,6 +223,5 @@ class Page:
     warnings: Sequence[str] = field(default_factory=tuple)
     seconds: int = 0
     source: str = "from tables alone"
-    links: str = ""
     place: str = ""
     alarms: Sequence[str] = field(default_factory=tuple)

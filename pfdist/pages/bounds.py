@@ -53,7 +53,7 @@ def draw_target(run: Run, target: float) -> list[Path]:
     -------
     list of Path
     """
-    return save_plots(run, [(f"budget-target-{target:g}", _plot(run, target))])
+    return save_plots(run.path, [(f"budget-target-{target:g}", _plot(run, target))])
 
 
 def _plot(run: Run, target: float | None = None) -> Plot:

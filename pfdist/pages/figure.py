@@ -25,7 +25,7 @@ from pfdist.pages.style import styled
 from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.online import OnlineDraws, online_draws
 from pfdist.results.stored_run import statistics_of
-from pfdist.store import record_pages, write_file
+from pfdist.store import holds_run, record_pages, write_file
 from pfdist.store.folder import FIGURES_FOLDER, FORMATS
 
 Applies = Callable[[Run], bool]
@@ -191,9 +191,9 @@ def draw_missing_figures(run: Run, there: Collection[Path]) -> list[Path]:
     missing = (
         figure
         for figure in FIGURES.values()
-        if not all(file in there for name in figure.files(run) for file in _files(run, name))
+        if not all(file in there for name in figure.files(run) for file in _files(run.path, name))
     )
-    return save_plots(run, (plot for figure in missing for plot in figure.plots(tables)))
+    return save_plots(run.path, (plot for figure in missing for plot in figure.plots(tables)))
 
 
 def draw_figures(run: Run, only: str = "") -> list[Path]:
@@ -220,22 +220,23 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
             f"{run.path} has no compared draws yet: resume it first, `pfdist run {run.path}`"
         )
     tables, wanted = Tables(run), [FIGURES[only]] if only else FIGURES.values()
-    return save_plots(run, (plot for figure in wanted for plot in figure.plots(tables)))
+    return save_plots(run.path, (plot for figure in wanted for plot in figure.plots(tables)))
 
 
-def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
-    """The files of plots, drawn in the style for print into the folder ``figures`` of a run.
+def save_plots(folder: Path, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
+    """The files of plots, drawn in the style for print into ``figures`` of a run or a sweep.
 
     Each plot comes with the name of its files, without suffix, and has a file of each format.
     """
     saved = []
     with styled():
         for name, plot in plots:
-            canvas, files = drawn(plot), _files(run, name)
+            canvas, files = drawn(plot), _files(folder, name)
             for file in files:
                 write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
             saved += files
-    record_pages(run.path, saved)
+    if holds_run(folder):
+        record_pages(folder, saved)
     return saved
 
 
@@ -279,8 +280,8 @@ def _remove_control_characters(canvas: Canvas) -> None:
         text.set_text(printable(text.get_text()))
 
 
-def _files(run: Run, name: str) -> list[Path]:
-    return [run.path / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS]
+def _files(folder: Path, name: str) -> list[Path]:
+    return [folder / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS]
 
 
 def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:

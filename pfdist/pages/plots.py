@@ -2,9 +2,9 @@
 
 The functions `belief`, `bound`, `budget`, `comparison`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
-`online_shares`, `particle_losses`, `sampling_windows`, `searches`, `times`, `uncertainty` and
-`worth` each draw a run, or tables, into ``ax`` or into a new figure of pyplot, and return the axes.
-So does `against`, which draws a table of many runs.
+`online_shares`, `particle_losses`, `sampling_windows`, `searches`, `times` and `worth` each draw a
+run, or tables, into ``ax`` or into a new figure of pyplot, and return the axes. So does `against`,
+which draws a table of many runs.
 ``plt.style.use("pfdist.pages.print")`` gives the look of printed figures, and
 ``pfdist.pages.screen`` that of figures on a screen.
 """
@@ -17,8 +17,8 @@ from pfdist.pages.gains import gain, one_draw
 from pfdist.pages.measurements import sampling_windows, worth
 from pfdist.pages.online import online_gain, online_raster, online_shares
 from pfdist.pages.searches import comparison, searches
-from pfdist.pages.sweeps import against
-from pfdist.pages.times_axis import times, uncertainty
+from pfdist.pages.sweeps import against, draw_points
+from pfdist.pages.times_axis import times
 from pfdist.pages.why import degenerate_draws, effective_sample_size, error_profile, particle_losses
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "draw_figures",
     "draw_filtered",
     "draw_missing_figures",
+    "draw_points",
     "draw_target",
     "effective_sample_size",
     "error_profile",
@@ -45,6 +46,5 @@ __all__ = [
     "sampling_windows",
     "searches",
     "times",
-    "uncertainty",
     "worth",
 ]

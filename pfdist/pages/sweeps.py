@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import ScaledTranslation
 
 from pfdist.errors import ArgumentError, shown
+from pfdist.pages.figure import Plot, save_plots
 from pfdist.pages.panel import (
     Points,
     axes_for,
@@ -47,8 +49,9 @@ _BESIDE = 2.5  # points between two lines at one value
 _LONGEST_LABEL, _LONGEST_TEXT = 42, 16  # letters
 _MOST_TICKS, _CLOSEST = 8, 0.08  # ticks at the values, and their least distance over the axis
 _BEST = "best times"
-_PER_CENT = ("gain_of_means", "mean_relative_gain", "positive_fraction", "regret", "bound_gap",
-             "bound_gap_at_most")  # fmt: skip
+_PER_CENT = (
+    "gain_of_means", "mean_relative_gain", "positive_fraction", "bound_gap", "bound_gap_at_most",
+)  # fmt: skip
 Line = tuple[tuple[Any, ...], list[Average]]
 
 
@@ -70,13 +73,13 @@ def against(
     Parameters
     ----------
     table : DataFrame
-        The result of `pfdist.table` or `Sweep.judged`, or an object with such a method ``table``,
-        such as the result of `pfdist.sweep`.
+        The result of `pfdist.table`, or an object with such a method ``table``, such as the result
+        of `pfdist.sweep`.
     key : str, optional
-        A column with a key in which the jobs differ; by default the first other than seed. Values
-        that are not numbers are categories.
+        A column with a key in which the jobs differ; by default the first other than seed, if
+        there is another. Values that are not numbers are categories.
     value : str
-        A column with a result. Gains, fractions, gaps and regrets are drawn in per cent.
+        A column with a result. Gains, fractions and gaps are drawn in per cent.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -133,18 +136,29 @@ def against(
     return ax
 
 
+def draw_points(frame: pd.DataFrame, folder: Path) -> list[Path]:
+    """The files of the figure of a sweep: of `against`, in ``figures`` of the folder.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        The result of `pfdist.table`.
+    folder : Path
+    """
+    title = f"Expected MSE against {_key(frame, None)}."
+    plot = Plot(2.6, lambda panels: against(frame, ax=panels[0]), title=title)
+    return save_plots(folder, [("points", plot)])
+
+
 def _key(frame: pd.DataFrame, key: str | None) -> str:
     """The column with this key; by default the first in which the jobs differ."""
     keys = keys_of(frame)
     if key is not None:
         return chosen(key, keys, "key")
-    for name in (*columns_of(frame), *keys):
-        if name in keys and name != SEED:
-            return name
-    raise ArgumentError(
-        "key must be a key in which the jobs differ, but only their seeds differ",
-        argument="key",
-    )
+    if not keys:
+        raise ArgumentError("against needs runs whose jobs differ, got none", argument="table")
+    columns = [name for name in (*columns_of(frame), *keys) if name not in (SET, SEED)]
+    return columns[0] if columns else SEED
 
 
 def _result(frame: pd.DataFrame, value: str) -> str:

@@ -10,27 +10,21 @@ from matplotlib.axes import Axes
 
 from pfdist.common.clock import Clock
 from pfdist.common.formatted_times import by_sensor, formatted_time
-from pfdist.errors import JobError, shown
+from pfdist.errors import shown
 from pfdist.pages.figure import Plot, Tables, figure
 from pfdist.pages.panel import (
     BAND,
     axes_for,
     check_kind,
-    chosen,
-    cut_outliers,
     height_of_rows,
     label_instants,
-    label_quantity,
-    label_times,
     legend_above,
     marker,
-    points,
     stack,
     styles_of,
     table_of,
     thin,
     verbatim,
-    write_instead,
 )
 from pfdist.pages.style import GREY, set_style
 from pfdist.pages.why import error_profile
@@ -38,9 +32,7 @@ from pfdist.problem.set_key import phrase_of
 from pfdist.results import Run
 from pfdist.results.over_time import RANGE_SUMS, difference_over_time
 from pfdist.results.stored_run import problem_of
-from pfdist.store.schema import components_in
 
-_MOST_LINES = 5  # sets that differ in colours and dashes
 _ROW, _PANEL = 0.17, 1.6  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
 _MARGIN = 0.03  # part of the axis beside times that are not whole
@@ -110,81 +102,6 @@ def _title(run: Run, profile: pd.DataFrame, best: str, reference: str) -> str:
         f"expected error {' and '.join(parts) or 'is the same at all instants'}. It is smaller at "
         f"{smaller} of {lower.size} instants and larger at {larger} ({on})."
     )
-
-
-def _squared_errors(trajectories: pd.DataFrame, name: str, suffix: str) -> "pd.Series[float]":
-    with np.errstate(over="ignore"):
-        return (trajectories[f"estimate_{name}_{suffix}"] - trajectories[f"z_{suffix}"]) ** 2
-
-
-def uncertainty(
-    trajectories: Run | pd.DataFrame,
-    names: Sequence[str] = (),
-    *,
-    component: int = 0,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw the root mean square error of the estimates of z over time, with 95 % bands.
-
-    Parameters
-    ----------
-    trajectories : Run or DataFrame
-        A run, or its table ``trajectories``: truth and estimates of fresh draws.
-    names : sequence of str
-        Sets that are drawn, the reference first; by default all in the table, which must be at
-        most five.
-    component : int
-        Component of z.
-    ax : matplotlib Axes, optional
-        By default those of a new figure.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    JobError
-        There is no such set or component, or there are more than five sets.
-    TypeError
-        The trajectories are neither a run nor a table.
-    """
-    check_kind(trajectories, (Run, pd.DataFrame), "trajectories")
-    table = trajectories.table("trajectories") if isinstance(trajectories, Run) else trajectories
-    quantities = components_in(table, "z_")
-    suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
-    ends = [each.suffix for each in components_in(table, "estimate_")]
-    every = [
-        name
-        for name in (end.removesuffix(f"_{suffix}") for end in ends if end.endswith(f"_{suffix}"))
-        if all(f"{name}_{each.suffix}" in ends for each in quantities)
-    ]
-    names = [chosen(name, every, "names") for name in names] or every
-    if len(names) > _MOST_LINES:
-        raise JobError(
-            f"names must be at most {_MOST_LINES} sets, got {len(names)}", argument="names"
-        )
-    squares = {name: _squared_errors(table, name, suffix) for name in names}
-    errors = pd.DataFrame(squares).assign(t=table["t"]).dropna()  # the same draws for all sets
-    ax, curves = axes_for(ax), []
-    if errors.empty:
-        return write_instead(ax, "no draw with a trajectory has an estimate")
-    styles = styles_of(table, names)
-    for name in names:
-        style, at_each = styles[name], errors.groupby("t")[name]
-        mean, half = at_each.mean(), BAND * at_each.sem().fillna(0.0)
-        error, low, high = (np.sqrt(np.maximum(0.0, mean + side * half)) for side in (0, -1, 1))
-        ax.fill_between(mean.index, low, high, color=style["color"], alpha=0.12, lw=0)
-        ax.plot(
-            mean.index, error, color=style["color"], ls=style["ls"], lw=thin(0.9),
-            label=style["label"],
-        )  # fmt: skip
-        curves.append(points(mean.index, error, style["color"], style["label"]))
-    cut_outliers(ax, curves, zero=True)
-    label_quantity(ax, quantities, component, "root mean square error of {}")
-    label_times(ax, table)
-    legend_above(ax, title="bands: 95 % confidence")
-    return ax
 
 
 def times(

@@ -1,4 +1,4 @@
-"""The cores and the memory that this process may use, with the limits of control groups."""
+"""The cores that this process may use, with the limits of control groups."""
 
 import math
 import os
@@ -9,8 +9,10 @@ _ROOT, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may use: the least limit of those in `limits`."""
-    return max(1, min(limits().values()))
+    """Number of cores that this process may use: by its affinity, its control groups, and Slurm."""
+    slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
+    of_slurm = [int(slurm)] if slurm.isdecimal() and int(slurm) else []
+    return max(1, min([affinity(), *of_slurm, *map(math.ceil, _quotas())]))
 
 
 def affinity() -> int:
@@ -19,33 +21,20 @@ def affinity() -> int:
     return len(known(0)) if known else os.cpu_count() or 1
 
 
-def limits() -> dict[str, int]:
-    """Each limit of the number of cores, by its name."""
-    cores = {"affinity": affinity()}
-    quota = min(_quotas(), default=math.inf)
-    if quota < math.inf:
-        cores["cgroup"] = math.ceil(quota)
-    slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
-    if slurm.isdecimal() and int(slurm):
-        cores["SLURM_CPUS_PER_TASK"] = int(slurm)
-    return cores
-
-
 def _quotas() -> Iterator[float]:
     """Quotas of processor time in cores, of control groups of versions 2 and 1."""
-    texts = [text.split() for (text,) in settings("cpu", "cpu.max")]
-    texts += settings("cpu", "cpu.cfs_quota_us", "cpu.cfs_period_us")
+    texts = [text.split() for (text,) in _settings("cpu.max")]
+    texts += _settings("cpu.cfs_quota_us", "cpu.cfs_period_us")
     for quota, period in texts:
         if quota.isdecimal():  # not "max", nor -1
             yield int(quota) / int(period)
 
 
-def settings(controller: str, *names: str) -> Iterator[list[str]]:
+def _settings(*names: str) -> Iterator[list[str]]:
     """Yield the texts of files of this process's control group and of each group above it.
 
-    Linux sets limits by control groups; see cgroups(7). The limits of all groups apply. The
-    controller is ``cpu`` or ``memory``, and the names are those of version 2 or of version 1. A
-    group without one of the files is skipped.
+    Linux sets limits by control groups; see cgroups(7). The limits of all groups apply. The names
+    are those of version 2 or of version 1. A group without one of the files is skipped.
     """
     try:
         lines = _OWN.read_text(encoding="utf-8").splitlines()
@@ -55,8 +44,8 @@ def settings(controller: str, *names: str) -> Iterator[list[str]]:
         _, controllers, path = line.split(":", 2)
         if not controllers:  # version 2
             root = _ROOT
-        elif controller in controllers.split(","):
-            root = _ROOT / controller
+        elif "cpu" in controllers.split(","):
+            root = _ROOT / "cpu"
         else:
             continue
         group = root / path.lstrip("/")

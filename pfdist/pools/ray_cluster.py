@@ -9,7 +9,6 @@ import contextlib
 import importlib
 import logging
 import os
-import platform
 import secrets
 import socket
 import sys
@@ -19,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import partial
-from importlib.metadata import version
 from typing import Any
 
 from pfdist.common.stopping import check, exit_code
@@ -194,37 +192,3 @@ def shortened(address: str) -> str:
     """An address in quotes, cut if it is long."""
     shown = _SHOWN_ADDRESS
     return repr(address if len(address) <= shown else f"{address[:shown]}...")
-
-
-def about() -> dict[str, Any]:
-    """Host, Python version and pfdist version of the calling process."""
-    return {
-        "host": platform.node(),
-        "python": platform.python_version(),
-        "pfdist": version("pfdist"),
-    }
-
-
-def describe_nodes(address: str) -> list[dict[str, Any]]:
-    """Host, Python version and pfdist version of every node of an existing cluster.
-
-    Raises `PoolError` if the cluster, or one of its nodes, does not answer.
-    """
-    if not is_own(address):
-        reach(address)
-    with connected(address):
-        ray = load_ray()
-        strategy = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
-        ask = ray.remote(num_cpus=0)(about)
-        calls = [
-            ask.options(scheduling_strategy=strategy(node["NodeID"], soft=False)).remote()
-            for node in ray.nodes()
-            if node["Alive"]
-        ]
-        try:
-            nodes: list[dict[str, Any]] = ray.get(calls, timeout=START_SECONDS)
-        except ray.exceptions.RayError as error:
-            raise PoolError(
-                f"the Ray cluster at {shortened(address)} does not answer: {reason(error)}"
-            ) from error
-    return nodes

@@ -1,4 +1,4 @@
-"""A sweep: a job, the points at which it is run, and jobs that compare all found times there."""
+"""A sweep: a job, and the points at which it is run."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,9 +9,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from pfdist.common.arguments import address_fault, path_argument, texts_argument
-from pfdist.common.clock import Time
 from pfdist.common.section import Listed, Section, Whole, explained
-from pfdist.common.streams import stream_key
 from pfdist.errors import ArgumentError, JobError, shown, shown_text
 from pfdist.problem.job import Job, toml_of_file
 from pfdist.problem.points import Point, Values, dotted, points_of
@@ -42,8 +40,6 @@ class SweepFile(Section):
         Groups of keys whose values change together. Each group is combined with the other keys.
     point : list of dict
         Further points.
-    judge : bool
-        Whether the times found at each point are compared at every point.
     """
 
     job: str
@@ -51,7 +47,6 @@ class SweepFile(Section):
     over: dict[str, Any] = Field(default_factory=dict)
     parallel: list[dict[str, Any]] = Field(default_factory=list)
     point: list[dict[str, Any]] = Field(default_factory=list)
-    judge: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,6 @@ class SweepJob:
     name: str  # of the sweep's folder
     points: tuple[Point, ...]  # in the order in which they are computed
     jobs: Mapping[str, Job]  # of each point, by its name
-    judge: bool = False  # whether the times found at each point are judged at every point
 
     @property
     def execution(self) -> Execution:
@@ -153,8 +147,7 @@ def read_sweep(
             jobs[point.name] = as_job(source, [*changes, *point.changes], settings=settings)
         except JobError as error:
             raise JobError(f"the point {point.name} of the sweep: {error}") from error
-    judge = file is not None and file.judge
-    return SweepJob(name or f"{folder_of_run(job.path).name}-sweep", sweep_points, jobs, judge)
+    return SweepJob(name or f"{folder_of_run(job.path).name}-sweep", sweep_points, jobs)
 
 
 def _sweep_file(source: Any) -> SweepFile | None:
@@ -169,84 +162,3 @@ def _sweep_file(source: Any) -> SweepFile | None:
         return SweepFile(**data)
     except ValidationError as error:
         raise JobError(f"{explained(error, SweepFile)} ({path})") from error
-
-
-# --- the times found at each point, judged at every point -----------------------------------------
-
-MOST_JUDGED = 64
-_DIGITS = 8  # of the name
-
-TimesByPoint = Mapping[str, Mapping[str, tuple[Time, ...]]]
-"""The times that each search has found at each point, by the names of point and search."""
-
-
-def judging(sweep: SweepJob, times_by_point: TimesByPoint) -> SweepJob:
-    """The sweep that compares, at every point, the times found at all points.
-
-    Its jobs have no search; they compare the sets of `judged_sets`. The sweep's name depends on the
-    sets. Raises `JobError` if there are too many sets, or if times of one point are not on the
-    clock of another.
-    """
-    sets = judged_sets(times_by_point)
-    if len(sets) > MOST_JUDGED:
-        raise JobError(
-            f"a sweep can judge at most {MOST_JUDGED} sets of times, got {len(sets)}: sweep over "
-            "fewer points"
-        )
-    jobs = {}
-    for name, job in sweep.jobs.items():
-        try:
-            jobs[name] = _comparing(job, sets)
-        except JobError as error:
-            raise JobError(
-                f"times found at other points cannot be judged at {name}: {error}"
-            ) from error
-    key = stream_key([[name, list(times)] for name, times in sets.items()])
-    return SweepJob(f"{key:016x}"[:_DIGITS], sweep.points, jobs)
-
-
-def check_comparable(sweep: SweepJob) -> None:
-    """Raise a `JobError` if the points of a sweep have different horizons or clocks.
-
-    Otherwise, times of one point would be meaningless at another.
-    """
-    first, *others = sweep.jobs.items()
-    for name, job in others:
-        if job.problem.clock != first[1].problem.clock:
-            raise JobError(
-                "judge needs the same horizon and clock at all points, but "
-                f"{first[0]} and {name} differ",
-                argument="judge",
-            )
-
-
-def judged_sets(times_by_point: TimesByPoint) -> dict[str, tuple[Time, ...]]:
-    """Different sets of times, named after the first point where they were found.
-
-    >>> found = {"seed=1": {"race": (1, 2)}, "seed=2": {"race": (1, 2)}, "seed=3": {"race": (2, 3)}}
-    >>> judged_sets(found)
-    {'point_1': (1, 2), 'point_3': (2, 3)}
-    """
-    several = any(len(sets) > 1 for sets in times_by_point.values())
-    names = dict[tuple[Time, ...], str]()
-    for number, sets in enumerate(times_by_point.values(), 1):
-        for search, times in sets.items():
-            names.setdefault(times, f"point_{number}_{search}" if several else f"point_{number}")
-    return {name: times for times, name in names.items()}
-
-
-def _comparing(job: Job, sets: Mapping[str, Sequence[Time]]) -> Job:
-    comparison: dict[str, Any] = job.comparison.model_dump(mode="json")
-    named = {
-        name: times
-        for name, times in job.comparison.named.items()
-        if name == job.comparison.reference
-    }
-    return job.with_changes(
-        sections={
-            "search": [],
-            "budget": None,
-            "online": None,
-            "comparison": comparison | {"sets": named | {name: list(sets[name]) for name in sets}},
-        }
-    )

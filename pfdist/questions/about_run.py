@@ -13,7 +13,7 @@ from pfdist.filters.engines import is_exact
 from pfdist.problem.job import job_toml
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
-from pfdist.results import Run, read_recorded
+from pfdist.results import read_recorded
 from pfdist.results.stored_run import problem_of, version_of
 from pfdist.store import run_key
 
@@ -79,13 +79,9 @@ def question(subject: Subject) -> str:
 def made(subject: Subject) -> str:
     """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
-    return f"Run {run.path.name}, {run_day(run)}, pfdist {version_of(run)}."
-
-
-def run_day(run: Run) -> str:
-    """The day on which a run was started."""
     started = datetime.fromisoformat(read_recorded(run.path)[0]["provenance"]["started"])
-    return f"{started.day} {started:%B %Y}"
+    day = f"{started.day} {started:%B %Y}"
+    return f"Run {run.path.name}, {day}, pfdist {version_of(run)}."
 
 
 def _facts(subject: Subject) -> Iterator[tuple[str, str]]:

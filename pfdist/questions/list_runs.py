@@ -66,7 +66,7 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
         The folder cannot be listed.
     """
     path = path_argument("folder", folder)
-    rows = [listed_run(run, str(run.relative_to(path))) for run in runs_below(path, _DEPTH)]
+    rows = [_listed(run, str(run.relative_to(path))) for run in runs_below(path, _DEPTH)]
     return pd.DataFrame(
         {
             name: pd.Series([getattr(row, name) for row in rows], dtype=kind)
@@ -75,15 +75,10 @@ def list_runs(folder: str | Path = "results") -> pd.DataFrame:
     )
 
 
-def listed_run(path: Path, name: str) -> Row:
-    """The row of a list for a run in a folder.
+def _listed(path: Path, name: str) -> Row:
+    """The row of a list for a run in a folder, in which nothing raises an error.
 
-    Parameters
-    ----------
-    path : Path
-        The folder. Nothing in it raises an error.
-    name : str
-        The path as the list shows it.
+    The name is the path as the list shows it.
     """
     size, seconds = extent(path)
     row: dict[str, Any] = dict.fromkeys(_COLUMNS) | {

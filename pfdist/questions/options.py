@@ -10,6 +10,7 @@ from typing import Annotated, Any, ParamSpec, TypedDict, TypeVar
 
 from pydantic import Field
 
+from pfdist.common.gone import gone
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Arguments, Whole
 from pfdist.errors import ArgumentError
@@ -144,7 +145,8 @@ def with_options(function: Callable[P, R]) -> Callable[P, R]:
                 nearest = did_you_mean(name, names)
                 keys = " (changes=['KEY=VALUE'] changes a key of the job)"
                 raise ArgumentError(
-                    f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
+                    gone(name)
+                    or f"{function.__name__} takes {', '.join(names)}, got {name}{nearest}"
                     f"{keys if 'changes' in names else ''}"
                 )
         return function(*arguments, **named)

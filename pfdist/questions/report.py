@@ -1,32 +1,32 @@
-"""Pages as files; the report of a run or a sweep, once or again while a run continues."""
+"""Pages as files; the report of a run, once or again while the run continues."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 from pfdist.common import stopping
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page
-from pfdist.errors import ArgumentError, PfdistError, reason_of
+from pfdist.errors import PfdistError, reason_of
 from pfdist.questions.run_page import page_of
 from pfdist.results import Run, open_run
 from pfdist.runner.progress import Say, heard, silent
-from pfdist.store import holds_run, is_held, record_pages, write_file
-from pfdist.store.folder import REPORT, check_page_replaceable, runs_below
+from pfdist.store import is_held, record_pages, write_file
+from pfdist.store.folder import REPORT, check_page_replaceable
 
 SECONDS = 5.0
 """Between two reports of a run that continues."""
 
 
 def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> Path:
-    """Write the report of a run or a sweep: one HTML file that can be sent to anybody.
+    """Write the report of a run: one HTML file that can be sent to anybody.
 
     The report is made from the tables of the run alone; no model is run.
 
     Parameters
     ----------
     run : Run, str or Path
-        Folder of a run or of a sweep; it need not be finished. The report of a sweep has all its
-        runs, and links to their reports.
+        Folder of a run; it need not be finished.
     watch : bool
         Write the report of a run again every few seconds while the run continues; the page reloads
         itself.
@@ -42,16 +42,8 @@ def report(run: Run | str | Path, *, watch: bool = False, say: Say = silent) -> 
     ------
     StoreError
         The folder holds no run, a table cannot be read, or the file cannot be written.
-    ArgumentError
-        `watch` is given with the folder of a sweep.
     """
     path = run.path if isinstance(run, Run) else path_argument("run", run)
-    if is_sweep(path):
-        if watch:
-            raise ArgumentError(
-                f"watch needs the folder of a run, got that of a sweep: {path}", argument="watch"
-            )
-        return write_sweep_report(path)
     opened = open_run(path)
     if watch and opened.state != "finished":
         _watch(path, say)
@@ -74,23 +66,10 @@ def write_report(run: Run, seconds: int = 0, target: float | None = None) -> Pat
     from pfdist.questions.pictures import with_pictures  # noqa: PLC0415  Matplotlib loads if a page is made
 
     record_pages(run.path, [], without=REPORT)
-    file = _write(lambda: with_pictures(page_of(run, seconds, target), run), run.path)
-    record_pages(run.path, [file])
-    return file
-
-
-def write_sweep_report(path: Path) -> Path:
-    """Write the report of the sweep in a folder."""
-    from pfdist.questions.sweep_page import sweep_page  # noqa: PLC0415  Matplotlib loads if a page is made
-
-    return _write(lambda: sweep_page(path), path)
-
-
-def _write(make: Callable[[], Page], folder: Path) -> Path:
-    """Write the report of a run or a sweep into its folder."""
-    path = folder / REPORT
+    path = run.path / REPORT
     check_page_replaceable(path)  # before the page is made, which takes longer
-    write_page(make(), path)
+    write_page(with_pictures(page_of(run, seconds, target), run), path)
+    record_pages(run.path, [path])
     return path
 
 
@@ -110,40 +89,39 @@ def _watch(path: Path, say: Say) -> None:
         say(f"{path} is not finished ({state}), and no process computes it: resume it")
 
 
-def is_sweep(path: Path) -> bool:
-    """Whether a folder is not a run but has runs in it."""
-    if holds_run(path) or not path.is_dir():
-        return False
-    return next(runs_below(path, 1), path) != path
+@contextlib.contextmanager
+def tried(what: str, command: str, say: Say) -> Iterator[None]:
+    """A context in which an error becomes one line.
 
-
-def try_report(run: Run | Path, say: Say, target: float | None = None) -> bool:
-    """Write the report of a run or a sweep; an error becomes one line. Whether it was written.
-
-    The results are stored already. So no error of the report ends the command that has computed
-    them, not even a mistake in pfdist.
+    The results are stored already. So no error of what is made from them ends the command that has
+    computed them, not even a mistake in pfdist.
 
     Parameters
     ----------
-    run : Run or Path
-        A run, or the folder of a sweep.
+    what : str
+        The thing that is made, as the line names it.
+    command : str
+        The words of a command that makes it again.
     say : callable
-        Receives a line if there is no report.
-    target : float, optional
-        As for `write_report`.
+        Receives a line if it is not made.
     """
-    path = run.path if isinstance(run, Run) else run
     try:
-        if isinstance(run, Run):
-            write_report(run, target=target)
-        else:
-            write_sweep_report(path)
+        yield
     except Exception as error:
         is_expected = isinstance(error, PfdistError)
-        hint = "" if is_expected else f" (`pfdist report {path} --debug` shows where)"
-        heard(say, f"there is no report: {reason_of(error)}{hint}")
-        return False
-    return True
+        hint = "" if is_expected else f" (`pfdist {command} --debug` shows where)"
+        heard(say, f"there is no {what}: {reason_of(error)}{hint}")
+
+
+def try_report(run: Run, say: Say, target: float | None = None) -> bool:
+    """Write the report of a run as `write_report` does; an error becomes one line.
+
+    The result is whether it was written.
+    """
+    with tried("report", f"report {run.path}", say):
+        write_report(run, target=target)
+        return True
+    return False
 
 
 def renew_report(path: Path, say: Say) -> None:

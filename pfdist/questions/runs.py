@@ -11,17 +11,14 @@ from pfdist.common.formatted_times import (
     formatted_age,
     formatted_seconds,
     formatted_size,
-    formatted_times,
 )
 from pfdist.common.measurement_times import REGULAR
 from pfdist.common.parts import Cell, Page, Section, Table, Text, without_column
-from pfdist.common.percent import times_100
 from pfdist.common.rounding import with_interval
 from pfdist.errors import one_line
 from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
 from pfdist.problem.sweep import parts_that_pay
 from pfdist.questions.list_runs import FINISHED
-from pfdist.results.judged import REGRET, least_regret
 from pfdist.results.runs_table import (
     formatted_gain,
     formatted_mse,
@@ -62,27 +59,15 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
     seconds = row["worker_seconds"]
     return [
         Cell(str(row["run"])),
-        *(value_cell(row[key]) for key in keys),
+        *(
+            Cell(one_line(formatted_value(each)), each if is_numeric([each]) else None)
+            for each in (row[key] for key in keys)
+        ),
         Cell(formatted_value(row["set"])),
         Cell(formatted_mse(row) or state),
         Cell(formatted_gain(row)),
         Cell(formatted_seconds(seconds), seconds),
     ]
-
-
-def least_regret_text(judged: pd.DataFrame) -> str:
-    """The plan of least regret in a sentence, from the table of `Sweep.judged`."""
-    worst = least_regret(judged)
-    if worst is None:
-        return "No plan fits every point, so none has the least regret."
-    times = formatted_times(worst["measurement_times"], judged.attrs.get("time_unit", ""))
-    value, low, high = with_interval(*(times_100(worst[name]) for name in REGRET))
-    interval = f" (95 % CI {low} to {high} %)" if worst["regret_low"] < worst["regret_high"] else ""
-    found, at = (_point(judged, str(worst[key])) for key in ("found_at", "run"))
-    return one_line(
-        f"Plan of least regret: measure at t = {times}. It was found at {found}. Its regret is at "
-        f"most {value} %{interval} at any point; largest at {at}."
-    )
 
 
 def lowest_text(frame: pd.DataFrame) -> str:
@@ -104,19 +89,6 @@ def lowest_text(frame: pd.DataFrame) -> str:
         columns, best.point, sorted(keys_of(frame), key=lambda name: name == SEED)
     )
     return f"The lowest expected MSE is {estimate}: {point}."
-
-
-def _point(judged: pd.DataFrame, run: str) -> str:
-    """The values of the keys at a point, by the name of its run."""
-    keys = [key for key in keys_of(judged) if key != "found_at"]
-    rows = judged[judged["run"] == run].to_dict("records")
-    values = tuple(rows[0][key] for key in keys) if rows else ()
-    return formatted_point(keys, values, keys) if values else run
-
-
-def value_cell(value: Any) -> Cell:
-    """The value of a key of a job."""
-    return Cell(one_line(formatted_value(value)), value if is_numeric([value]) else None)
 
 
 def list_page(frame: pd.DataFrame, folder: str) -> Page:
@@ -168,9 +140,6 @@ def foreseen_page(points: pd.DataFrame) -> Page:
     text = f"{len(points)} points; about {left['steps'].sum() / billion:.3f} billion particle-steps"
     text += f" are left to do, in {formatted_seconds(left['seconds'].sum())} s of a core"
     text += " (without compiling, figures and reports)"
-    if "judging_steps" in points:
-        judging = points["judging_steps"].sum() / billion
-        text += f", and at most {judging:.3f} billion to judge"
     table = Table("", ("point", "state", "billion steps"), rows)
     parts = parts_that_pay(left["seconds"].tolist())
     pays = f"up to {parts} parts are worthwhile, on a core each" if parts > 1 else "one part"

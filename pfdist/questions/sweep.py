@@ -1,6 +1,6 @@
 """A job at many points: every point is a separate run, and all share the same workers."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Unpack
@@ -10,31 +10,31 @@ import pandas as pd
 from pfdist.common.arguments import path_argument
 from pfdist.common.parts import Page, Section, Text
 from pfdist.common.section import checked
-from pfdist.errors import ArgumentError, JobError, SweepError
+from pfdist.errors import ArgumentError, SweepError
 from pfdist.problem.job import Job
 from pfdist.problem.points import Values
 from pfdist.problem.problem import JobSource
-from pfdist.problem.sweep import Part, SweepJob, check_comparable, judging, read_sweep
+from pfdist.problem.sweep import Part, SweepJob, read_sweep
 from pfdist.questions.at_work import at_work
 from pfdist.questions.model_checks import seconds_a_step
 from pfdist.questions.options import Chosen, Options, following, with_options
-from pfdist.questions.points_at_work import Points, PointsAtWork
-from pfdist.questions.report import try_report
-from pfdist.questions.runs import least_regret_text, lowest_text, table_page
+from pfdist.questions.points_at_work import PointsAtWork
+from pfdist.questions.report import tried, try_report
+from pfdist.questions.runs import lowest_text, table_page
 from pfdist.questions.subject import Subject
 from pfdist.questions.table import table
 from pfdist.results import Run, open_run, read_recorded
 from pfdist.results.columns import records_of
-from pfdist.results.judged import JUDGED, judged_table, times_by_search
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
-from pfdist.runner.comparison_phase import comparison_steps
-from pfdist.runner.door import Driver, Loop
+from pfdist.runner.door import Loop
 from pfdist.runner.driver import foreseen_steps
-from pfdist.runner.progress import Progress, Say, Show, heard, silent
+from pfdist.runner.progress import Progress, Say, Show, silent
 from pfdist.store import holds_run, listed_pages
-from pfdist.store.folder import REPORT, has_report
+from pfdist.store.folder import REPORT, figures_in
 
+TABLE = "points.csv"
+"""Name of the file in a sweep's folder that has the table of its points."""
 _SHOWN = 3  # failures in an error
 _NOTHING: Mapping[str, object] = {}
 
@@ -49,16 +49,12 @@ class Sweep:
         The folder of the sweep, in which each run has its folder.
     runs : dict of str to Run
         The run of each point, by the point's name.
-    judges : dict of str to Run
-        The run that compares, at each point, the times found at all points, by the point's name;
-        empty if the sweep does not judge.
     busy : tuple of str
         Points that other processes compute at this moment: they are left out.
     """
 
     path: Path
     runs: Mapping[str, Run] = field(repr=False)
-    judges: Mapping[str, Run] = field(default_factory=dict, repr=False)
     busy: tuple[str, ...] = ()
 
     def table(self) -> pd.DataFrame:
@@ -67,49 +63,28 @@ class Sweep:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The folder of the sweep, and its report if it has one."""
-        return self.path, *([self.path / REPORT] if has_report(self.path) else [])
+        """The table of the sweep as a file, if there is one, or else the folder of the sweep."""
+        return (file if (file := self.path / TABLE).exists() else self.path,)
+
+    @property
+    def figures(self) -> tuple[Path, ...]:
+        """The files of the sweep's figure."""
+        return tuple(sorted(figures_in(self.path)))
 
     def as_json(self) -> dict[str, Any]:
-        """The table of all runs, and that of the judged times, as values for JSON."""
-        return {
-            "rows": records_of(self.table()) if self.runs else [],
-            "judged": records_of(self.judged()) if self.judges else [],
-        }
+        """The table of all runs as values for JSON."""
+        return {"rows": records_of(self.table()) if self.runs else []}
 
     def _page(self) -> Page:
         busy = [f"other processes compute {', '.join(self.busy)}"] if self.busy else []
         if not self.runs:
             return Page("", "", [Section("", [Text("No point is finished.")])], busy)
         frame = self.table()
-        said = least_regret_text(self.judged()) if self.judges else lowest_text(frame)
+        said = lowest_text(frame)
         answer = Section("", [Text(said, prominent=True)] if said else [])
         doubts = ((name, Subject(run).alarms) for name, run in self.runs.items())
         alarms = [f"{name}: {said[0]}" for name, said in doubts if said][:1]
         return Page("", "", [answer, *table_page(frame).sections], busy, alarms=alarms)
-
-    def judged(self) -> pd.DataFrame:
-        """The regret of the times found at each point, at every point.
-
-        Returns
-        -------
-        DataFrame
-            A row for each point and each set of times found at any point. The columns are those of
-            `pfdist.table`; ``run`` is the point at which the times are judged, and ``set`` the
-            search that found them. Further columns are ``found_at``, the point where they were
-            found, and ``regret`` with ``regret_low`` and ``regret_high``, its 95 % interval: how
-            far the expected MSE lies above that of the best times found at any point, as a
-            fraction. It is NaN for times that are not feasible at the judging point, or are not as
-            many as those found there.
-
-        Raises
-        ------
-        ArgumentError
-            The sweep does not judge.
-        """
-        if not self.judges:
-            raise ArgumentError("judged needs a sweep that judges, got one with judge = false")
-        return judged_table(self.runs, self.judges)
 
 
 @with_options
@@ -123,7 +98,6 @@ def sweep(
     results: str | Path | None = None,
     changes: Iterable[str] = (),
     bound_draws: DrawsOrNone = 0,
-    judge: bool | None = None,
     part: Part | None = None,
     **options: Unpack[Options],
 ) -> Sweep:
@@ -133,8 +107,8 @@ def sweep(
     All points share the workers, so that no worker idles while the last tasks of a point are done.
     The first points go first. Evaluations that several points need are computed once. Points that
     another process computes are left out, so several processes may share the points of a sweep.
-    With `report`, every run has a report, and the sweep has one with links to them. A sweep draws
-    no other figures.
+    The folder of the sweep gets the table of all runs in it, ``points.csv``, and one figure, that
+    of `pfdist.plots.against`. With `report`, every run has a report. Runs get no other figures.
 
     Parameters
     ----------
@@ -152,12 +126,9 @@ def sweep(
     changes : iterable of str, optional
     bound_draws : int
         Number of draws of the lower bound that is proved at each point; 0 for no bound.
-    judge : bool, optional
-        Whether the times found at each point are judged at every point, too, by comparisons in the
-        folder ``judged``; the default is judge of the sweep file.
     part : tuple of two int, optional
-        ``(k, n)`` computes every n-th point, from the k-th, and no other. The sweep is then neither
-        judged nor reported: that needs all points.
+        ``(k, n)`` computes every n-th point, from the k-th, and no other. Table and figure need all
+        points, and are not made.
     options
         See `Options`.
 
@@ -175,39 +146,30 @@ def sweep(
     chosen = Chosen(**options)
     execution = {"execution": chosen.execution}
     sweep_job = read_sweep(job, over, parallel, points, changes, execution)
-    path, judges_points = checked_folder(sweep_job, results, judge)
+    path = _folder(sweep_job, results)
     check_pool(sweep_job.execution)
     bound = BoundSettings(draws=bound_draws) if bound_draws else None
     own = sweep_job.part(part)
     with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files(own.jobs.values(), tell)
-        searched, refused = PointsAtWork(own, path, bound, show, tell), None
-        stages = [searched]
-
-        def drivers() -> Iterator[Driver | None]:
-            yield from searched.drivers()
-            if judges_points and (judged := _judged(sweep_job, searched.points().runs, tell)):
-                folder = path / JUDGED / judged.name
-                stages.append(PointsAtWork(judged, folder, None, show, tell))
-                yield from stages[-1].drivers()
-
+        at_points = PointsAtWork(own, path, bound, show, tell)
         engines = [each.filter.engine for each in own.jobs.values()]
         workers_at_work = at_work(sweep_job.execution, engines, tell)
-        try:
-            Loop(workers_at_work, searched.at_once, searched.begun()).serve(drivers())
-        except JobError as error:  # the points are finished, and get their reports
-            refused = error
-        searches, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
+        Loop(workers_at_work, at_points.at_once, at_points.begun()).serve(at_points.drivers())
+        runs, failed, busy = at_points.points()
         if chosen.has_report:
-            for position, run in enumerate(searches.runs.values(), 1):
+            for position, run in enumerate(runs.values(), 1):
                 if run.path / REPORT not in listed_pages(run.path):
-                    tell(f"Writing reports {position}/{len(searches.runs)}")
+                    tell(f"Writing reports {position}/{len(runs)}")
                     try_report(run, tell)
-            if part is None:
-                try_report(path, tell)
-    if refused is not None:
-        raise refused
-    if failed := searches.failed | judges.failed:
+        if part is None and runs:
+            with tried("table or figure", f"plot {path}", tell):
+                frame = table(path, out=path / TABLE)
+                if chosen.figures and len(set(frame["run"])) > 1:
+                    from pfdist.pages.plots import draw_points  # noqa: PLC0415  Matplotlib loads if a figure is drawn
+
+                    draw_points(frame, path)
+    if failed:
         first = "; ".join(f"{name}: {reason}" for name, reason in [*failed.items()][:_SHOWN])
         more = f"; {len(failed) - _SHOWN} more" * (len(failed) > _SHOWN)
         raise SweepError(
@@ -215,38 +177,11 @@ def sweep(
             f"{path}: {first}{more}",
             failed,
         )
-    busy = (*searches.busy, *judges.busy)
-    return Sweep(path, searches.runs, {} if judges.busy else judges.runs, busy)
+    return Sweep(path, runs, tuple(busy))
 
 
-def _judged(sweep_job: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob | None:
-    """The sweep that judges the found times; None if not all points are finished.
-
-    Raises
-    ------
-    JobError
-        The found times cannot be judged.
-    """
-    if len(runs) < len(sweep_job.points):
-        heard(say, "The found times are not judged: not all points are finished.")
-        return None
-    judged = judging(sweep_job, times_by_search(runs))
-    say(f"Judging the found times at all {len(sweep_job.points)} points...")
-    return judged
-
-
-def checked_folder(
-    sweep_job: SweepJob, results: str | Path | None, judge: bool | None
-) -> tuple[Path, bool]:
-    """The folder of a sweep, and whether it judges.
-
-    Raises
-    ------
-    ArgumentError
-        The folder is a file or holds a run.
-    JobError
-        Points that are to be judged have different clocks.
-    """
+def _folder(sweep_job: SweepJob, results: str | Path | None) -> Path:
+    """The folder of a sweep; an `ArgumentError` if it is a file or holds a run."""
     path = path_argument(
         "results", Path("results") / sweep_job.name if results is None else results
     )
@@ -256,10 +191,7 @@ def checked_folder(
             f"results must be a folder for the runs of the sweep, got {wrong}: {path}",
             argument="results",
         )
-    judges = sweep_job.judge if judge is None else judge
-    if judges:
-        check_comparable(sweep_job)
-    return path, judges
+    return path
 
 
 def foreseen(
@@ -268,7 +200,6 @@ def foreseen(
     *,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
-    judge: bool | None = None,
     progress: Show | bool | None = None,
     say: Say = silent,
 ) -> pd.DataFrame:
@@ -276,7 +207,7 @@ def foreseen(
 
     Parameters
     ----------
-    job, over, results, changes, judge, progress, say
+    job, over, results, changes, progress, say
         As for `sweep`.
 
     Returns
@@ -284,8 +215,7 @@ def foreseen(
     DataFrame
         A row for each point: its name, its values, the state of its run ("none" if it has not
         begun, "other run" if its folder holds a different run), ``steps``, the particle-steps of
-        the whole run, and ``seconds``, about how long a worker takes for them. If the sweep judges,
-        ``judging_steps`` are those that judge all found times there, if all differ.
+        the whole run, and ``seconds``, about how long a worker takes for them.
 
     Raises
     ------
@@ -293,8 +223,7 @@ def foreseen(
         The sweep is wrong, or the model of a point.
     """
     sweep_job = read_sweep(job, over, (), (), changes, {})
-    path, judges = checked_folder(sweep_job, results, judge)
-    rows, steps_a_set, number_of_sets = [], [], 0
+    path, rows = _folder(sweep_job, results), []
     with following(progress, say) as (show, _):
         for done, point in enumerate(sweep_job.points):
             show(Progress("dry run", done, len(sweep_job.points), doing=f"measuring {point.name}"))
@@ -304,12 +233,7 @@ def foreseen(
             steps = foreseen_steps(built)
             work = {"steps": steps, "seconds": steps * _seconds_a_step(built)}
             rows.append({"point": point.name, **point.chosen, "state": state, **work})
-            steps_a_set.append(comparison_steps(built) // len(built.names))
-            number_of_sets += len(built.names) - len(built.study.unsearched)
-    points_of_sweep = pd.DataFrame(rows)
-    if judges:
-        points_of_sweep["judging_steps"] = [steps * (number_of_sets + 1) for steps in steps_a_set]
-    return points_of_sweep
+    return pd.DataFrame(rows)
 
 
 def _seconds_a_step(built: Built) -> float:

@@ -1,4 +1,4 @@
-"""Many runs as one table, also as a file: CSV, Parquet, or a table for LaTeX."""
+"""Many runs as one table, also as a file: CSV or Parquet."""
 
 import os
 import re
@@ -12,51 +12,24 @@ import pandas as pd
 import pyarrow as pa
 
 from pfdist.common.arguments import path_argument
-from pfdist.common.dotted_keys import short_names
-from pfdist.errors import (
-    ArgumentError,
-    PfdistWarning,
-    reason_of,
-    relative,
-    shown,
-)
+from pfdist.common.gone import gone
+from pfdist.errors import ArgumentError, PfdistWarning, reason_of, relative, shown
 from pfdist.results import Run, open_run
-from pfdist.results.runs_table import (
-    RESULTS,
-    differ_by_keys,
-    formatted_gain,
-    formatted_mse,
-    formatted_value,
-    is_missing,
-    keys_of,
-    runs_table,
-)
+from pfdist.results.runs_table import RESULTS, formatted_value, is_missing, runs_table
 from pfdist.store import holds_run, write_file
-from pfdist.store.files import begins_with, check_replaceable
+from pfdist.store.files import check_replaceable
 from pfdist.store.folder import runs_below
 from pfdist.store.tables import holds_table, write_table
 
 _MARK = b"runs"  # the metadata "table" of a Parquet file
-_COMMENT = "% A table of runs by pfdist. It needs the package booktabs.\n"
 _HEAD = re.compile(rb"run,([^\n]*,)?" + ",".join(RESULTS).encode() + rb"\n")
 _LONGEST_HEAD = 100_000  # bytes of the first line of a CSV file
-_SPECIAL = str.maketrans(
-    {
-        **{character: f"\\{character}" for character in "&%$#_{}"},
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "\\": r"\textbackslash{}",
-        "±": r"$\pm$",
-    }
-)
-_MINUS = re.compile(r"(?<![\w)])-(?=[0-9])")
-_POWER_OF_TEN = re.compile(r"(?<=[0-9)])e([+-][0-9]+)")
 
 
 Runs = Run | str | Path | list["Runs"] | tuple["Runs", ...]
 """A run, its folder, a folder with runs in it, or several of these."""
 
-_DEPTH = 2  # a folder with sweeps in it; comparisons that judge the points of sweeps lie deeper
+_DEPTH = 2  # a folder with sweeps in it
 
 
 def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
@@ -72,8 +45,8 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
         be read are left out, with a warning; if a run that is given itself cannot be read, it is an
         error. A run that is given twice counts once.
     out : str or Path, optional
-        Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.
-        An earlier table of runs is replaced; another file is not.
+        Also write the table to this file, whose name ends in ``.csv`` or ``.parquet``. An earlier
+        table of runs is replaced; another file is not.
 
     Returns
     -------
@@ -107,11 +80,8 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     """
     path = None if out is None else path_argument("out", out)
     if path is not None and path.suffix.lower() not in _KINDS:
-        allowed = ", ".join(_KINDS)
-        raise ArgumentError(
-            f"a file of a table must end in one of {allowed}, got {shown(str(path))}",
-            argument="out",
-        )
+        rule = f"a file of a table must end in one of {', '.join(_KINDS)}, got {shown(str(path))}"
+        raise ArgumentError(gone(path.suffix.lower()) or rule, argument="out")
     try:
         frame = runs_table(_opened(runs))
     except Exception:  # runs that were found in folders may come from elsewhere, and hold anything
@@ -156,58 +126,6 @@ def _can_be_read(path: Path) -> bool:
 # --- the table in a file --------------------------------------------------------------------------
 
 
-def tex(frame: pd.DataFrame) -> str:
-    """The main columns of a table of runs as a table for LaTeX.
-
-    The columns are the keys that differ, the set, the expected MSE with its standard error, the
-    gain of means in per cent with its 95 % interval, and the times. Numbers have two significant
-    digits of their errors. If the keys do not distinguish the runs, their names come first.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        The result of `pfdist.table`.
-    """
-    keys = keys_of(frame)
-    names = ([] if differ_by_keys(frame, keys) else ["run"]) + keys + ["set"]
-    unit = frame.attrs.get("time_unit", "")
-    short = short_names(names)
-    heads = [*(short[name] for name in names), "expected MSE ± standard error"]
-    heads.append("gain of means [%] (95 %)")
-    heads.append(f"measurement times [{unit}]" if unit else "measurement times")
-    lines = [
-        [
-            *(_in_tex(formatted_value(row[name])) for name in names),
-            *map(_number_in_tex, (formatted_mse(row), formatted_gain(row))),
-            ", ".join(map(formatted_value, row["measurement_times"] or ())),
-        ]
-        for row in frame.to_dict("records")
-    ]
-    numbers = [pd.api.types.is_numeric_dtype(frame[name]) for name in names]
-    places = "".join("r" if number else "l" for number in [*numbers, False, False, False])
-    body = "".join(map(_tex_line, lines))
-    rules = [r"\toprule", _tex_line(map(_in_tex, heads)) + r"\midrule", body + r"\bottomrule"]
-    content = "\n".join(rules)
-    return f"{_COMMENT}\\begin{{tabular}}{{{places}}}\n{content}\n\\end{{tabular}}\n"
-
-
-def _tex_line(cells: Iterable[str]) -> str:
-    return " & ".join(cells) + " \\\\\n"
-
-
-def _in_tex(text: str) -> str:
-    """A text as LaTeX prints it; a line that began with a bracket would be an option."""
-    printable = "".join(each if each.isprintable() else "?" for each in text)
-    return ("{}" if text.startswith("[") else "") + printable.translate(_SPECIAL)
-
-
-def _number_in_tex(text: str) -> str:
-    """A number with its error as LaTeX prints it, with powers of ten for exponents."""
-    return _POWER_OF_TEN.sub(
-        lambda match: rf"$\times 10^{{{int(match[1])}}}$", _MINUS.sub("$-$", _in_tex(text))
-    )
-
-
 def _write_csv(frame: pd.DataFrame, path: Path) -> None:
     plain = frame.copy()
     for name in frame.select_dtypes(object):
@@ -235,10 +153,6 @@ def _arrow(column: "pd.Series[Any]") -> pa.Array:
         return pa.array([text and text.encode(errors="replace").decode() for text in texts])
 
 
-def _write_tex(frame: pd.DataFrame, path: Path) -> None:
-    path.write_text(tex(frame), encoding="utf-8", errors="replace")
-
-
 def _is_earlier_csv(path: Path) -> bool:
     with path.open("rb") as file:
         return _HEAD.match(file.readline(_LONGEST_HEAD)) is not None
@@ -247,6 +161,5 @@ def _is_earlier_csv(path: Path) -> bool:
 _KINDS: dict[str, tuple[Callable[[pd.DataFrame, Path], None], Callable[[Path], bool]]] = {
     ".csv": (_write_csv, _is_earlier_csv),
     ".parquet": (_write_parquet, partial(holds_table, name=_MARK)),
-    ".tex": (_write_tex, partial(begins_with, mark=_COMMENT.encode(), most=len(_COMMENT))),
 }
 """The function that writes a table, and the one that recognises an earlier table, by ending."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from pydantic import Field
 
 from pfdist.common.arguments import path_argument
@@ -32,11 +31,10 @@ from pfdist.results.stored_run import (
     scenarios_of,
     unproved,
 )
-from pfdist.store.schema import KEYS, components_in
+from pfdist.store.schema import KEYS
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray
 
 
 class _Rows(Arguments):
@@ -186,46 +184,6 @@ class Run(StoredRun, Shown):
             "online": finite(online_draws(self).summary()) if is_online(self) else None,
         }
 
-    def to_datatree(self) -> xarray.DataTree:
-        """The run as a tree of labelled arrays, for xarray and ArviZ.
-
-        Returns
-        -------
-        xarray.DataTree
-            A group for each of these tables that the run has:
-
-            - ``comparison``: mse and gain (draw, set). A reference has no gain.
-            - ``trajectories``: z (draw, time, component), y (draw, time, measured), and estimate
-              (draw, time, set, component).
-            - ``evaluations``: the columns of the table (row).
-
-            Times are those of the job's clock.
-
-        Raises
-        ------
-        PfdistError
-            xarray is not installed.
-        StoreError
-            A file cannot be read.
-        """
-        try:
-            import xarray  # noqa: PLC0415  an optional library
-        except ModuleNotFoundError:
-            raise PfdistError(
-                "to_datatree needs xarray, which is not installed: pip install 'pfdist[notebook]'"
-            ) from None
-        groups = {
-            "comparison": _comparison,
-            "trajectories": _trajectories,
-            "evaluations": _evaluations,
-        }
-        tree = {name: group(self) for name, group in groups.items() if name in self.tables}
-        about = {"run": str(self.path), "state": self.state, "model": self.job["model"]["name"]}
-        problem = problem_of(self)
-        if problem.has_clock:
-            about["time_unit"] = problem.clock.unit
-        return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=about), **tree})
-
     def _page(self) -> Page:
         try:
             sets = rows_of(self.table("sets")) if "sets" in self.tables else []
@@ -275,50 +233,3 @@ def _title(run: Run) -> str:
         return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
     except StoreError:
         return f"run {run.path}: cannot be read"
-
-
-def _comparison(run: StoredRun) -> xarray.Dataset:
-    import xarray  # noqa: PLC0415  an optional library
-
-    errors, gains = run.table("comparison").set_index("draw"), gains_of(run).set_index("draw")
-    # A reference has no gain over itself.
-    gains = gains.reindex(columns=[f"gain_{name}" for name in run.names])
-    mse = errors[[f"mse_{name}" for name in run.names]]
-    group = xarray.Dataset(
-        {"mse": (("draw", "set"), mse.to_numpy()), "gain": (("draw", "set"), gains.to_numpy())},
-        {"draw": errors.index, "set": run.names},
-    )
-    return group.assign(scenario=("draw", errors["scenario"])) if "scenario" in errors else group
-
-
-def _trajectories(run: StoredRun) -> xarray.Dataset:
-    import xarray  # noqa: PLC0415  an optional library
-
-    rows = run.table("trajectories")
-    quantities = [each.suffix for each in components_in(rows, "z_")]
-    measured = [each.suffix for each in components_in(rows, "y_")]
-    cube = rows.set_index(["draw", "t"]).to_xarray().rename(t="time")
-
-    def stacked(columns: list[str], *shape: int) -> Any:
-        """Columns as the last axes of an array, (draw, time, ...)."""
-        values = np.stack([cube[column].to_numpy() for column in columns], axis=-1)
-        return values.reshape(*values.shape[:2], *shape)
-
-    estimates = [f"estimate_{name}_{suffix}" for name in run.names for suffix in quantities]
-    arrays = {
-        "z": (("draw", "time", "component"), stacked([f"z_{each}" for each in quantities], -1)),
-        "y": (("draw", "time", "measured"), stacked([f"y_{each}" for each in measured], -1)),
-        "estimate": (
-            ("draw", "time", "set", "component"),
-            stacked(estimates, len(run.names), len(quantities)),
-        ),
-    }
-    names = {"set": run.names, "component": quantities, "measured": measured}
-    return xarray.Dataset(arrays, {"draw": cube["draw"], "time": cube["time"], **names})
-
-
-def _evaluations(run: StoredRun) -> xarray.Dataset:
-    rows = run.table("evaluations")
-    # Sets have several lengths, and an array of texts can be saved.
-    texts = [", ".join(map(str, times)) for times in rows["measurement_times"]]
-    return rows.assign(measurement_times=texts).rename_axis("row").to_xarray()

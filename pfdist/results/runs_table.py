@@ -192,12 +192,6 @@ def shown_names(keys: Sequence[str]) -> dict[str, str]:
     return names
 
 
-def differ_by_keys(frame: pd.DataFrame, keys: list[str]) -> bool:
-    """Whether no two runs of a table have the same values of all these keys."""
-    texts = [tuple(formatted_value(row[key]) for key in keys) for row in frame.to_dict("records")]
-    return len(set(zip(frame["run"], texts, strict=True))) == len(set(texts))
-
-
 def formatted_value(value: Any) -> str:
     """The value of a key as text; empty if the job lacks it.
 

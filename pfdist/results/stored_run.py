@@ -199,12 +199,6 @@ def check_one_number(run: StoredRun) -> None:
         )
 
 
-def filter_is_wrong(run: StoredRun) -> bool:
-    """Whether the filter's model is not the truth."""
-    is_nominal = run.job.get("scenarios", {}).get("filter") == "nominal"
-    return bool(run._about["filter_model"]) or is_nominal
-
-
 def has_scenarios(run: StoredRun) -> bool:
     """Whether each draw has one of several scenarios."""
     return bool(run.job.get("scenarios", {}).get("filter", "learned") != "learned")

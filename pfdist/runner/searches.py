@@ -1,8 +1,7 @@
 """The searches of a job: the optimisers, and the settings of their evaluations."""
 
+import os
 from dataclasses import dataclass, replace
-
-import psutil
 
 from pfdist.errors import JobError
 from pfdist.filters.engines import is_exact
@@ -159,7 +158,7 @@ def check_memory(job: Job, section: SearchSection, draws: int) -> None:
     for key, sets in _SETS.items():
         count = section.settings.get(key, 0)
         wanted = count * sets * (_BYTES_A_SET + _BYTES_A_DRAW * draws)
-        present = psutil.virtual_memory().total
+        present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         if wanted > present:
             raise JobError(
                 f"search.{section.name}.{key} = {count} on {draws:,} draws each takes about "

@@ -59,6 +59,11 @@ def no_run(path: Path, lacking: str) -> StoreError:
     if path.suffix == ".toml" and path.is_file():
         run = folder_of_run(path)
         return StoreError(f"a run must be a folder, got the job file {path}: its run is {run}")
+    if path.is_dir() and (point := next(runs_below(path, 1), path)) != path:
+        return StoreError(
+            f"{path} holds several runs, as a sweep does: name one of them, such as {point}; "
+            "`pfdist table` and `pfdist plot` show all"
+        )
     meant = did_you_mean_path(path, (path.parent, Path("results")), _has_run_json)
     return StoreError(f"{path} holds no run: it has no {lacking}{meant}")
 

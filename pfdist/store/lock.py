@@ -68,12 +68,6 @@ def is_held(folder: Path) -> bool:
     return False
 
 
-def try_lock(path: Path) -> None:
-    """Lock a file as a driver locks its run, and unlock it; raises `OSError` if this fails."""
-    with path.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 def _take(lock: int, kind: int, folder: Path, patience: float = 0.0) -> bool:
     """Take a lock; whether the file system has any."""
     deadline = time.monotonic() + patience

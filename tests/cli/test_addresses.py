@@ -54,7 +54,6 @@ def test_the_table_has_the_arguments_that_it_should() -> None:
     assert {
         ("status", "export"),
         ("verify", "run"),
-        ("doctor", "results"),
         ("table", "out"),
     } <= table
     assert {command for command, _ in table} == COMMANDS.keys() - {"models", "completion"}

@@ -70,6 +70,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert main(["plan", "jobs/plan.toml", "--bound-draws", "0"]) == 0
+        again = ["--bound-draws", "0", "--set", "seed=2", "--results", "results/budgets/seed=2"]
+        assert main(["plan", "jobs/plan.toml", *again]) == 0
         shutil.copytree("results/plan", "results/budgets/seed=1")
         yield folder
 

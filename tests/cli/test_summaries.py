@@ -115,9 +115,11 @@ def test_the_unit_of_the_clock_is_in_the_json_and_in_the_heads(
     answer = json.loads(printed("table", run, "--json"))
     assert answer["time_unit"] == "h"
     assert all(2 * time == int(2 * time) for time in answer["rows"][0]["measurement_times"])
-    out = tmp_path / "t.tex"
+    out = tmp_path / "t.csv"
     assert printed("table", run, "--out", out) == f"{out}\n"
-    assert "measurement times [h]" in out.read_text()
+    assert pd.read_csv(out)["expected_mse"].tolist() == [
+        row["expected_mse"] for row in answer["rows"]
+    ]
 
 
 def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printed: Printed) -> None:

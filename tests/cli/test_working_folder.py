@@ -95,7 +95,7 @@ def test_nothing_moves_with_a_model(start: Path, call: Callable[..., Any]) -> No
     assert "out/rows.filtered.csv" in said(line)
     assert "results/a/figures (why-" in said(f"why jobs/a.toml --draws 40 --set {SMALL}")
     sweep = f"sweep jobs/a.toml --over seed=1 --set {SMALL} --pool serial --no-report"
-    assert "\nresults/a-sweep\n" in said(sweep)
+    assert "\nresults/a-sweep/points.csv\n" in said(sweep)
 
 
 @pytest.mark.usefixtures("no_figures")

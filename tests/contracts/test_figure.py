@@ -85,6 +85,6 @@ def test_its_title_is_a_sentence_about_the_run(name: str, runs: list[Run]) -> No
 @every
 def test_the_same_figure_is_the_same_bytes(name: str, runs: list[Run]) -> None:
     run = next(run for run in runs if FIGURES[name].files(run))
-    files = (figures.save_plots(run, FIGURES[name].plots(Tables(run))) for _ in range(2))
+    files = (figures.save_plots(run.path, FIGURES[name].plots(Tables(run))) for _ in range(2))
     first, again = ([file.read_bytes() for file in some] for some in files)
     assert first == again

@@ -41,7 +41,7 @@ def begun(sweep: Path) -> bool:
 
 
 def finished(job: Job, sweep: Path) -> dict[str, dict[str, str]]:
-    runs = pfdist.sweep(job.path, OVER, pool="serial", results=sweep, report=False).runs
+    runs = pfdist.sweep(job.path, OVER, pool="serial", results=sweep, figures=False).runs
     return {name: hashes(run.path) for name, run in runs.items()}
 
 

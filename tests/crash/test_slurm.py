@@ -101,18 +101,17 @@ def test_parts_of_a_sweep_in_an_array_have_the_same_bytes(
     cluster: Slurm, folder: Path, tmp_path: Path
 ) -> None:
     (folder / "study.toml").write_text(
-        'job = "small.toml"\njudge = true\n[over]\nseed = [1, 2]\ncomparison.draws = [60, 80]\n'
+        'job = "small.toml"\n[over]\nseed = [1, 2]\ncomparison.draws = [60, 80]\n'
     )
     array = submit(cluster, folder, "array.sbatch", "sweep", "study.toml", options="--array=1-3")
     cluster.ended(array)
     assert cluster.state(array).splitlines() == ["COMPLETED None"] * 3
     sweep = folder / "results" / "study"
-    assert not (sweep / "report.html").exists()
-    alone = pfdist.sweep(folder / "study.toml", results=tmp_path / "alone", report=False)
+    assert not (sweep / "points.csv").exists()
+    alone = pfdist.sweep(folder / "study.toml", results=tmp_path / "alone", figures=False)
     for name, run in alone.runs.items():
         assert tables(sweep / name) == tables(run.path)
     assert len(pfdist.table(sweep)) == len(alone.table())
-    assert pfdist.report(sweep).exists()
 
 
 def test_a_plan_on_several_nodes_has_the_same_bytes(

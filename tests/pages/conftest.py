@@ -76,5 +76,5 @@ class Seen(HTMLParser):
 
 @pytest.fixture(scope="session")
 def see() -> Callable[[pfdist.Run | Path], Seen]:
-    """Give the page of a run or a sweep, of which a report is written."""
+    """Give the page of a run, of which a report is written."""
     return lambda source: Seen(pfdist.report(source).read_text(encoding="utf-8"))

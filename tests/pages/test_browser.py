@@ -9,11 +9,13 @@ import pytest
 
 import pfdist
 from pfdist import load_job
+from pfdist.common.parts import Cell, Page, Section, Table
+from pfdist.questions.report import write_page
 
 pytestmark = pytest.mark.browser
 
 WIDTHS = (400, 1200)
-KINDS = ("plan", "budget", "online", "unfinished", "sweep")
+KINDS = ("plan", "budget", "online", "unfinished")
 SMALL = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=60")
 
 
@@ -29,18 +31,18 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     pfdist.budget(job, (3, 5), folder / "budget", draws=60)
     pfdist.online(job, folder / "online", draws=20)
 
-    over = {"problem.measurement_budget": [3, 4], "filter.particles": [20, 40], "seed": [1, 2]}
-    pfdist.sweep(file, over, results=folder / "sweep", changes=["comparison.draws=60"])
-    (folder / "sweep" / "damaged").mkdir()
-    (folder / "sweep" / "damaged" / "run.json").write_text("{")
-
     def stop(progress: Any) -> None:
         if progress.phase == "comparison":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         pfdist.run(job, folder / "unfinished", progress=stop)
-    return {kind: pfdist.report(folder / kind) for kind in KINDS}
+    cells = [Cell(f"{10 * each} of the words of a wide column") for each in range(6)]
+    rows = [[Cell(str(number), number), *cells] for number in (*range(8, 17), *range(8))]
+    table = Table("Table", ["number", *(f"column {each}" for each in range(6))], rows)
+    write_page(Page("Table", "", [Section("Table", [table])]), folder / "table.html")
+    made = {kind: pfdist.report(folder / kind) for kind in KINDS}
+    return made | {"table": folder / "table.html"}
 
 
 @pytest.fixture
@@ -96,21 +98,21 @@ def test_a_click_on_a_head_sorts_a_table_and_another_turns_it_round(
     page.goto(reports["budget"].as_uri())
     assert page.locator("table").first.locator("tbody tr").count() == 3
     assert not page.locator("table").first.get_by_role("button").count()
-    page.goto(reports["sweep"].as_uri())
+    page.goto(reports["table"].as_uri())
     table = page.locator("table").first
-    first = table.locator("tbody th")
-    assert first.all_inner_texts() == ["3"] * 8 + ["4"] * 8
+    first, numbers = table.locator("tbody th"), [*map(str, range(17))]
+    assert first.all_inner_texts() == numbers[8:] + numbers[:8]
     head = table.get_by_role("button").first
     head.click()
-    assert first.all_inner_texts() == ["3"] * 8 + ["4"] * 8
+    assert first.all_inner_texts() == numbers
     head.press("Enter")
-    assert first.all_inner_texts() == ["4"] * 8 + ["3"] * 8
+    assert first.all_inner_texts() == numbers[::-1]
     assert table.locator("thead th").first.get_attribute("aria-sort") == "descending"
 
 
 @pytest.mark.parametrize("page", [(600, "light"), (400, "light")], indirect=True)
 def test_a_table_says_that_it_scrolls_if_it_does(page: Any, reports: dict[str, Path]) -> None:
-    page.goto(reports["sweep"].as_uri())
+    page.goto(reports["table"].as_uri())
     page.wait_for_function(
         """() => [...document.querySelectorAll(".table")].every(box =>
           getComputedStyle(box, "::before").content.includes("Scroll sideways")
@@ -141,26 +143,6 @@ def test_a_narrow_page_cuts_no_cell_and_each_cell_has_the_head_of_its_column(
         assert shown == "attr(data-label)" or shown.strip('"') == label
 
 
-@LOOKS
-def test_the_links_of_a_sweep_lead_to_its_points_and_its_table_sorts(
-    page: Any, reports: dict[str, Path]
-) -> None:
-    page.goto(reports["sweep"].as_uri())
-    first = page.locator("table").first.locator("tbody th")
-    assert [*first.all_inner_texts()] == ["3"] * 8 + ["4"] * 8
-    head = page.locator("table").first.get_by_role("button", name="measurement_budget")
-    if page.viewport_size["width"] > 400:  # else no heads are shown
-        head.click()
-        head.click()
-        assert first.all_inner_texts()[0] == "4"
-    link = first.first.locator("a")
-    name = link.get_attribute("title").removeprefix("report of ")
-    assert f"measurement_budget={first.all_inner_texts()[0]}" in name
-    link.click()
-    page.wait_for_load_state()
-    assert page.locator(".subtitle").inner_text().count(f"Run {name},") == 1
-
-
 @pytest.mark.parametrize("page", [(1200, "dark")], indirect=True)
 def test_it_prints_in_black_on_white(page: Any, reports: dict[str, Path]) -> None:
     page.goto(reports["plan"].as_uri())
@@ -188,7 +170,7 @@ def test_no_heading_is_printed_at_the_end_of_a_page(
 
 @pytest.mark.parametrize("page", [(1200, "light")], indirect=True)
 def test_only_what_is_unfolded_is_printed(page: Any, reports: dict[str, Path]) -> None:
-    for kind in {*KINDS} - {"sweep"}:  # which folds nothing away
+    for kind in KINDS:
         page.goto(reports[kind].as_uri())
         page.locator("summary").first.click()
         page.emulate_media(media="print")

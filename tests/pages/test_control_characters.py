@@ -35,7 +35,7 @@ def test_every_part_of_a_page_is_clean(show: Callable[[Page], str]) -> None:
         Facts([(BAD, BAD)], BAD),
         Table(BAD, [BAD, "other"], [[Cell(BAD), Cell(BAD)]]),
     ]
-    text = show(Page(BAD, BAD, [Section(BAD, blocks)], [BAD], links=BAD, source=BAD))
+    text = show(Page(BAD, BAD, [Section(BAD, blocks)], [BAD], source=BAD))
     assert _is_clean(text)
     assert GOOD in text
 

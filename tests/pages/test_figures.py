@@ -26,7 +26,6 @@ from pfdist.pages.plots import (
     online_raster,
     online_shares,
     searches,
-    uncertainty,
     worth,
 )
 from pfdist.pages.searches import legend_inches
@@ -198,37 +197,6 @@ def test_the_draw_nearest_the_median_gain_is_shown_unless_another_is_wanted(plai
     assert f"is {100 * abs(kept[nearest]):.1f} % " in plot.title
     z = plain.table("trajectories").query("draw == 7")["z_0"].tolist()
     assert _lines(one_draw(plain, draw=7, ax=_axes()))["truth"][1] == z
-
-
-def test_the_error_over_time_is_that_of_the_draws_in_which_every_set_has_an_estimate() -> None:
-    rng = np.random.default_rng(4)
-    z, errors = rng.normal(size=60), rng.normal(size=(2, 60)) * [[1.0], [2.0]]
-    table = pd.DataFrame({"draw": np.repeat(range(20), 3), "t": [0, 1, 2] * 20, "z_0": z})
-    table = table.assign(estimate_mine_0=z + errors[0], estimate_yours_0=z + errors[1])
-    table.loc[table["draw"] == 7, "estimate_yours_0"] = np.nan  # degenerate
-    axes = uncertainty(table, ax=_axes())
-    usable = errors.reshape(2, 20, 3)[:, np.arange(20) != 7]
-    squares = usable**2
-    for line, band, square in zip(axes.get_lines(), axes.collections, squares, strict=True):
-        np.testing.assert_allclose(line.get_ydata(), np.sqrt(square.mean(axis=0)))
-        half = 1.96 * square.std(axis=0, ddof=1) / np.sqrt(19)
-        top = np.sqrt(square.mean(axis=0) + half).max()
-        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(top)
-    assert [*_lines(axes)] == ["mine", "yours"]
-    assert [*_lines(uncertainty(table, ["yours"], ax=_axes()))] == ["yours"]
-    with pytest.raises(JobError, match="names must be one of mine, yours, got 'his'"):
-        uncertainty(table, ["his"], ax=_axes())
-
-
-def test_a_component_is_that_of_its_name_and_not_of_the_end_of_another() -> None:
-    table = pd.DataFrame(
-        {"draw": [0, 0, 1, 1], "t": [0, 1, 0, 1], "z_mass": 1.0, "z_dry_mass": 2.0}
-    )
-    table = table.assign(estimate_mine_mass=2.0, estimate_mine_dry_mass=5.0)
-    for component, (error, label) in enumerate([(1.0, "mass"), (3.0, "dry_mass")]):
-        axes = uncertainty(table, component=component, ax=_axes())
-        assert _lines(axes) == {"mine": ([0, 1], [error, error])}
-        assert axes.get_ylabel().split()[-1] == label
 
 
 def test_the_figure_of_times_has_the_errors_above_and_the_times_below(

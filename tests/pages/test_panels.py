@@ -204,7 +204,6 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "online_shares": [call(proved)],
         "particle_losses": [call(LOSSES), call(LOSSES.iloc[::-1])],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
-        "uncertainty": [call(proved), call(plain, ["regular", "genetic"]), call(_trajectory())],
         "sampling_windows": [
             call(proved),
             call(WINDOWS, "mine"),
@@ -221,7 +220,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 19
+    assert len(NAMES) == 18
 
 
 @every

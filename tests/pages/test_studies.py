@@ -16,8 +16,10 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from pfdist import plots
+from pfdist.common.rounding import with_interval
 from pfdist.errors import ArgumentError, JobError
 from pfdist.pages.style import BLUE, GREY, RED
+from pfdist.questions.runs import lowest_text
 from pfdist.results.runs_table import RESULTS
 from pfdist.results.studies import averages
 
@@ -109,6 +111,25 @@ def test_runs_that_differ_in_their_seeds_are_points_around_their_mean() -> None:
     assert list(seeds.get_ydata()) == table["expected_mse"].tolist()
 
 
+def test_the_point_with_the_lowest_mean_over_its_seeds_is_named_with_its_interval() -> None:
+    """The interval is Student's. Where the seeds alone differ, nothing is chosen."""
+    table = study(particles=[20, 40])
+    errors = table.groupby([BUDGET, PARTICLES])["expected_mse"]
+    (budget, particles), mean = errors.mean().idxmin(), errors.mean().min()
+    half = stats.t.ppf(0.975, 2) * errors.std()[budget, particles] / math.sqrt(3)
+    told = "{} (95 % CI {} to {})".format(*with_interval(mean, mean - half, mean + half))
+    point = f"measurement_budget {budget}, particles {particles}"
+    assert lowest_text(table) == (
+        f"The lowest expected MSE is {told}, the mean of 3 seeds: {point}."
+    )
+    alone = table[(table[BUDGET] == budget) & (table[PARTICLES] == particles)]
+    alone = alone.drop(columns=[BUDGET, PARTICLES])
+    assert lowest_text(alone) == f"The expected MSE is {told}, the mean of 3 seeds."
+    axes = plots.against(alone, ax=axes_of())
+    assert axes.get_xlabel() == "seed"
+    assert next(iter(bars_of(axes).values()))[0] == [1.0, 2.0, 3.0]
+
+
 def test_a_value_with_one_seed_among_several_has_no_interval() -> None:
     """Its own error does not say how much another seed would change."""
     table = study().iloc[:4]  # budget 3 has three seeds, budget 5 has one
@@ -185,7 +206,7 @@ def test_unknown_and_infinite_results_are_no_points() -> None:
         (lambda: plots.against(study(), "particle"), "key must be one of seed, problem"),
         (lambda: plots.against(study(), BUDGET, "mse"), "value must be one of draws, ex"),
         (lambda: plots.against(study(seeds=[1]).iloc[:, 4:]), "without the column run"),
-        (lambda: plots.against(MIXED.drop(columns=[BUDGET, PARTICLES])), "only their seeds differ"),
+        (lambda: plots.against(MIXED.drop(columns=[BUDGET, PARTICLES, "seed"])), "whose jobs diff"),
         (lambda: plots.against(MANY, BUDGET), r"at most 20 lines, got 22 .* select rows"),
     ],
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pfdist.pools import cores
-from pfdist.pools.cores import limits, usable_cores
+from pfdist.pools.cores import usable_cores
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +27,6 @@ def _write(own: str, folder: Path, **files: str) -> None:
 
 
 def test_without_a_limit_they_are_those_of_the_affinity() -> None:
-    assert limits() == {"affinity": 64}
     assert usable_cores() == 64
 
 
@@ -39,7 +38,6 @@ def test_a_quota_of_version_2_holds_in_its_group_and_all_below(
     quota: str, cores: int, group: str, host: Path
 ) -> None:
     _write("0::/a/b\n", host / group, cpu_max=quota)
-    assert limits()["cgroup"] == cores
     assert usable_cores() == cores
 
 
@@ -63,7 +61,7 @@ def test_a_quota_of_version_1(group: str, host: Path) -> None:
     _write(own, folder, cpu_cfs_quota_us="-1", cpu_cfs_period_us="100000")
     assert usable_cores() == 64
     _write(own, folder, cpu_cfs_quota_us="250000", cpu_cfs_period_us="100000")
-    assert limits()["cgroup"] == 3
+    assert usable_cores() == 3
 
 
 @pytest.mark.parametrize(("told", "cores"), [("6", 6), ("", 64), ("0", 64), ("some", 64)])
@@ -75,7 +73,6 @@ def test_a_slurm_task_has_its_cores(told: str, cores: int, monkeypatch: pytest.M
 def test_the_least_of_all_limits_counts(host: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "6")
     _write("0::/\n", host, cpu_max="500000 100000")
-    assert limits() == {"affinity": 64, "cgroup": 5, "SLURM_CPUS_PER_TASK": 6}
     assert usable_cores() == 5
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 7})
     assert usable_cores() == 2

@@ -130,9 +130,9 @@ def test_answers_and_reports_have_dates(folder: Path, run: pfdist.Run, call: Cal
     assert (code, window["date"]) == (0, "2026-03-28T08:00")
 
 
-@pytest.mark.parametrize("panel", ["times", "uncertainty", "worth", "sampling_windows"])
+@pytest.mark.parametrize("panel", ["times", "worth", "sampling_windows"])
 def test_axes_of_figures_have_local_dates(run: pfdist.Run, panel: str) -> None:
-    source = run if panel in ("times", "uncertainty") else run.table(panel)
+    source = run if panel == "times" else run.table(panel)
     axes = getattr(pfdist.plots, panel)(source)
     axes.figure.canvas.draw()
     assert axes.get_xlabel() == f"date ({ZONE})"

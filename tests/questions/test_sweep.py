@@ -1,29 +1,24 @@
 """A sweep is the same as its runs, started one by one."""
 
 import contextlib
-import json
-import math
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.results_of import results_of
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import PfdistError, RunMismatchError, SweepError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Result, Work
-from pfdist.problem.sweep import START_SECONDS, judged_sets, parts_that_pay
-from pfdist.questions.runs import least_regret_text
+from pfdist.problem.sweep import START_SECONDS, parts_that_pay
 from pfdist.questions.sweep import foreseen
-from pfdist.results.judged import least_regret, times_by_search
 from pfdist.runner.progress import Progress
 from pfdist.store import held
 
@@ -44,8 +39,6 @@ FIRST = {"comparison.draws": [60]}
 ALIKE = {"comparison.draws": [60, 100, 80]}  # points with the same searches
 SEEDS = {"seed": [1, 2]}
 EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=30"]
-EXHAUSTIVE = [*EXACT, 'search=[{method="exhaustive"}]']
-FORWARD = 'search=[{method="exchange"}]'
 
 Sweeping = Callable[..., pfdist.Sweep]
 Finished = Callable[..., Path]
@@ -54,7 +47,7 @@ Finished = Callable[..., Path]
 @pytest.fixture
 def swept(small_job: Job, tmp_path: Path) -> Sweeping:
     """A function that sweeps the small job in the folder "sweep"."""
-    return partial(pfdist.sweep, small_job, results=tmp_path / "sweep", report=False)
+    return partial(pfdist.sweep, small_job, results=tmp_path / "sweep", figures=False)
 
 
 @pytest.fixture
@@ -93,19 +86,15 @@ def filtered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_every_point_has_the_bytes_of_its_own_run(
-    sweep_file: Path, finished: Finished, small_job: Job, tmp_path: Path
+    sweep_file: Path, finished: Finished, tmp_path: Path
 ) -> None:
     """Before, its points can be listed with the work that they will be."""
-    points = foreseen(sweep_file, results=tmp_path / "sweep", judge=True)
+    points = foreseen(sweep_file, results=tmp_path / "sweep")
     assert points["state"].tolist() == ["none"] * 5
     assert (points["steps"] > 0).all()
     assert (points["seconds"] > 0).all()
-    job = small_job.with_changes(["comparison.draws=60"])
-    filtered = 60 * job.filter.particles * (job.problem.feasible.horizon + 1)
-    judging = filtered * (1 + 5 * len(job.search))  # the reference and all found
-    assert set(points["judging_steps"]) == {judging}
     assert not (tmp_path / "sweep").exists()
-    sweep = pfdist.sweep(sweep_file, results=tmp_path / "sweep", report=False)
+    sweep = pfdist.sweep(sweep_file, results=tmp_path / "sweep", figures=False)
     assert [sweep.path / point for point in points["point"]] == [
         run.path for run in sweep.runs.values()
     ]
@@ -205,7 +194,7 @@ def test_results_have_the_name_of_the_sweep_file(
     sweep_file: Path, small_job: Job, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    sweep = partial(pfdist.sweep, changes=EXACT[:2], report=False)
+    sweep = partial(pfdist.sweep, changes=EXACT[:2], figures=False)
     sweep_file.write_text('job = "small.toml"\n[over]\nseed = [3]\n')
     assert sweep(sweep_file).path == Path("results/study").absolute()
     assert sweep(small_job, {"seed": [3]}).path == Path("results/small-sweep").absolute()
@@ -218,20 +207,19 @@ def test_parts_look_at_no_other_point_and_together_are_the_sweep(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Others hold all points but those of a part; afterwards nothing is left to compute."""
-    start = partial(pfdist.sweep, small_job, {"seed": [1, 2, 3]}, changes=EXACT, judge=False)
-    whole = start(results=tmp_path / "whole", report=False)
-    said, reported = list[str](), list[object]()
-    monkeypatch.setattr("pfdist.questions.sweep.try_report", lambda path, *_: reported.append(path))
+    start = partial(pfdist.sweep, small_job, {"seed": [1, 2, 3]}, changes=EXACT)
+    whole = start(results=tmp_path / "whole", figures=False)
+    reported = list[object]()
+    monkeypatch.setattr("pfdist.questions.sweep.try_report", lambda run, *_: reported.append(run))
     for number in (1, 2):
         with contextlib.ExitStack() as others:
             for name in [*whole.runs][2 - number :: 2]:
                 others.enter_context(held(tmp_path / "parts" / name))
-            part = start(results=tmp_path / "parts", part=(number, 2), judge=True, say=said.append)
+            part = start(results=tmp_path / "parts", part=(number, 2))
         assert [*part.runs] == [*whole.runs][number - 1 :: 2]
         assert part.busy == ()
-        assert not part.judges
-    assert said.count("The found times are not judged: not all points are finished.") == 2
-    assert len(reported) == 3  # the points, and not the sweep
+        assert part.files == (part.path,)
+    assert len(reported) == 3
 
     def refuse(*_: Any) -> None:
         raise AssertionError("workers were started")
@@ -239,7 +227,7 @@ def test_parts_look_at_no_other_point_and_together_are_the_sweep(
     monkeypatch.setattr("pfdist.pools.base.SerialPool.__enter__", refuse)
     joined = start(results=tmp_path / "parts")
     assert bytes_of(joined) == bytes_of(whole)
-    assert reported[-1] == joined.path
+    assert joined.files == (joined.path / "points.csv",)
 
 
 @pytest.mark.parametrize("part", [(0, 2), (3, 2), (1, 3), (-1, 2)])
@@ -268,13 +256,12 @@ def test_a_point_that_fails_is_said_and_the_others_go_on(swept: Sweeping, tmp_pa
     said: list[str] = []
     over = {"model.parameters.process_sd": [1.0, -1.0, 2.0]}
     with pytest.raises(SweepError) as caught:
-        swept(over, changes=["comparison.draws=60"], judge=True, say=said.append)
+        swept(over, changes=["comparison.draws=60"], say=said.append)
     assert list(caught.value.failed) == ["process_sd=-1.0"]
     assert str(caught.value).startswith("1 of 3 points failed, the others are finished in ")
     assert "process_sd must be a finite number" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert sum("process_sd=-1.0: failed: " in line for line in said) == 1
-    assert "The found times are not judged: not all points are finished." in said
     for name in ("process_sd=1.0", "process_sd=2.0"):
         assert pfdist.open_run(tmp_path / "sweep" / name).state == "finished"
 
@@ -362,7 +349,6 @@ def test_a_folder_of_another_run_fails_its_point_alone(
     [
         ({"filter.particles": [9, 0]}, {}, "the point particles=0 of the sweep: filter.particles "),
         (SEEDS, {"changes": ["seed = 3"]}, "must not also be changed at all points, got seed"),
-        ({"problem.horizon": [12, 13]}, {"judge": True}, "needs the same horizon and clock "),
         (SEEDS, {"results": "small.toml"}, "results must be a folder for .*, got a file: "),
         (SEEDS, {"results": "run"}, "results must be a folder for .*, got a run: "),
     ],
@@ -399,123 +385,53 @@ def test_a_wrong_sweep_file_is_told_in_one_line(text: str, words: str, sweep_fil
     assert "\n" not in str(caught.value)
 
 
-# --- Judging ------------------------------------------------------------------------------------
+# --- Its table and its figure -------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_times_found_at_each_point_are_judged_at_every_point(
-    swept: Sweeping, small_job: Job, tmp_path: Path
+def test_a_sweep_has_the_table_of_its_points_and_one_figure(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As `pfdist.compare` judges them: the same draws, filters and figures."""
-    over = {"model.parameters.process_sd": [1.0, 2.0], **SEEDS}
-    sweep = swept(over, changes=[FORWARD], judge=True)
-    judged = sweep.judged()
-    assert len(judged) == 16
-    assert set(judged["found_at"]) == set(sweep.runs)
-    assert judged["run"].nunique() == 4
-    assert set(judged["set"]) == {"exchange"}
-    point = "process_sd=2.0_seed=1"
-    sets = judged_sets(times_by_search(sweep.runs))
-    compared = pfdist.compare(
-        small_job,
-        times=sets,
-        changes=["model.parameters.process_sd=2.0", "seed=1", "comparison.control=false"],
-        results=tmp_path / "compared",
-        figures=False,
-    )
-    expected = {sets[name]: compared.table("comparison")[f"mse_{name}"].mean() for name in sets}
-    best = min(expected.values())
-    for row in judged[judged["run"] == point].itertuples():
-        assert row.measurement_times == sweep.runs[row.found_at].sets["exchange"]
-        mse = expected[row.measurement_times]
-        assert row.expected_mse == pytest.approx(mse, rel=1e-12)
-        assert row.regret == pytest.approx(mse / best - 1, rel=1e-9, abs=1e-12)
-        assert row.regret_low <= row.regret <= row.regret_high
-    assert (judged.groupby("run")["regret"].min() == 0).all()
+    """Its folder is no run: commands about a run name one of its points."""
+    over = {"problem.measurement_budget": [3, 4], **SEEDS}
+    folder = tmp_path / "sweep"
+    sweep = pfdist.sweep(small_job, over, results=folder, changes=EXACT, report=False)
+    frame, (file,) = sweep.table(), sweep.files
+    assert pd.read_csv(file)["expected_mse"].tolist() == frame["expected_mse"].tolist()
+    assert {each.relative_to(folder).as_posix() for each in sweep.figures} == {
+        f"figures/points.{kind}" for kind in ("pdf", "png", "svg")
+    }
+    assert not (folder / ".lock").exists()
+    drawn = sweep.figures[0].read_bytes()
+    sweep.figures[0].unlink()
+    assert main(["plot", str(folder)]) == 0
+    assert {*map(Path, capsys.readouterr().out.splitlines())} == {*sweep.figures}
+    assert sweep.figures[0].read_bytes() == drawn
+    more = partial(pfdist.sweep, small_job, {"seed": [3]}, results=folder, changes=EXACT)
+    assert len(more(report=False).runs) == 1
+    assert len(pd.read_csv(file)) == len(pfdist.table(folder)) > len(frame)
+    assert sweep.figures[0].read_bytes() != drawn
+    for command in ("report", "status", "verify"):
+        assert main([command, str(folder)]) == 1
+        line = capsys.readouterr().err
+        assert f"holds several runs, as a sweep does: name one of them, such as {folder}/" in line
 
 
-def test_times_found_at_several_points_are_judged_once(swept: Sweeping) -> None:
-    """Points that differ in their comparison alone find the same times."""
-    sweep = swept(ALIKE, judge=True)
-    for name, judge in sweep.judges.items():
-        assert list(judge.sets) == ["regular", "point_1_genetic", "point_1_random"]
-        assert judge.sets["point_1_genetic"] == sweep.runs[name].sets["genetic"]
-    judged = sweep.judged()
-    assert len(judged) == 18
-    best, other = sorted(judged.groupby("set")["regret"].min())
-    assert best == 0 < other
-    with pytest.raises(PfdistError, match="judged needs a sweep that judges"):
-        swept(ALIKE).judged()
-
-
-def test_regrets_of_an_exact_engine_are_exact(swept: Sweeping) -> None:
-    """Times of another number of measurements have no regret."""
-    over = {"model.parameters.step_sd": [0.2, 3.0], "problem.measurement_budget": [2, 3]}
-    sweep = swept(over, changes=EXHAUSTIVE, judge=True)
-    judged = sweep.judged()
-    assert len(judged) == 16
-    assert judged["regret"].notna().sum() == 8
-    for row in judged.itertuples():
-        own = sweep.runs[row.run]
-        if len(row.measurement_times) != len(own.sets["exhaustive"]):
-            assert math.isnan(row.regret)
-            continue
-        exact = results_of(own)["exhaustive"].expected_mse
-        assert row.regret == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
-        assert row.regret_low == row.regret == row.regret_high
-    assert least_regret(judged) is None
-    assert least_regret_text(judged) == "No plan fits every point, so none has the least regret."
-
-
-def test_times_of_other_methods_have_regrets_too(
-    swept: Sweeping, small_job: Job, capsys: pytest.CaptureFixture[str]
+def test_an_error_of_the_table_or_the_figure_is_a_line_and_the_sweep_stands(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The best times that any search has found at any point are those that count."""
-    over = {"search.exhaustive.method": ["exhaustive", "exchange"]}
-    sweep = swept(over, changes=EXHAUSTIVE, judge=True)
-    regrets = sweep.judged().set_index(["found_at", "run"])["regret"].unstack()
-    best, other = sweep.runs
-    assert (regrets.loc[best] == 0).all()
-    assert (regrets.loc[other] >= 0).all()
-    words = ["sweep", str(small_job.path), "--results", str(sweep.path), "--no-report", "--judge"]
-    words += [word for change in EXHAUSTIVE for word in ("--set", change)]
-    words += ["--over", f"search.exhaustive.method={','.join(*over.values())}"]
-    assert main(words) == 0
-    told = re.sub(r"\s+", " ", capsys.readouterr().out)
-    assert "Plan of least regret: " in told
-    assert (
-        "It was found at exhaustive.method=exhaustive. Its regret is at most 0 % at any point"
-        in told
-    )
-    assert main([*words, "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["judged"]
-    assert [row["regret"] for row in rows if row["found_at"] == best] == [0.0, 0.0]
+    own, said = tmp_path / "sweep" / "points.csv", list[str]()
+    own.parent.mkdir()
+    own.write_text("mine")
+    start = partial(pfdist.sweep, small_job, SEEDS, changes=EXACT, report=False, say=said.append)
+    assert len(start(results=own.parent).runs) == 2
+    assert own.read_text() == "mine"
+    assert "there is no table or figure: " in said[-1]
 
+    def fail(*_: Any) -> None:
+        raise ZeroDivisionError("a\nmistake")
 
-def test_affordable_times_have_regrets_where_a_filter_is_wrong(
-    small_job: Job, tmp_path: Path
-) -> None:
-    """A filter that trusts its sensor too much needs few times; the right filter needs more."""
-    problem = {"horizon": 5, "price": [1, 2] * 3, "total_price": 5}
-    model = {"name": "random_walk", "parameters": {"measurement_sd": 6.0, "initial_sd": 2.0}}
-    search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
-    job = small_job.with_changes(sections={"problem": problem, "model": model, "search": search})
-    over = {"model.filter.parameters.measurement_sd": [6.0, 0.2]}
-    sweep = pfdist.sweep(job, over, results=tmp_path / "sweep", judge=True, report=False)
-    regrets = sweep.judged().set_index(["found_at", "run"])["regret"].unstack()
-    assert regrets.notna().all(axis=None)
-    right, wrong = sweep.runs
-    assert regrets.loc[right, wrong] > 0 < regrets.loc[wrong, right]
-
-
-@pytest.mark.slow
-def test_points_that_are_added_are_judged_too(swept: Sweeping) -> None:
-    """The report shows the newest comparisons, which know the times of all points."""
-    changes = [*EXACT, FORWARD]
-    for noises in ([0.2, 3.0], [0.2, 1.0, 3.0]):
-        sweep = swept({"model.parameters.step_sd": noises}, changes=changes, judge=True)
-        assert len(sweep.judged()) == len(noises) ** 2
-    assert "were judged at" not in pfdist.report(sweep.path).read_text()
-    swept({"model.parameters.step_sd": [5.0]}, changes=changes)
-    page = pfdist.report(sweep.path).read_text().replace("\xa0", " ")
-    assert "judged at 3 of 4 points" in page
+    monkeypatch.setattr("pfdist.pages.plots.draw_points", fail)
+    sweep = start(results=tmp_path / "other")
+    assert sweep.files == (tmp_path / "other" / "points.csv",)
+    assert sweep.figures == ()
+    assert "ZeroDivisionError: a mistake (`pfdist plot " in said[-1]

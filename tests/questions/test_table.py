@@ -2,7 +2,6 @@
 
 import csv
 import json
-import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -97,10 +96,7 @@ def test_runs_lists_and_folders_are_the_same_and_count_once(folder: Path) -> Non
         pd.testing.assert_frame_equal(pfdist.table(*runs), frame)
 
 
-def test_a_folder_with_sweeps_stands_for_their_points_but_not_for_judging_runs(
-    folder: Path,
-) -> None:
-    shutil.copytree(folder / "kalman", folder / "sweep" / "judged" / "5aa5e1e6" / "n-4")
+def test_a_folder_with_sweeps_stands_for_their_points(folder: Path) -> None:
     assert set(pfdist.table(folder)["run"]) == {"kalman", "n-4", "n-10"}
     assert set(pfdist.table(folder / "sweep")["run"]) == {"n-4", "n-10"}
 
@@ -174,28 +170,8 @@ def test_a_csv_file_and_a_parquet_file_hold_the_table(
         assert {"0 3", "regular"} == {*file["comparison.reference"]}
 
 
-def test_a_table_for_latex_is_balanced_and_escaped(folder: Path) -> None:
-    hostile = folder / "[50%_{x}&#$^~\\"
-    shutil.copytree(folder / "kalman", hostile)
-    pfdist.table(hostile, folder / "kalman", out=folder / "t.tex")
-    text = (folder / "t.tex").read_text().partition("\n")[2]  # after the comment
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 1
-    assert [text.count(rf"\{rule}rule") for rule in ("top", "mid", "bottom")] == [1, 1, 1]
-    rows = [line for line in text.splitlines() if line.endswith(r" \\")]
-    columns = re.findall(r"(?<!\\)\{([lr]+)\}", text)[0]
-    assert len(rows) == 1 + 4
-    for row in rows:
-        assert len(re.findall(r"(?<!\\)&", row)) == len(columns) - 1
-        assert row.count("$") % 2 == row.count(r"\$") % 2
-        assert not re.search(r"(?<!\\)[%#_]", row)
-        assert not row.startswith("[")
-    plain = re.sub(r"\\[{}]", "", text)
-    assert plain.count("{") == plain.count("}")
-    assert r"{}[50\%\_\{x\}\&\#\$\textasciicircum{}\textasciitilde{}\textbackslash{}" in text
-
-
 def test_earlier_tables_are_replaced_and_no_other_file(folder: Path) -> None:
-    for ending in ("csv", "parquet", "tex"):
+    for ending in ("csv", "parquet"):
         out = folder / f"again.{ending}"
         pfdist.table(folder / "kalman", out=out)
         pfdist.table(folder / "sweep", out=out)  # with other columns
@@ -208,7 +184,7 @@ def test_earlier_tables_are_replaced_and_no_other_file(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["a,b\nc", "\x1b[2J", "a\udcffb", "x" * 200])
 def test_any_name_of_a_folder_is_written(name: str, folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "kalman", tmp_path / name)
-    for ending in ("csv", "parquet", "tex"):
+    for ending in ("csv", "parquet"):
         pfdist.table(tmp_path / name, out=tmp_path / f"t.{ending}")
     with (tmp_path / "t.csv").open(newline="", errors="surrogateescape") as file:
         assert [row["run"] for row in csv.DictReader(file)] == [name] * 2
@@ -222,7 +198,7 @@ def test_what_is_no_run_or_no_table_is_one_line(folder: Path) -> None:
     (linked / "tables" / "online").symlink_to("/etc")
     for runs, out, words in (
         ([kalman, empty], None, "empty holds no run"),
-        ([kalman], "t.xlsx", r"must end in one of \.csv, \.parquet, \.tex, got"),
+        ([kalman], "t.xlsx", r"must end in one of \.csv, \.parquet, got"),
         ([[]], None, "at least one run"),
         ([linked], None, "got a link"),
     ):

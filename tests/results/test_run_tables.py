@@ -1,6 +1,5 @@
 """The public names of a run, its tables by one door, and the run as a tree of labelled arrays."""
 
-import builtins
 import inspect
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from pfdist import Run, open_run
-from pfdist.errors import ArgumentError, PfdistError, StoreError
+from pfdist.errors import ArgumentError, StoreError
 from pfdist.results.run import COMPUTED, TABLES
 from pfdist.store.schema import KEYS
 
@@ -70,36 +69,3 @@ def test_a_wrong_table_is_refused_in_a_line(run: Run, arguments: Any, says: str)
     with pytest.raises(ArgumentError, match=says) as refused:
         run.table(*arguments)
     assert "\n" not in str(refused.value)
-
-
-def test_a_line_says_that_xarray_is_missing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    load = builtins.__import__
-
-    def without(name: str, *others: Any) -> Any:
-        if name == "xarray":
-            raise ModuleNotFoundError(name)
-        return load(name, *others)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(PfdistError, match=r"^to_datatree needs xarray, .* 'pfdist\[notebook\]'$"):
-        run.to_datatree()
-
-
-@pytest.mark.notebook
-def test_a_tree_has_the_numbers_of_the_tables(run: Run) -> None:
-    tree = run.to_datatree()
-    assert set(tree.children) == {"comparison", "trajectories", "evaluations"}
-    comparison, rows = tree["comparison"], run.table("comparison").set_index("draw")
-    assert dict(comparison.sizes) == {"draw": len(rows), "set": len(run.sets)}
-    for name in run.sets:
-        np.testing.assert_array_equal(comparison["mse"].sel(set=name), rows[f"mse_{name}"])
-    gain = comparison["gain"].mean("draw")
-    assert float(gain.sel(set="genetic")) == run.table("gains")["gain_genetic"].mean()
-    assert np.isnan(gain.sel(set="regular"))
-    trajectories, z = tree["trajectories"], run.table("trajectories").set_index(["draw", "t"])
-    for draw, time in ((0, 0), (3, 41), (99, 60)):
-        at = {"draw": draw, "time": time, "component": "0"}
-        estimate = trajectories["estimate"].sel(set="genetic", **at)
-        assert float(estimate) == z.loc[(draw, time), "estimate_genetic_0"]
-        assert float(trajectories["z"].sel(**at)) == z.loc[(draw, time), "z_0"]
-    assert tree["evaluations"].sizes["row"] == len(run.table("evaluations"))

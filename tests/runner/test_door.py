@@ -51,7 +51,7 @@ def test_points_beside_a_point_that_fails_compute_what_it_has_not(
 ) -> None:
     alone = finished("comparison.draws=300")
     fails(number)
-    options: Any = {"results": tmp_path / "sweep", "report": False}
+    options: Any = {"results": tmp_path / "sweep", "figures": False}
     with pytest.raises(SweepError) as caught:
         pfdist.sweep(small_job, ALIKE, changes=["execution.failures=0"], **options)
     (name,) = caught.value.failed
