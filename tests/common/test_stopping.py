@@ -35,7 +35,9 @@ stopping.listen()
 
 def done(lines: str, before: str = "") -> tuple[int, str, str]:
     """Exit code and output of a program that listens, then runs some lines."""
-    command = [sys.executable, "-c", PROGRAM.format(before=before, lines=lines)]
+    # From Python 3.12 on, a fork beside a thread, as that which listens, is warned about.
+    options = ["-W", "ignore::DeprecationWarning"]
+    command = [sys.executable, *options, "-c", PROGRAM.format(before=before, lines=lines)]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     return ended.returncode, ended.stdout, ended.stderr
 
