@@ -132,7 +132,7 @@ def prepare(
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    built = build(job)
+    built = build(job, asked=job.evaluation.draws * len(sets))
     return built, partial(_evaluated, built, sets, stream, profile=profile)
 
 
