@@ -76,7 +76,8 @@ def evaluate(
 ) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
-    A terminal and a notebook show the progress from the fifth second on.
+    A terminal and a notebook show the progress from the fifth second on. The proposal "auto" is
+    that of the run, or of the last run of this problem in the process; without, few draws are plain.
 
     Parameters
     ----------
@@ -308,6 +309,9 @@ def evaluated(
     profile: bool = False,
 ) -> Evaluated:
     """Estimate the expected MSE of a set of measurement times, or of several.
+
+    With filter.proposal = "auto", the folder of a run has the proposal of the run. A job file has
+    the plain filter, unless many draws are asked for.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def particle_losses(
     """
     job = as_job(job, settings={"seed": seed, "filter": {"particles": max(particles, default=1)}})
     times = instants_of(job, UNNAMED, measurement_times)
-    built = build(job, asked=4 * draws * len(particles))
+    built = build(job, asked=4 * draws * len(tuple(particles)))
     evaluator, rows = built.evaluator.self_consistent, []
     if not evaluator.has_particle_loss:
         raise JobError(

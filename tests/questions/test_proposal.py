@@ -110,7 +110,7 @@ def test_few_draws_pay_no_comparison_and_take_the_choice_of_the_process(
     assert proposal_of(problem(SHARP).job()) == GUIDED
 
 
-@pytest.mark.parametrize("draws", [4000, 20_000, 100_000])
+@pytest.mark.parametrize("draws", [2000, 20_000, 100_000])
 def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
     draws: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,9 +125,9 @@ def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
     monkeypatch.setattr(Evaluator, "filtered", counted)
     sets = {"early": (0, 1), "late": (7, 8)}
     job = problem(SHARP).job(search=[], comparison={"draws": draws, "sets": sets})
-    assert proposal_of(job) == (GUIDED if draws > 4000 else PLAIN)
+    assert proposal_of(job) == (GUIDED if draws > 2000 else PLAIN)
     assert sum(steps) <= 0.05 * 3 * draws * 60 * 9
-    assert (sum(steps) > 0) is (draws > 4000)
+    assert (sum(steps) > 0) is (draws > 2000)
 
 
 SQUARE = StateSpaceModel(  # whose sign no measurement sees
