@@ -93,9 +93,9 @@ def test_the_quantile_of_a_large_count_is_exact():
     assert ((before < LOW + 1e-9) & (below > LOW - 1e-9))[near].all()
 
 
-@pytest.mark.parametrize(("name", "most"), [("binomial", 1900), ("poisson", 1000)])
+@pytest.mark.parametrize(("name", "most"), [("binomial", 1900), ("poisson", 1300)])
 def test_a_count_has_few_operations(name, most):
-    """One exact tail each: with three tails, they were 4,727 and 1,950, and took thrice as long."""
+    """One exact tail each: with three tails, they were 4,727 and 2,185, and took thrice as long."""
     draw = DENSITIES[name].draw
     given = Formula(
         lambda x, p: draw(*x), "a formula", {"x": 3 - (name == "poisson"), "p": 0}, {}, "a model"
