@@ -77,7 +77,7 @@ def evaluate(
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
     A terminal and a notebook show the progress from the fifth second on. The proposal "auto" is
-    that of the run, or of the last run of this problem in the process; without, few draws are plain.
+    that of the run, or of the last run of this problem in the process; else few draws are plain.
 
     Parameters
     ----------
