@@ -7,6 +7,8 @@ from 0, so Gauss's nodes between 0 and the place where D is about 40 give 10 dig
 References
 ----------
 Abramowitz, Stegun, "Handbook of mathematical functions", 1964 (26.2.23 and 26.4.17: first guesses).
+Peizer, Pratt, "A normal approximation for binomial, F, beta, and other common, related tail
+probabilities, I", Journal of the American Statistical Association 63, 1968.
 """
 
 import math
@@ -16,8 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.densities.log_densities import binomial_logpmf
-from pfdist.densities.special import LOG_2PI, lgamma, log_bessel, log_beta_part, log_gamma_part
+from pfdist.densities.special import (
+    LOG_2PI,
+    deviance,
+    erfc,
+    lgamma,
+    log_bessel,
+    log_beta_part,
+    log_gamma_part,
+)
 
 _HALF_OF_NODES = (  # of Gauss and Legendre, 20 nodes in -1..1, and their weights
     (0.9931285991850949, 0.017614007139152118), (0.9639719272779138, 0.04060142980038694),
@@ -130,14 +139,12 @@ def _count_tails(k, mean, n):
     if n is None:
         above, below, part = _gamma_tails(k + 1.0, mean)
         return below, above, part / mean
-    p, a, b = mean / np.maximum(n, 1.0), k + 1.0, np.maximum(n - k, 0.5)
+    p, a, b = mean / np.maximum(n, 1.0), k + 1.0, n - k
     q, is_above = 1.0 - p, (n + 1.0) * p <= a
-    part = np.exp(log_beta_part(a, b, p, q))
+    here = np.exp(log_beta_part(a, b + 1.0, p, q)) / ((n + 1.0) * p * q)
     shapes = np.where(is_above, a, b), np.where(is_above, b, a)
-    tail = part * _beta_below(*shapes, np.where(is_above, p, q), np.where(is_above, q, p))
-    tail = np.where(k < n, tail, 0.0)
-    below, above = np.where(is_above, 1.0 - tail, tail), np.where(is_above, tail, 1.0 - tail)
-    return below, above, np.exp(binomial_logpmf(k, n, p))
+    tail = here * p * b * _beta_below(*shapes, np.where(is_above, p, q), np.where(is_above, q, p))
+    return np.where(is_above, 1.0 - tail, tail), np.where(is_above, tail, 1.0 - tail), here
 
 
 def _next_to_this(k, mean, n):
@@ -147,22 +154,43 @@ def _next_to_this(k, mean, n):
     return (n - k) / (k + 1.0) * mean / np.maximum(n - mean, _TINY)
 
 
+def _closer_normal(low, high):
+    """The standard normal quantile within 1e-9, from the first guess."""
+    z = np.abs(_normal_quantile(low, high))
+    tail = 0.5 * erfc(z * math.sqrt(0.5))
+    step = (tail - np.minimum(low, high)) * np.exp(0.5 * (z * z + LOG_2PI))
+    z = z + step * (1.0 + 0.5 * z * step)
+    return np.where(low < high, -z, z)
+
+
+def _closer_count(k, z, mean, deviation, n):
+    """A step of Newton's iteration towards z, for Peizer and Pratt's quantile of P(Y <= k)."""
+    a, distance = k + 0.5, k + 2.0 / 3.0 - mean
+    twice, slope = 2.0 * deviance(a, mean), np.log(a / mean)
+    if n is not None:
+        trials = np.maximum(n, 1.0)
+        b, failures = np.maximum(n - a, 0.5), np.maximum(n - mean, _TINY)
+        distance = distance - mean / (3.0 * trials)
+        twice = (twice + 2.0 * deviance(b, failures)) / (1.0 + 1.0 / (6.0 * trials))
+        slope = slope - np.log(b / failures)
+    root = np.sqrt(twice)
+    is_far = root > 0.01  # else both are 0 / 0
+    found = distance * np.where(is_far, root / np.abs(a - mean), 1.0 / deviation)
+    return k + (z - found) * np.where(is_far, np.abs(root / slope), deviation)
+
+
 def count_quantile(u, mean, variance, skewness, n):
     """The quantile of a Poisson count, or of a binomial count of n trials."""
     low, high = tails(u)
-    is_low, log_low, log_high = low < high, log_tail(low, high), log_tail(high, low)
+    is_low = low < high
     largest = math.inf if n is None else n
     mean = np.where(mean == 0.0, _TINY, mean)  # so that no probability is 0 / 0
-    z = _normal_quantile(low, high)
-    k = mean + z * np.sqrt(variance) + skewness * (z * z - 1.0) / 6.0
-    k = np.floor(np.minimum(np.maximum(k, 0.0), largest))
-    for _ in range(2):  # both tails fall nearly as geometric series
-        below, above, here = _count_tails(k, mean, n)
-        above = np.maximum(above, _TINY)
-        up = (log_low - np.log(below)) / np.log1p(here * _next_to_this(k, mean, n) / below)
-        step = np.where(is_low, up, (np.log(above) - log_high) / np.log1p(here / above))
-        k = np.floor(np.minimum(np.maximum(k + step, 0.0), largest))
-    k = np.minimum(np.maximum(k + np.where(is_low, -2.0, 2.0), 0.0), largest)
+    z, deviation = _closer_normal(low, high), np.sqrt(np.maximum(variance, _TINY))
+    k = mean + z * deviation + skewness * (z * z - 1.0) / 6.0
+    for _ in range(2):
+        k = _closer_count(np.minimum(np.maximum(k, 0.0), largest), z, mean, deviation, n)
+    k = np.floor(k + 0.5) + np.where(is_low, -2.0, 2.0)  # within 3 of the quantile
+    k = np.minimum(np.maximum(k, 0.0), largest)
     below, above, here = _count_tails(k, mean, n)
     tail = np.where(is_low, below, above)
     for _ in range(5):  # each tail grows towards the other, so no digit is lost

@@ -76,7 +76,8 @@ def evaluate(
 ) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
-    A terminal and a notebook show the progress from the fifth second on.
+    A terminal and a notebook show the progress from the fifth second on. The proposal "auto" is
+    that of the run, or of the last run of this problem in the process; else few draws are plain.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def prepare(
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    built = build(job)
+    built = build(job, asked=job.evaluation.draws * len(sets))
     return built, partial(_evaluated, built, sets, stream, profile=profile)
 
 
@@ -308,6 +309,9 @@ def evaluated(
     profile: bool = False,
 ) -> Evaluated:
     """Estimate the expected MSE of a set of measurement times, or of several.
+
+    With filter.proposal = "auto", the folder of a run has the proposal of the run. A job file has
+    the plain filter, unless many draws are asked for.
 
     Parameters
     ----------

@@ -20,6 +20,7 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, MeasurementsError, ModelError
 from pfdist.filters.evidence import exact_log_evidence, log_evidence
 from pfdist.filters.replicates import Replicate, read_replicates
+from pfdist.filters.work import PLAIN
 from pfdist.kernels.variates import generator
 from pfdist.models import StateSpaceModel
 from pfdist.pools.base import Pool
@@ -185,7 +186,8 @@ def fit(
         The table is wrong, or the measurements are impossible at the start.
     """
     chosen, table = Chosen(**options), table_argument("data", data)
-    built = build(as_job(job, changes, settings={"execution": chosen.execution}))
+    settings = {"execution": chosen.execution, "filter": {"proposal": PLAIN}}  # no times are judged
+    built = build(as_job(job, changes, settings=settings))
     believed = built.evaluator.believed
     if not (believed.normalised or built.evaluator.exact):
         raise ModelError(

@@ -81,7 +81,8 @@ def particle_losses(
     Statistical Society B 72, 2010 (the variance of particles beside the truth).
     """
     job = as_job(job, settings={"seed": seed, "filter": {"particles": max(particles, default=1)}})
-    times, built = instants_of(job, UNNAMED, measurement_times), build(job)
+    times = instants_of(job, UNNAMED, measurement_times)
+    built = build(job, asked=4 * draws * len(tuple(particles)))
     evaluator, rows = built.evaluator.self_consistent, []
     if not evaluator.has_particle_loss:
         raise JobError(

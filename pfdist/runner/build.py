@@ -115,8 +115,11 @@ class Built:
         return self.study.unsearched if self.searches else self.study.references
 
 
-def build(job: Job, *runs: Path) -> Built:
+def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     """The objects of a job, after a check that they fit each other.
+
+    The proposal "auto" is replaced by a choice that takes at most 5 % of the work: `asked` is the
+    number of draws that are filtered, counted for each set, by default those of the job's run.
 
     The constants of recorded models come from the first of the given runs' folders that has the
     same models. A job in a run's folder takes its models from there, and imports nothing.
@@ -126,7 +129,7 @@ def build(job: Job, *runs: Path) -> Built:
     "auto" and no number is sufficient.
     """
     if job.filter.proposal == AUTO:
-        return build(_with_proposal(job, runs), *runs)
+        return _with_proposal(job, runs, asked)
     if job.filter.is_automatic:
         return build(_with_enough_particles(job, runs), *runs)
     evaluator = evaluator_of(job, *models_of(job))
@@ -198,40 +201,87 @@ _MOST_TRIED = 200  # feasible sets, for one with a long gap
 _USUAL_PARTICLES = 500  # where their number is not known yet
 
 
-def _with_proposal(job: Job, runs: Sequence[Path]) -> Job:
-    """The job with "plain" or "guided" for ``filter.proposal = "auto"``.
+_choices: dict[str, dict[str, str]] = {}
+"""Proposals chosen in this process, by problem and comparison; "" has the last choice."""
+
+
+def _with_proposal(job: Job, runs: Sequence[Path], asked: float | None) -> Built:
+    """The objects of the job with "plain" or "guided" for ``filter.proposal = "auto"``.
 
     That is the proposal of the job's own run, the first of the runs, if it exists. Otherwise the
     job is built with the plain filter first, so whatever is wrong with it is named first.
     """
-    # Imported here, so that workers, which know the proposal, need no pandas.
-    from pfdist.runner.particles import why_plain  # noqa: PLC0415
 
     def with_filter(**settings: Any) -> Job:
         return job.with_changes(settings={"filter": settings})
 
-    plain = with_filter(proposal=PLAIN)
-    if known := _proposal_of(runs[0]) if runs else "":
-        return with_filter(proposal=known)
-    if job.filter.dtype != FLOAT64 or job.filter.engine not in (AUTO, COMPILED.name):
-        return plain
     particles = _USUAL_PARTICLES if job.filter.is_automatic else job.filter.particles
+    if known := _proposal_of(runs[0]) if runs else "":
+        built = build(with_filter(proposal=known), *runs)
+        _choices_of(built, particles)[""] = known
+        return built
+    if job.filter.dtype != FLOAT64 or job.filter.engine not in (AUTO, COMPILED.name):
+        return build(with_filter(proposal=PLAIN), *runs)
+    built = build(with_filter(proposal=PLAIN, particles=particles), *runs)
+    chosen = _chosen(built, asked)
+    if chosen == PLAIN and not job.filter.is_automatic:
+        return built
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EngineWarning)  # it comes again with the proposal
-        built = build(with_filter(proposal=PLAIN, particles=particles), *runs)
-    evaluator = built.evaluator.self_consistent
-    guided = replace(built.comparing, proposal=GUIDED)
-    is_known = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
-    if not is_known or evaluator.model.guided:
-        return plain
-    try:
-        _check_guided(built.evaluator, guided)
-        evaluator.compile(guided)
-    except ModelError:
-        return plain
-    sets = job.problem.feasible.regular(), _with_long_gap(job)
-    is_plain = why_plain(evaluator, sets, job.seed, built.comparing)
-    return plain if is_plain else with_filter(proposal=GUIDED)
+        warnings.simplefilter("ignore", EngineWarning)  # it came with the plain filter
+        return build(with_filter(proposal=chosen), *runs)
+
+
+def _draws_of(built: Built) -> float:
+    """The draws that a run filters at least, counted for each set, with the job's particles."""
+    steps = sum(
+        search.optimiser.evaluations
+        * search.settings.draws
+        * search.settings.estimation.steps_an_instant
+        for search in built.searches
+    )
+    compared = len(built.names) * built.job.comparison.draws
+    return steps / built.comparing.steps_an_instant + compared
+
+
+def _choices_of(built: Built, particles: int) -> dict[str, str]:
+    """The choices of this process for a problem: its models, its filter and its constraints."""
+    plain = replace(built.comparing, proposal=PLAIN, particles=particles)
+    problem = built.job.problem.model_dump(mode="json")
+    return _choices.setdefault(built.evaluator.id_of(plain, problem), {})
+
+
+def _chosen(built: Built, asked: float | None) -> str:
+    """The proposal of a job that was built with the plain filter.
+
+    A run's choice depends on its job alone, so it can be repeated. A question, which asks for so
+    many draws, takes the last choice of the process. A work too small for a comparison is plain.
+    """
+    # Imported here, so that workers, which know the proposal, need no pandas.
+    from pfdist.runner.particles import compared_draws, why_plain  # noqa: PLC0415
+
+    evaluator, plain = built.evaluator.self_consistent, built.comparing
+    is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
+    if not is_possible or evaluator.model.guided:
+        return PLAIN
+    choices = _choices_of(built, plain.particles)
+    if asked is not None and "" in choices:
+        return choices[""]
+    draws = compared_draws(_draws_of(built) if asked is None else asked)
+    if draws == 0:
+        return PLAIN
+    comparison = f"{draws} of {built.job.seed}"
+    if comparison not in choices:
+        try:
+            guided = replace(plain, proposal=GUIDED)
+            _check_guided(built.evaluator, guided)
+            evaluator.compile(guided)
+            sets = built.job.problem.feasible.regular(), _with_long_gap(built.job)
+            why = why_plain(evaluator, sets, built.job.seed, plain, draws, in_words=False)
+        except ModelError as error:
+            why = str(error)
+        choices[comparison] = PLAIN if why else GUIDED
+    choices[""] = choices[comparison]
+    return choices[""]
 
 
 def _proposal_of(run: Path) -> str:

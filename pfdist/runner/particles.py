@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_of
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import GUIDED, Estimation, Work, cut, with_truth
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, Work, cut, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.results import Moments
 from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
@@ -23,7 +24,10 @@ from pfdist.results.particle_loss import SMALL, ParticleLoss, particle_loss
 NUMBERS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
 """Numbers of particles among which `enough_particles` finds one."""
 _DRAWS = (1000, 4000, 16_000)  # more are filtered only if fewer leave it open
-_TRIED = 480  # draws with which proposals are compared
+_TRIED = 480  # draws with which proposals are compared, or fewer: at most 5 % of the work, where
+_LEAST_TRIED = 24
+_TIMES_A_DRAW = 2 * 2 * (1 + 10 / 3)  # two sets, two filters; guided steps take 10 times as long
+_SHARE = 0.05
 _FILTERS = 4  # of a draw behind a loss
 _SECONDS = 2.0  # of draws in memory at once
 _SIZE_DRAWS = 100  # behind a mean effective sample size
@@ -50,39 +54,61 @@ def work_of_loss(
     )  # fmt: skip
 
 
-def measured_loss(evaluator: Evaluator, work: Work) -> tuple[ParticleLoss, Moments]:
-    """The particle loss on the draws of a work, and moments of the MSE."""
-    own, errors = work.estimation, []
-    for estimation in (
-        work.estimation,
-        replace(work.estimation, estimator=FILTER_NOISE.name),
-        with_truth(own.particles, own.proposal),
-    ):
+def measured_loss(
+    evaluator: Evaluator, work: Work, *, by_two_filters: bool = True
+) -> tuple[ParticleLoss, Moments]:
+    """The particle loss on the draws of a work, and moments of the MSE.
+
+    The limit of the loss needs no two filters, which take half of the time; without, the loss by
+    two filters is 0.
+    """
+
+    def errors(estimation: Estimation) -> NDArray[np.float64]:
         pieces = evaluator.pieces(replace(work, estimation=estimation), _SECONDS)
-        errors.append(np.concatenate([evaluator.filtered(piece).mse[:, 0] for piece in pieces]))
-    squared, distance, variance = errors
-    whole = Moments()
+        return np.concatenate([evaluator.filtered(piece).mse[:, 0] for piece in pieces])
+
+    own, whole = work.estimation, Moments()
+    squared, variance = errors(own), errors(with_truth(own.particles, own.proposal))
+    distance = np.zeros_like(squared)
+    if by_two_filters:
+        distance = errors(replace(own, estimator=FILTER_NOISE.name))
     whole.add(squared)
     return particle_loss(own.particles, whole, squared, distance, variance), whole
 
 
+def compared_draws(asked: float) -> int:
+    """The draws with which proposals are compared for the work of filtering so many draws.
+
+    It is 0 if too few draws are asked for.
+    """
+    draws = min(_TRIED, int(_SHARE * asked / _TIMES_A_DRAW))
+    return draws if draws >= _LEAST_TRIED else 0
+
+
 def why_plain(
-    evaluator: Evaluator, sets: Sequence[Times], seed: int, plain: Estimation, draws: int = _TRIED
+    evaluator: Evaluator,
+    sets: Sequence[Times],
+    seed: int,
+    plain: Estimation,
+    draws: int = _TRIED,
+    *,
+    in_words: bool = True,
 ) -> str:
     """Why ``filter.proposal = "auto"`` takes the plain filter; empty if it takes the guided one.
 
     With a third of the particles, the upper 95 % limit of the guided filter's loss must lie below
     that of the plain filter on the same draws, with each set. A plain filter that loses 1 % or less
-    is not replaced.
+    is not replaced. Unless `in_words`, the text has no losses, and half of the work is saved.
     """
     guided = replace(plain, particles=-(-plain.particles // 3), proposal=GUIDED)
     for times in sets:
         work = work_of_loss(evaluator, times, seed, plain, min(draws, _TRIED), "proposal")
-        loss, _ = measured_loss(evaluator, work)
-        found = f"{loss.particles:,} plain particles lose {loss.text}"
+        loss, _ = measured_loss(evaluator, work, by_two_filters=in_words)
+        found = f"{loss.particles:,} plain particles lose {loss.text}" if in_words else PLAIN
         if loss.at_most.value <= SMALL:
             return found
-        other, _ = measured_loss(evaluator, replace(work, estimation=guided))
+        guiding = replace(work, estimation=guided)
+        other, _ = measured_loss(evaluator, guiding, by_two_filters=in_words)
         if other.limit >= loss.limit:
             return f"{found}; {other.particles:,} guided ones lose {other.text}"
     return ""

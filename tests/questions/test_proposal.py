@@ -11,10 +11,12 @@ import pfdist
 from oracles.guided import bootstrap, sharp_walk
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
-from pfdist.filters.work import GUIDED, PLAIN
+from pfdist.filters.evaluator import Evaluator
+from pfdist.filters.work import GUIDED, PLAIN, Work
 from pfdist.problem.job import Job
 from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.check_model import checks_of
+from pfdist.runner import build as builds
 from pfdist.runner import particles
 from pfdist.runner.build import _with_long_gap, build
 
@@ -87,6 +89,45 @@ def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(particles, "why_plain", lambda *_: 1 / 0)
     again = pfdist.plan(job, run.path, pool="serial", figures=False)
     assert again.job["filter"]["proposal"] == GUIDED
+
+
+def test_few_draws_pay_no_comparison_and_take_the_choice_of_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The comparison filters 2,400 times as many draws; that of a run is made once."""
+    monkeypatch.setattr(builds, "_choices", {})
+    judged = particles.why_plain
+    monkeypatch.setattr(particles, "why_plain", lambda *_, **_s: 1 / 0)
+    plain, guided = (
+        pfdist.evaluate(problem(SHARP, proposal=each), "regular", draws=16).mse.tolist()
+        for each in (PLAIN, GUIDED)
+    )
+    assert pfdist.evaluate(problem(SHARP), "regular", draws=16).mse.tolist() == plain != guided
+    monkeypatch.setattr(particles, "why_plain", judged)
+    assert proposal_of(problem(SHARP).job()) == GUIDED
+    monkeypatch.setattr(particles, "why_plain", lambda *_, **_s: 1 / 0)
+    assert pfdist.evaluate(problem(SHARP), "regular", draws=16).mse.tolist() == guided
+    assert proposal_of(problem(SHARP).job()) == GUIDED
+
+
+@pytest.mark.parametrize("draws", [2000, 20_000, 100_000])
+def test_a_comparison_takes_a_twentieth_of_the_work_of_the_run(
+    draws: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step of a guided filter counts as ten; see docs/guided.md for measured times."""
+    monkeypatch.setattr(builds, "_choices", {})
+    steps, filtered = list[float](), Evaluator.filtered
+
+    def counted(self: Evaluator, work: Work) -> object:
+        steps.append(work.steps * (10 if work.estimation.proposal == GUIDED else 1))
+        return filtered(self, work)
+
+    monkeypatch.setattr(Evaluator, "filtered", counted)
+    sets = {"early": (0, 1), "late": (7, 8)}
+    job = problem(SHARP).job(search=[], comparison={"draws": draws, "sets": sets})
+    assert proposal_of(job) == (GUIDED if draws > 2000 else PLAIN)
+    assert sum(steps) <= 0.05 * 3 * draws * 60 * 9
+    assert (sum(steps) > 0) is (draws > 2000)
 
 
 SQUARE = StateSpaceModel(  # whose sign no measurement sees
