@@ -14,7 +14,8 @@ import pkgutil
 import sys
 import threading
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -85,7 +86,8 @@ def installed_name(model: StateSpaceModel) -> str | None:
     return model.name if same else None
 
 
-def installed_models() -> dict[str, tuple[str, str]]:
+@cache
+def installed_models() -> Mapping[str, tuple[str, str]]:
     """Module and attribute of every built-in model and entry point, by name."""
     shipped = {
         module.name: (f"{_LIBRARY}.{module.name}", "model")

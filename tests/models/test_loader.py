@@ -45,9 +45,11 @@ def plug(monkeypatch, folder):
         entry = EntryPoint(name, value, "pfdist.models")
         found = {"pfdist.models": [entry]}
         monkeypatch.setattr("pfdist.models.loader.entry_points", lambda *, group: found[group])
+        installed_models.cache_clear()
 
     monkeypatch.syspath_prepend(folder / "sub")
-    return install
+    yield install
+    installed_models.cache_clear()
 
 
 def test_the_models_that_ship_are_those_with_a_model_found_by_their_names() -> None:
