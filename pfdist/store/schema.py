@@ -142,7 +142,6 @@ _SCHEMAS = {
         _TIMES,
         _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),
-        _column("distrust", pa.string(), "", "why the search was done again by the squared error"),
     ],
     "range_sums": [
         *_OF_A_SET,
