@@ -111,7 +111,8 @@ def named_search(
     apart = job.judged_apart
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
-    polishing = replace(counting, draws=_POLISH_DRAWS) if section.polish else None
+    honest = replace(settings.estimation, estimator=SQUARED_ERROR.name)
+    polishing = replace(counting, draws=_POLISH_DRAWS, estimation=honest) if section.polish else None
     racing = replace(counting, draws=apart * _RACE_DRAWS, estimation=comparing_of(job))
     additive = METHODS[section.method].additive
     return NamedSearch(section.name, optimiser, settings, polishing, racing, additive, apart > 1)
