@@ -498,7 +498,7 @@ def test_affordable_times_have_regrets_where_a_filter_is_wrong(
     """A filter that trusts its sensor too much needs few times; the right filter needs more."""
     problem = {"horizon": 5, "price": [1, 2] * 3, "total_price": 5}
     model = {"name": "random_walk", "parameters": {"measurement_sd": 6.0, "initial_sd": 2.0}}
-    search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
+    search = [{"method": "exhaustive"}]
     job = small_job.with_changes(sections={"problem": problem, "model": model, "search": search})
     over = {"model.filter.parameters.measurement_sd": [6.0, 0.2]}
     sweep = pfdist.sweep(job, over, results=tmp_path / "sweep", judge=True, report=False)
