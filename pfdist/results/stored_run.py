@@ -162,11 +162,6 @@ def version_of(run: StoredRun) -> str:
     return str(run._about["pfdist"])
 
 
-def schema_version_of(run: StoredRun) -> int:
-    """Version of the schema of the run's tables."""
-    return int(run._about["schema_version"])
-
-
 def problem_of(run: StoredRun) -> ProblemSection:
     """The section [problem] of the job, with the clock and the constraints."""
     return run._problem

@@ -111,11 +111,14 @@ def named_search(
     apart = job.judged_apart
     # Only the method itself may kill sets, as the paper says.
     counting = replace(settings, common_noise=True, degenerate_policy="continue")
-    honest = replace(settings.estimation, estimator=SQUARED_ERROR.name)
-    polishing = replace(counting, draws=_POLISH_DRAWS, estimation=honest) if section.polish else None
+    squared = replace(settings.estimation, estimator=SQUARED_ERROR.name)
+    polishing = replace(counting, draws=_POLISH_DRAWS, estimation=squared)
     racing = replace(counting, draws=apart * _RACE_DRAWS, estimation=comparing_of(job))
     additive = METHODS[section.method].additive
-    return NamedSearch(section.name, optimiser, settings, polishing, racing, additive, apart > 1)
+    polishing_or_none = polishing if section.polish else None
+    return NamedSearch(
+        section.name, optimiser, settings, polishing_or_none, racing, additive, apart > 1
+    )
 
 
 def comparing_of(job: Job) -> Estimation:

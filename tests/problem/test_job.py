@@ -207,6 +207,21 @@ def test_the_most_telling_mistake_of_a_file_is_told(write, old, new, overrides, 
         load_job(path, overrides)
 
 
+@pytest.mark.parametrize(
+    ("change", "section"),
+    [
+        ("evaluation.estimator=filter_variance", "[evaluation]"),
+        ("search.genetic.evaluation.estimator=auto", "[search.evaluation]"),
+    ],
+)
+def test_how_an_error_is_estimated_is_no_key(write, change, section):
+    """Before 0.4 it was; a search now chooses by its model."""
+    with pytest.raises(JobError, match=r"unknown key 'estimator'.*, allowed: draws, ") as error:
+        load_job(write(), [change])
+    assert "\n" not in str(error.value)
+    assert section in str(error.value)
+
+
 def test_a_file_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(JobError, match=r"cannot read .*none\.toml: No such file"):
         load_job(tmp_path / "none.toml")

@@ -1,7 +1,6 @@
 """From a job to the problem: the filter's model, and the engine."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
