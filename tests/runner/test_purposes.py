@@ -81,19 +81,21 @@ def test_purposes_have_different_keys_and_others_are_refused() -> None:
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("pfdist.runner.searches._POLISH_DRAWS", 64)  # several sets are left to race
     paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run", figures=False))
     changes = [*SMALL, "seed=1"]
     plan = _asked_by(
         streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=changes, figures=False)
     )
-    assert plan.keys() == _phases("", ".polish", ".shortlist") | {"comparison", "bound"}
+    own = _phases("", ".polish", ".shortlist")
+    assert plan.keys() == own | {"comparison", "evenly.spaced", "bound"}
     budget = _asked_by(
         streams,
         lambda: pfdist.budget(
             small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL, figures=False
         ),
     )
-    assert budget.keys() == _phases("", ".shortlist") | {"comparison", "bound"}
+    assert budget.keys() == {DEFAULT_METHOD, "comparison", "bound"}
     # The bound filters the compared sets on the draws of the comparison, with noise of its own:
     draws = stream_of("budget", small_job.seed, "draws")
     assert budget["comparison"] & budget["bound"] == {draws}
