@@ -87,8 +87,8 @@ def test_no_two_phases_share_a_draw(
     plan = _asked_by(
         streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=changes, figures=False)
     )
-    own = _phases("", ".polish", ".shortlist")
-    assert plan.keys() == own | {"comparison", "evenly.spaced", "bound"}
+    assert plan.pop("evenly.spaced") & plan["comparison"]  # judged on the same draws
+    assert plan.keys() == _phases("", ".polish", ".shortlist") | {"comparison", "bound"}
     budget = _asked_by(
         streams,
         lambda: pfdist.budget(
