@@ -105,7 +105,12 @@ def test_no_two_phases_share_a_draw(
             assert keys
             assert not keys & other_keys
     # A number that was found by its budget is proved by a plan, on draws that did not choose it.
-    assert not budget["comparison"] & plan["comparison"]
+    # Only filters that measure the loss by particles have the same noise, on different draws.
+    losses = {
+        stream_of("comparison", 1, "filter", table)
+        for table in ("filter_distance", "filter_variance")
+    }
+    assert budget["comparison"] & plan["comparison"] <= losses
 
     works: list[Work] = []
     filtered = Evaluator.filtered
