@@ -1,9 +1,9 @@
 """A search: its optimiser, exchanges that polish the best set, and a race between the finalists.
 
 Each phase has separate draws. The set that the exchanges prefer is compared with the reference,
-unless the race contradicts; without exchanges it is the winner of the race. Search and exchanges
-may estimate errors by the variance of the particles, which is tiny if these collapse onto a wrong
-state; the race judges by the squared error.
+unless the race contradicts; without exchanges it is the winner of the race. A search may estimate
+errors by the variance of the particles, which is tiny if these collapse onto a wrong state.
+Exchanges and the race judge by the squared error.
 """
 
 import math
