@@ -53,7 +53,7 @@ SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "evaluation.draws
 
 
 def _common(method: str, *draws: int, **settings: Any) -> list[dict[str, Any]]:
-    common = {"noise": "common", "resampling": "systematic", "estimator": "auto"}
+    common = {"noise": "common", "resampling": "systematic"}
     return [
         {"method": method, **settings, "evaluation": {"draws": each, **common}} for each in draws
     ]

@@ -26,7 +26,6 @@ from pfdist.common.rounding import with_error
 from pfdist.common.section import Section, keys_of
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import AUTO, ENGINES
-from pfdist.kernels.estimators import ESTIMATORS, Estimator
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
 from pfdist.pools.kinds import POOLS
@@ -469,28 +468,6 @@ def engines() -> str:
     return _table(["engine", "what computes"], [[f"`{AUTO}` (default)", choice], *rows])
 
 
-def estimators() -> str:
-    """Give the table of estimators."""
-    rows = [
-        [
-            f"`{estimator.name}`",
-            _sentence(estimator.description),
-            str(estimator.filters),
-            _valid_for(estimator),
-        ]
-        for estimator in ESTIMATORS.values()
-    ]
-    return _table(["estimator", "what it computes at each instant", "filters", "valid for"], rows)
-
-
-def _valid_for(estimator: Estimator) -> str:
-    if estimator.for_any_filter:
-        return "any filter and any error"
-    if estimator.needs_truth:
-        return "filters that know the truth, with the squared norm as error"
-    return "the guide of a search, for any filter, with the squared norm as error"
-
-
 def schemes() -> str:
     """Give the table of resampling schemes."""
     rows = [[f"`{scheme.name}`", _sentence(scheme.description)] for scheme in SCHEMES.values()]
@@ -568,7 +545,7 @@ TABLES: dict[str, Callable[[], str]] = {
     for table in (
         methods, settings, keys, sweep_keys, columns, computed_tables, filtered_columns, usage,
         gallery, genetic, stone_soup, wall, simulators, backtest, guided, size, seconds_of_plan,
-        ways, driver, searches, robust, engines, estimators, schemes, commands, figures, panels,
+        ways, driver, searches, robust, engines, schemes, commands, figures, panels,
         pools, densities,
     )
 }  # fmt: skip

@@ -4,7 +4,7 @@ import hashlib
 import json
 from typing import Any
 
-CHOOSING = ("search", "probe", "shortlist", "online", "particles", "proposal", "explore")
+CHOOSING = ("search", "shortlist", "online", "particles", "proposal", "explore")
 """Purposes of draws that decide between sets, numbers of particles, or proposals.
 
 Errors on such draws are never reported as proof.

@@ -4,7 +4,6 @@ A result is a pure function of its arguments. A work may be cut between any two 
 each draw stays the same, and so does every number computed from the draws in their order.
 """
 
-import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -40,15 +39,12 @@ from pfdist.filters.work import (
     cut,
     joined,
 )
-from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, made
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
 from pfdist.models.recorded import check_same_functions, recorded, untraced
 from pfdist.models.written import key_of_model
-
-_ANY = Estimation(particles=1)
 
 
 @dataclass(frozen=True)
@@ -291,30 +287,14 @@ class Evaluator:
         )
 
     @property
-    def cheapest_estimator(self) -> str:
-        """The estimator with the smallest variance that the models allow."""
-        return self._first_allowed(FILTER_VARIANCE.name)
+    def variance_is_error(self) -> bool:
+        """Whether the variance of the particles estimates the error, which varies more.
 
-    @property
-    def guiding_estimator(self) -> str:
-        """The estimator with the smallest variance that can guide a search.
-
-        It may be biased if the filter's model is not the truth.
+        The filter must have the true model, and be told the scenario if there are several. The
+        error must be the squared norm.
         """
-        return self._first_allowed(FILTER_VARIANCE.name, OWN_VARIANCE.name)
-
-    def _first_allowed(self, *estimators: str) -> str:
-        """The first of some estimators that the models allow; else the squared error.
-
-        The variance of a filter that is not told the scenario does not see the error of that.
-        """
-        if self.scenarios and not self.told:
-            return SQUARED_ERROR.name
-        for estimator in estimators:
-            with contextlib.suppress(ModelError):
-                self.check(replace(_ANY, estimator=estimator))
-                return estimator
-        return SQUARED_ERROR.name
+        is_told = self.told or not self.scenarios
+        return is_told and self.believed == self.model and self.model.error is squared_error
 
     def id_of(self, estimation: Estimation, *parts: Any) -> str:
         """A hash of the evaluator, an estimation, and further parts with JSON values.
@@ -357,9 +337,9 @@ class Evaluator:
             each.compile(*estimations)
 
     def check(self, estimation: Estimation) -> None:
-        """Raise `ModelError` if the estimator or the resampling scheme does not fit the models.
+        """Raise `ModelError` if the filter's settings do not fit the models.
 
-        Exact engines ignore the estimator and the number of particles.
+        Exact engines ignore the number of particles.
         """
         for each in self.of_scenarios:
             each.check(estimation)

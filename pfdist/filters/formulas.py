@@ -16,7 +16,7 @@ from pfdist.kernels import batch as rows
 from pfdist.kernels import guided as guided_rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
 from pfdist.kernels.callbacks import Callback
-from pfdist.kernels.estimators import ALL_ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.lowering import Precision
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error, squared_error
@@ -45,7 +45,7 @@ def filter_blocks(
     kind = _Kind(
         guided=settings.guides(model),
         draws_again=settings.proposal == GUIDED,
-        by_error=ALL_ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
+        by_error=ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
         dtype=settings.dtype,
     )
     result: tuple[Compiled, tuple[int, ...], Guiding]

@@ -1,19 +1,12 @@
 """The contract of the engines: results, checked arguments, and a loop over several sets.
 
-Three estimators of a draw's MSE are available. Given y, the expected squared error of the filter's
-mean is the variance of z given y plus the variance that the particles cause. If the filter has the
-true model, the three estimators therefore have nearly the same expectation:
-
-=============== ==================================================================================
-squared_error   The error of the filter's mean against the simulated z, as in the paper. It is the
-                only estimator for any error and any filter.
-filter_variance The variance of the particles. It does not depend on the simulated z, so it varies
-                less between draws. Its expectation is too small by a term of order 1/P, about twice
-                the variance that the particles cause.
-two_filters     The mean variance of two filters on the same y, plus the squared distance of their
-                means. The expected distance is twice the variance that the particles of one filter
-                cause. So the term of order 1/P is that of squared_error.
-=============== ==================================================================================
+A draw's MSE is estimated by the error of the filter's mean against the simulated z, as in the
+paper, or by the variance of the particles. Given y, the expected squared error of the filter's mean
+is the variance of z given y plus the variance that the particles cause. So if the filter has the
+true model, both have nearly the same expectation. The variance does not depend on the simulated z,
+so it varies less between draws. Its expectation is too small by a term of order 1/P, about twice
+the variance that the particles cause, which is half the expected squared distance of the means of
+two filters on the same y.
 
 The same holds for angles z with the error 1 - cos(z - m), where m is the direction of the mean of
 the particles' unit vectors, and R the length of this mean. Given y, the expectation of
@@ -40,7 +33,7 @@ from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.settings import check_filter, check_start
 from pfdist.filters.work import Estimation, filter_streams
-from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
+from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR, ErrorWeights, Estimator
 from pfdist.kernels.schemes import ALWAYS
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
@@ -166,7 +159,7 @@ def one_by_one(
         (some, [filter_checked_draws(model, some, times, key, settings, True) for key in keys])
         for times, some in zip(sets, map(draws.upto, ends), strict=True)
     )
-    return result(each_set, draws, ALL_ESTIMATORS[settings.estimator])
+    return result(each_set, draws, ESTIMATORS[settings.estimator])
 
 
 def mse_of_sets(
@@ -257,8 +250,8 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """The estimated MSE of each draw, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
-    if estimator.for_any_filter:
-        return estimator.weights.squared_error * mse
+    if estimator == SQUARED_ERROR:
+        return mse
     with np.errstate(all="ignore"):
         errors = weighed(_errors(filters, draws, estimator), draws.instant_weights)
         mean = np.mean(errors, axis=1)

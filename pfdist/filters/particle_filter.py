@@ -23,7 +23,7 @@ from pfdist.filters.interface import Filtered, all_or_none, checking
 from pfdist.filters.work import Estimation, filter_streams
 from pfdist.kernels import callbacks
 from pfdist.kernels.batch import Request, Results
-from pfdist.kernels.estimators import ALL_ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.filter import filter_all
 from pfdist.kernels.guided import record_rows
 from pfdist.kernels.prefixes import Plan, Planned, plan
@@ -218,7 +218,7 @@ def _filter(
         record_rows=record_rows(model.components[0], kinds.shape[1], max(guiding.rows, default=0)),
         truth_noise=_truth_noise(draws, bool(guiding.rows) and scheme.holds_truth),
         threshold=float(settings.threshold),
-        weights=ALL_ESTIMATORS[settings.estimator].weights,
+        weights=ESTIMATORS[settings.estimator].weights,
         instant_weights=_array(draws.instant_weights),
         components=kinds.shape[1],
         kinds=kinds,

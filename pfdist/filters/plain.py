@@ -27,7 +27,7 @@ from pfdist.filters.interface import (
 )
 from pfdist.filters.work import Estimation
 from pfdist.kernels.ancestors import LEVELS, ancestors_of, weights_of
-from pfdist.kernels.estimators import ALL_ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.variates import (
     FILTER_INITIAL,
@@ -153,7 +153,7 @@ def _filter(
                 ranks[:, :, k, c] = np.sum(share[:, None] * lower, axis=2)
             counted = np.where(weight > 0, z, 0.0)
             mean[:, k, c], variance[:, k, c] = _moments(counted, share, draws.model.is_angle[c])
-        if ALL_ESTIMATORS[settings.estimator].by_error:
+        if ESTIMATORS[settings.estimator].by_error:
             variance[:, k] = _mean_error(draws, k, quantities, mean[:, k], share)
         error = true_error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan

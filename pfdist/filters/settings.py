@@ -9,9 +9,8 @@ from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.work import Estimation
-from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR, EstimatorName
 from pfdist.kernels.schemes import SCHEMES, Resampling
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models import StateSpaceModel
 
 RESAMPLING = tuple(SCHEMES)
 
@@ -19,7 +18,6 @@ RESAMPLING = tuple(SCHEMES)
 class _Settings(Arguments):
     particles: Annotated[Whole, Field(ge=1, lt=2**31)]  # an index of a particle has 32 bits
     resampling: Resampling
-    estimator: EstimatorName
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
@@ -55,9 +53,9 @@ def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estim
     Raises ArgumentError for a value that is not allowed, and ModelError for a setting or model that
     does not fit.
     """
-    resampling, estimator = settings.resampling, settings.estimator
+    resampling = settings.resampling
     check_fits(model, truth)
-    _Settings(particles=settings.particles, resampling=resampling, estimator=estimator)
+    _Settings(particles=settings.particles, resampling=resampling)
     if SCHEMES[resampling].sorts and model.components[0] != 1:
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
@@ -67,15 +65,4 @@ def check_filter(model: StateSpaceModel, truth: StateSpaceModel, settings: Estim
         raise ModelError(
             "resample must be 'always' for a model with sensors, got "
             f"'below {settings.threshold:g}' for {model.name}"
-        )
-    always = SQUARED_ERROR.name
-    if ESTIMATORS[estimator].needs_truth and model != truth:
-        raise ModelError(
-            f"the estimator {estimator!r} needs a filter with the true model, got a filter with "
-            f"another model or other parameters; allowed: {always!r}"
-        )
-    if not ESTIMATORS[estimator].for_any_filter and truth.error is not squared_error:
-        raise ModelError(
-            f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
-            f"model {truth.name}, which has its own error; allowed: {always!r}"
         )

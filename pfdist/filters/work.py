@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pfdist.common.measurement_times import Times
 from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
-from pfdist.kernels.estimators import ALL_ESTIMATORS, CONTROL, FILTER_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
 from pfdist.models import StateSpaceModel
@@ -71,12 +71,12 @@ class Estimation:
     @property
     def steps_an_instant(self) -> int:
         """Particle-steps of one instant, summed over all filters of the estimator."""
-        return self.particles * ALL_ESTIMATORS[self.estimator].filters
+        return self.particles * ESTIMATORS[self.estimator].filters
 
 
 def filter_streams(stream: int, estimator: str) -> list[int]:
     """Keys of the noise of each filter that an estimator needs; the first is the given key."""
-    return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]
+    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
 
 
 def with_truth(particles: int, proposal: str = PLAIN) -> Estimation:

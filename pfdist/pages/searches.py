@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
-from pfdist.errors import JobError
 from pfdist.pages.figure import Plot, Tables, figure, one_number
 from pfdist.pages.panel import (
     axes_for,
@@ -33,7 +32,7 @@ from pfdist.problem.methods import METHODS
 from pfdist.problem.set_key import phrase_of
 from pfdist.results import ComparisonStatistics, Run
 from pfdist.results.pairs import formatted_ranks
-from pfdist.results.stored_run import distrust_of, named_sets, own_estimation, statistics_of
+from pfdist.results.stored_run import named_sets, own_estimation, statistics_of
 
 _PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
 _LONGEST_NAME = 12  # characters of a name with which the legend has two columns
@@ -92,23 +91,19 @@ def curve_of(method: str) -> Curve:
 def searches_figure(tables: Tables) -> Plot:
     """Estimated error against the number of evaluations, relative to the best (paper, figure 2).
 
-    Errors by different estimators are not comparable, so each estimator has a panel. In the panel
-    of the searches that estimate as the comparison does, errors are relative to the least
-    expected MSE on fresh draws, and the reference is shown. Elsewhere they are relative to the
-    least estimated error.
+    The errors of searches that estimate as the comparison does are relative to the least expected
+    MSE on fresh draws, and the reference is shown. The errors of others, which may have fewer
+    particles and estimate by their variance, are relative to their own least error.
     """
-    run = tables.run
-    groups, evaluations = groups_of(run), shown_evaluations(run)
-    on_fresh_draws = _on_fresh_draws(run, tables.statistics)
+    run, evaluations = tables.run, tables.run.table("evaluations")
+    ways, lines = ways_of(run), _on_fresh_draws(run, tables.statistics)
+    methods = _methods(run)
 
     def draw(panels: Sequence[Axes]) -> None:
-        for ax, (difference, names) in zip(panels, groups.items(), strict=True):
-            lines = {} if difference else on_fresh_draws
-            searches(evaluations, _methods(run, names), **lines, title=_way(difference), ax=ax)
+        searches(evaluations, methods, ways=ways, **lines, ax=panels[0])
 
-    height = _PANEL + max(map(legend_inches, groups.values()))
-    title = _title(evaluations, _methods(run, [search["name"] for search in run.job["search"]]))
-    return Plot(height * len(groups), draw, len(groups), title=title)
+    height = _PANEL + legend_inches(_labels(methods, ways))
+    return Plot(height, draw, title=_title(evaluations, methods))
 
 
 def _title(evaluations: pd.DataFrame, methods: Mapping[str, str]) -> str:
@@ -138,43 +133,32 @@ def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tup
     }
 
 
-def _way(difference: str) -> str:
-    return f"estimated otherwise than the comparison:\n{difference}" if difference else ""
+def _methods(run: Run) -> dict[str, str]:
+    return {search["name"]: search["method"] for search in run.job["search"]}
 
 
-def _methods(run: Run, names: Collection[str]) -> dict[str, str]:
-    methods = {search["name"]: search["method"] for search in run.job["search"]}
-    return {name: methods[name] for name in names}
-
-
-def groups_of(run: Run) -> dict[str, list[str]]:
-    """Names of the searches that estimate alike, by how they differ from the comparison."""
-    groups: dict[str, list[str]] = {}
+def ways_of(run: Run) -> dict[str, str]:
+    """How each search estimates, if not as the comparison does."""
+    ways = dict[str, str]()
     for search in run.job["search"]:
         own = own_estimation(run, search["name"])
         parts = [str(own.get("estimator", ""))]
         parts += [f"{own[key]} {key}" for key in ("particles", "resampling") if key in own]
-        difference = ", ".join(part.replace("_", " ") for part in parts if part)
-        groups.setdefault(difference, []).append(search["name"])
-    return dict(sorted(groups.items()))
+        ways[search["name"]] = ", ".join(part.replace("_", " ") for part in parts if part)
+    return ways
 
 
-def shown_evaluations(run: Run) -> pd.DataFrame:
-    """The table of evaluations; of a search that was repeated, only the repetition."""
-    evaluations = run.table("evaluations")
-    names = [search["name"] for search in run.job["search"]]
-    repeated = {f"{name}.again": name for name in names if distrust_of(run, name)}
-    evaluations = evaluations[~evaluations["phase"].isin(repeated.values())]
-    return evaluations.assign(phase=evaluations["phase"].replace(repeated))
+def _labels(names: Collection[str], ways: Mapping[str, str]) -> list[str]:
+    return [f"{name}: {ways[name]}" if ways.get(name) else name for name in names]
 
 
 def searches(
     evaluations: Run | pd.DataFrame,
     names: Mapping[str, str] | Collection[str] = (),
     *,
+    ways: Mapping[str, str] | None = None,
     reference: tuple[str, float] | None = None,
     best: tuple[str, float] | None = None,
-    title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
     """Draw how far estimated errors lie above the best, against the number of evaluations.
@@ -187,17 +171,15 @@ def searches(
     evaluations : Run or DataFrame
         A run, or the table of this name.
     names : mapping of str to str, or collection of str
-        The searches to show: with a DataFrame the method of each search by its name. By default
-        those of a run that estimate the expected MSE as the comparison does, or else those that
-        share another estimator. Errors by different estimators are not comparable.
+        The searches to show, by default all; with a DataFrame the method of each by its name.
+    ways : mapping of str to str, optional
+        How searches estimate, if not as the comparison does; a run has its own. Their errors are
+        relative to the least of the searches that estimate alike.
     reference : (str, float), optional
         Label and expected MSE of the reference, drawn as a line; a run has its own.
     best : (str, float), optional
         Label and expected MSE of the set to which errors are relative: that of a run with the
         least expected MSE on fresh draws. By default it is the least that is drawn.
-    title : str
-        Title of the legend; by default how the searches of a run estimate, if not as the
-        comparison.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -208,29 +190,29 @@ def searches(
     Raises
     ------
     JobError
-        The run has no such search, or the searches estimate differently.
+        The run has no such search.
     TypeError
         The evaluations are neither a run nor a table.
     """
     check_kind(evaluations, (Run, pd.DataFrame), "evaluations")
     if isinstance(evaluations, Run):
-        run, way, alike = evaluations, *_alike(groups_of(evaluations), list(names))
-        names, title = _methods(run, alike), title or _way(way)
-        if not way and run.draws_compared and "budget" not in run.job:
+        run, ways = evaluations, ways_of(evaluations)
+        own = _methods(run)
+        names = {name: own[chosen(name, own, "searches")] for name in names or own}
+        if run.draws_compared and "budget" not in run.job:
             lines = _on_fresh_draws(run, statistics_of(run))
             reference, best = reference or lines["reference"], best or lines["best"]
-        evaluations = shown_evaluations(run)
+        evaluations = run.table("evaluations")
     methods = names if isinstance(names, Mapping) else dict.fromkeys(names, "")
     methods = methods or dict.fromkeys(map(str, evaluations["phase"].unique()), "")
     curves = {
         name: curve_of(method)(evaluations[evaluations["phase"] == name])
         for name, method in methods.items()
     }
-    ax = axes_for(ax)
-    least = min((curve.min().min() for curve in curves.values() if len(curve)), default=math.nan)
+    ax, ways = axes_for(ax), ways or {}
     best = best if best is not None and 0 < best[1] < math.inf else None
-    base = least if best is None else best[1]
-    if not 0 < least < math.inf:
+    least = _least(curves, ways) | ({} if best is None else {"": best[1]})
+    if not any(0 < each < math.inf for each in least.values()):
         return write_instead(ax, "no search has a finite error other than 0")
     differences = []
     styles = styles_of(evaluations, ["", *curves])  # none has that of the reference
@@ -238,9 +220,11 @@ def searches(
     if len({*colours.values()}) < len(curves):  # only a palette has so many colours
         colours = {name: colormaps["viridis"](k / len(curves)) for k, name in enumerate(curves)}
     handles, kinds = [], dict[str, str]()
+    labels = dict(zip(curves, _labels(curves, ways), strict=True))
     for position, (name, curve) in enumerate(curves.items()):
+        base = least[ways.get(name, "")]
         look = {"color": colours[name], "marker": _MARKERS[position % len(_MARKERS)], "mew": 0}
-        handles.append(Line2D([], [], label=verbatim(name), ms=marker(0.9), **look))
+        handles.append(Line2D([], [], label=verbatim(labels[name]), ms=marker(0.9), **look))
         for kind, errors in curve.items():
             above = 100 * (errors / base - 1)
             differences += above.dropna().tolist()
@@ -252,9 +236,9 @@ def searches(
             )  # fmt: skip
     by_label = {phrase_of(style["label"]): style["color"] for style in styles.values()}
     for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
-        if line is not None and math.isfinite(line[1]):
+        if line is not None and math.isfinite(line[1]) and 0 < least.get("", 0.0) < math.inf:
             text = verbatim(f"{line[0]}: {line[1]:.4g}")
-            differences.append(100 * (line[1] / base - 1))
+            differences.append(100 * (line[1] / least[""] - 1))
             colour = by_label.get(line[0], GREY)
             line_at = differences[-1]
             handles.append(ax.axhline(line_at, color=colour, lw=thin(0.9), ls=dashes, label=text))
@@ -265,10 +249,17 @@ def searches(
     ax.set_xlim(left=0)
     ax.margins(y=0.08)
     said = ", ".join(f"{dashes}: {kind}" for dashes, kind in kinds.items())
-    legend_above(
-        ax, handles, columns=_columns(methods), title="\n".join(filter(None, [title, said]))
-    )
+    legend_above(ax, handles, columns=_columns(labels.values()), title=said)
     return ax
+
+
+def _least(curves: Mapping[str, pd.DataFrame], ways: Mapping[str, str]) -> dict[str, float]:
+    """The least error of all searches that estimate alike, by the way in which they estimate."""
+    least = dict.fromkeys((ways.get(name, "") for name in curves), math.inf)
+    for name, curve in curves.items():
+        way = ways.get(name, "")
+        least[way] = min(least[way], *curve.min().dropna(), math.inf)
+    return least
 
 
 def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
@@ -284,19 +275,8 @@ def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: minus(f"{value:g}")))
 
 
-def _alike(groups: Mapping[str, list[str]], names: list[str]) -> tuple[str, list[str]]:
-    """How some searches estimate, and their names; by default those of the first group."""
-    way_of = {name: way for way, group in groups.items() for name in group}
-    names = [chosen(name, way_of, "searches") for name in names] or next(iter(groups.values()))
-    ways = {way_of[name] for name in names}
-    if len(ways) > 1:
-        each = "; ".join(f"{name}: {way_of[name] or 'as the comparison'}" for name in names)
-        raise JobError(f"searches must estimate errors alike, got {each}", argument="searches")
-    return ways.pop(), names
-
-
 def legend_inches(names: Collection[str]) -> float:
-    """Height of a panel's legend over searches of these names, with its title."""
+    """Height of a panel's legend over searches of these labels, with its title."""
     return _LEGEND_LINE * (2 + math.ceil((2 + len(names)) / _columns(names)))
 
 

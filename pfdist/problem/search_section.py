@@ -1,11 +1,10 @@
 """A section [[search]] of a job file: the method, its settings, and how it evaluates sets."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field
 
 from pfdist.common.section import Section
-from pfdist.kernels.estimators import EstimatorName
 from pfdist.kernels.schemes import Resampling
 
 AUTO: Final = "auto"
@@ -35,8 +34,6 @@ class EvaluationSettings(Section):
         common noise a fifth of it, at least 100.
     resampling : str
         The resampling scheme of the search.
-    estimator : str
-        How the error of a draw is estimated; "auto" chooses by the model.
     degenerate_draws : str
         With "kill", a degenerate draw makes the error of a set infinite.
     """
@@ -45,8 +42,10 @@ class EvaluationSettings(Section):
     noise: Literal["fresh", "common"] | None = None
     particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     resampling: Resampling | None = None
-    estimator: EstimatorName | Literal["auto"] | None = None
     degenerate_draws: Degenerate | None = None
+
+    # whether errors are estimated by the variance of the particles, where that is right
+    by_variance: ClassVar[bool] = False
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, given that of the job."""
@@ -63,8 +62,9 @@ class CommonNoiseSettings(EvaluationSettings):
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
     noise: Literal["fresh", "common"] = "common"
     resampling: Resampling = "systematic"
-    estimator: EstimatorName | Literal["auto"] = AUTO
     degenerate_draws: Degenerate = "continue"
+
+    by_variance: ClassVar[bool] = True
 
     def particles_of(self, job_particles: int) -> int:
         """Number of particles of the search, given that of the job."""

@@ -12,7 +12,6 @@ from pfdist.common.measurement_times import REGULAR
 from pfdist.common.section import Listed, Section
 from pfdist.errors import shown
 from pfdist.filters.engines import AUTO, EngineName
-from pfdist.kernels.estimators import SQUARED_ERROR, EstimatorName
 from pfdist.kernels.schemes import ALWAYS, Resampling, threshold_of
 from pfdist.pools.kinds import AUTO as AUTO_POOL
 from pfdist.pools.kinds import POOLS
@@ -205,14 +204,11 @@ class EvaluationSection(Section):
     degenerate_draws : str
         With "kill", a degenerate draw makes the error of a set infinite in genetic and random
         searches, and there is no plan if more than half of the draws are degenerate with it.
-    estimator : str
-        How the error of a draw is estimated.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
     degenerate_draws: Degenerate = "kill"
-    estimator: EstimatorName = SQUARED_ERROR.name
 
 
 class Until(Section):

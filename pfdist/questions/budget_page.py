@@ -220,5 +220,3 @@ def _estimated(rows: Sequence[Row]) -> Iterator[Text]:
         f"draws ({reasons}).",
         detail=True,
     )
-    if distrust := rows[0].search_distrust:
-        yield Text(f"The search ran twice: {distrust}.", detail=True)

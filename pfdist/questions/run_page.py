@@ -373,7 +373,7 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     if row is None:
         return [*cells, Cell(""), Cell(""), Cell("")]
     cells.append(COLUMNS["search_mse"].cell(row))
-    reasons = filter(None, [row.search_distrust, row.search_cause, row.search_settings])
+    reasons = filter(None, [row.search_cause, row.search_settings])
     path, excess = subject.run.path, row.search_excess
     if excess is None:
         return [*cells, Cell(""), Cell("")]

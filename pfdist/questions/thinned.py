@@ -73,7 +73,7 @@ def plans_of(
         raise JobError("plan_each needs problem.measurement_budget, got a total price")
     if built.evaluator.scenarios:
         raise JobError("plan_each needs a job without scenarios, or scenarios.filter = 'learned'")
-    planning = first_planning(planning_of(job, built.evaluator.cheapest_estimator))
+    planning = first_planning(planning_of(job, built.evaluator.variance_is_error))
     works = dict[str, PlanWork]()
     plans: dict[str, Times | None] = dict.fromkeys(each.name for each in replicates)
     for each in replicates:

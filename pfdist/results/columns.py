@@ -228,10 +228,6 @@ _DECLARED = [
         meaning="settings in which the search estimates otherwise than the comparison",
     ),
     Column(
-        name="search_distrust", dtype="object",
-        meaning="reason why the search was run again by the squared error, if it was",
-    ),
-    Column(
         name="particle_loss",
         meaning="share of expected_mse due to finitely many particles, by two filters; known where "
         "the engine has particles and the error is the squared norm",

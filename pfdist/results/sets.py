@@ -25,7 +25,6 @@ from pfdist.results.stored_run import (
     angles_of,
     blocks_of,
     copies_of,
-    distrust_of,
     last_bounds,
     own_estimation,
     problem_of,
@@ -233,14 +232,11 @@ def _search_errors(run: StoredRun, search: str, result: Results) -> Results:
     """The columns that begin with search_, from a set's errors in the search and on fresh draws."""
     mse = result["expected_mse"]
     comparable = mse != 0.0 and math.isfinite(mse)
-    distrust, copies = distrust_of(run, search), copies_of(run).get(search, [1])
-    # After a second search the race gives the error, and it estimates as the comparison.
-    own = {} if distrust else own_estimation(run, search)
+    own, copies = own_estimation(run, search), copies_of(run).get(search, [1])
     return {
         "search_excess": result["search_mse"] / mse - 1.0 if comparable else math.nan,
         "search_settings": ", ".join(f"{key} = {value}" for key, value in own.items()),
         "search_cause": cause_of_excess(result, own, str(run.path), len(copies)),
-        "search_distrust": distrust,
     }
 
 

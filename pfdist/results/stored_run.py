@@ -21,7 +21,7 @@ from pfdist.problem.methods import METHODS
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.scenarios_section import Scenarios
 from pfdist.problem.sections import DEFAULT_METHOD
-from pfdist.problem.set_key import key_of, labels_of, references_of
+from pfdist.problem.set_key import labels_of, references_of
 from pfdist.results.moments import BLOCK, ComparisonStatistics, Gain, relative_gain
 from pfdist.store import QUESTIONS, Store, check_entries, read_run, unusable
 from pfdist.store.schema import KEYS
@@ -104,14 +104,6 @@ class StoredRun:
     def _problem(self) -> ProblemSection:
         return ProblemSection.model_validate(self.job["problem"])
 
-    @cached_property
-    def _distrusts(self) -> dict[str, str]:
-        """Why a search was run again, by the name of the search."""
-        rows = self.table("compared")
-        rows = rows[rows["distrust"].notna()]
-        names = [key_of(str(name), self.job).origin for name in rows["name"]]
-        return dict(zip(names, rows["distrust"].astype(str), strict=True))
-
 
 def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The content of run.json, and the validated job of job.toml.
@@ -170,11 +162,6 @@ def version_of(run: StoredRun) -> str:
     return str(run._about["pfdist"])
 
 
-def schema_version_of(run: StoredRun) -> int:
-    """Version of the schema of the run's tables."""
-    return int(run._about["schema_version"])
-
-
 def problem_of(run: StoredRun) -> ProblemSection:
     """The section [problem] of the job, with the clock and the constraints."""
     return run._problem
@@ -204,21 +191,13 @@ def has_scenarios(run: StoredRun) -> bool:
     return bool(run.job.get("scenarios", {}).get("filter", "learned") != "learned")
 
 
-def distrust_of(run: StoredRun, search: str) -> str | None:
-    """Why a search was run again by the squared error; None if it was not."""
-    return run._distrusts.get(search)
-
-
 def own_estimation(run: StoredRun, search: str) -> dict[str, Any]:
     """Settings in which a search estimates otherwise than the comparison.
 
-    They are particles, resampling and estimator. For a search that was run again by the squared
-    error, they are those of the second time.
+    They are particles, resampling and estimator.
     """
     compared = {**run.job["filter"], "estimator": SQUARED_ERROR.name}
     own = run._about["estimations"].get(search, {})
-    if search in run._distrusts:
-        own = {"resampling": own.get("resampling", compared["resampling"])}
     return {key: value for key, value in own.items() if key in compared and value != compared[key]}
 
 

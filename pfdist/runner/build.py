@@ -125,7 +125,7 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     same models. A job in a run's folder takes its models from there, and imports nothing.
 
     Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
-    range, or if an estimator or a resampling scheme does not fit. Raises `JobError` if particles is
+    range, or if a resampling scheme does not fit. Raises `JobError` if particles is
     "auto" and no number is sufficient.
     """
     if job.filter.proposal == AUTO:
@@ -140,12 +140,12 @@ def build(job: Job, *runs: Path, asked: float | None = None) -> Built:
     smaller = feasible.smaller or (is_wrong and not feasible.counted)
     feasible = replace(feasible, smaller=smaller)
     study = (Study if job.budget is None else BudgetStudy)(job, feasible)
-    guide = evaluator.guiding_estimator
-    searches = tuple(named_search(study, job, section, guide) for section in job.search)
+    by_variance = evaluator.variance_is_error
+    searches = tuple(named_search(study, job, section, by_variance) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
         check_plannable(evaluator)
-        wanted.append(planning_of(job, evaluator.cheapest_estimator).estimation)
+        wanted.append(planning_of(job, evaluator.variance_is_error).estimation)
     wanted = [*evaluator.estimations, *wanted]
     evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
     _check_draws(job, evaluator)

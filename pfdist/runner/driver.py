@@ -73,16 +73,15 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
         {"name": name, "measurement_times": times} for name, times in built.study.unsearched.items()
     ]
     for search in built.searches:
-        end = yield from run_search(session, search)
+        winners = yield from run_search(session, search)
         rows += [
             {
                 "name": name,
                 "measurement_times": winner.measurement_times,
                 "search_mse": winner.expected_mse,
                 "search_standard_error": winner.standard_error,
-                "distrust": end.distrust,
             }
-            for name, winner in end.winners.items()
+            for name, winner in winners.items()
         ]
     compared = {row["name"] for row in rows}
     for name in built.names:
@@ -167,7 +166,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         estimation=built.comparing,
         ids=("online",),
         feasible=built.feasible,
-        planning=planning_of(job, built.evaluator.cheapest_estimator),
+        planning=planning_of(job, built.evaluator.variance_is_error),
         planning_stream=stream_of(purpose, job.seed, "planning"),
         shown=TRAJECTORIES,
         sensors=built.evaluator.sensors,

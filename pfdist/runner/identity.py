@@ -123,10 +123,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
 
 
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
-    """The first estimator of each search, which a job with "auto" does not name.
-
-    The tables record whether a search was repeated with the squared error.
-    """
+    """How each search estimates errors, which a job does not say."""
     if built.evaluator.exact:
         return {}
     return {search.name: search.settings.estimation.recorded for search in built.searches}

@@ -8,7 +8,7 @@ their draws are found by the ids of the evaluations.
 import math
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +22,6 @@ from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.errors import StoreError
 from pfdist.filters.estimate import Evaluation
 from pfdist.filters.work import BLOCK, Estimation, Result, Work
-from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.variates import generator
 from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
@@ -31,7 +30,6 @@ from pfdist.runner.progress import Reporter
 from pfdist.runner.row_formats import PER_DRAW
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
-from pfdist.search.probe import new_leaders
 from pfdist.store import Store, schema
 
 _TABLES = ("evaluations", "draws", "error_sums")
@@ -131,9 +129,7 @@ class Request:
 class Phase:
     """An optimiser, with the purpose of its draws and the settings of its evaluations.
 
-    The tables have its name. The purpose must be one of draws that choose. If `keep_leaders`, the
-    evaluations that led the generations stay for probes of the estimator; see
-    `pfdist.search.probe.new_leaders`.
+    The tables have its name. The purpose must be one of draws that choose.
     """
 
     name: str
@@ -141,12 +137,10 @@ class Phase:
     purpose: str
     settings: Settings
     built: Built
-    keep_leaders: bool = False
     # Searches that add errors of instants, and are told means whatever the criterion is.
     additive: bool = False
     # Requests by the evaluation's id, of this session, for sets that are requested again
     evaluated: dict[str, Request] = field(default_factory=dict)
-    leaders: list[Evaluation] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if self.purpose not in CHOOSING:
@@ -163,7 +157,7 @@ class Phase:
 
         Raises `MeasurementTimesError` if the optimiser requests times outside 0..T.
         """
-        times, end, draws, individual, squared, _ = candidate
+        times, end, draws, individual, _ = candidate
         last = self.built.job.problem.feasible.horizon if end is None else end
         sensors = self.built.evaluator.sensors
         validated(times, (last + 1) * sensors - 1, f"search {self.name}")
@@ -171,8 +165,6 @@ class Phase:
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
         estimation = self.settings.estimation
-        if squared:
-            estimation = replace(estimation, estimator=SQUARED_ERROR.name)
         id_ = self.built.evaluator.id_of(estimation, times, last, stream)
         mse = np.full(draws or self.settings.draws, np.nan)
         degenerate = np.zeros(mse.size, np.bool_)
@@ -260,9 +252,6 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
             rows = evaluation_rows(name, generation, candidates, requests, evaluations)
             session.keep(name, EVALUATIONS, rows)
         in_order = [evaluations[candidate] for candidate in candidates]
-        if phase.keep_leaders:
-            no_windows = [evaluation for evaluation in in_order if evaluation.errors is None]
-            phase.leaders.extend(new_leaders(no_windows, phase.leaders))
         state, generation = optimiser.tell(state, in_order), generation + 1
         errors, best = _whole_errors(in_order), _whole_errors(optimiser.finalists(state))
         mean = float(np.mean(errors)) if errors else None

@@ -14,8 +14,7 @@ from pfdist.common.measurement_times import Times
 from pfdist.common.percent import CHECK_FAILS
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
-from pfdist.filters.work import BLOCK, Estimation, with_truth
-from pfdist.kernels.estimators import FILTER_VARIANCE
+from pfdist.filters.work import BLOCK, with_truth
 from pfdist.problem.constraints import Constraints
 from pfdist.results import Run
 from pfdist.results.stored_run import worst_of
@@ -82,7 +81,11 @@ class Prover:
         # The windows to grow along are found with fewer particles; the bound does not trust them.
         self._growing = with_truth(max(count // _FEWER, min(count, _LEAST_GROWING)), own)
         truth = built.evaluator.truth
-        truth.check(Estimation(count, estimator=FILTER_VARIANCE.name))
+        if not truth.variance_is_error:
+            raise ModelError(
+                "a bound needs an error that is the squared Euclidean norm, got model "
+                f"{truth.model.name}, which has its own error"
+            )
         truth.compile(self._estimation)  # before the first task, whose time is limited
         self.particles = 0 if built.evaluator.exact else count
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]

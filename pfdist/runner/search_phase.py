@@ -1,10 +1,9 @@
 """A search: its optimiser, exchanges that polish the best set, and a race between the finalists.
 
 Each phase has separate draws. The set that the exchanges prefer is compared with the reference,
-unless the race contradicts; without exchanges it is the winner of the race. Probes check any
-estimator but the squared error before the race. If the estimator fails, the search is run again by
-the squared error under another name, and the best sets of both searches join one race, which
-decides.
+unless the race contradicts; without exchanges it is the winner of the race. A search may estimate
+errors by the variance of the particles, which is tiny if these collapse onto a wrong state.
+Exchanges and the race judge by the squared error.
 """
 
 import math
@@ -20,8 +19,7 @@ from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import heard
 from pfdist.runner.searches import NamedSearch
-from pfdist.search import Candidate, Exchange, Probe, Race
-from pfdist.search.probe import PROBE_DRAWS, failed_probe
+from pfdist.search import Exchange, Race
 
 _POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
@@ -30,21 +28,10 @@ _MOST_STEPS = 2e11  # particle-steps of exchanges: minutes of a core. They grow 
 
 
 @dataclass(frozen=True)
-class SearchEnd:
-    """The end of a search."""
-
-    # The search's own evaluation of each compared set, by name, on draws that chose the set. Empty
-    # if every set at the end of the search or of the race has an infinite error.
-    winners: dict[str, Evaluation]
-    distrust: str | None = None  # why the search was run again with the squared error, if it was
-
-
-@dataclass(frozen=True)
-class _Attempt:
-    """Finalists of a search, the best first, its leaders, and whether the best were polished."""
+class _Found:
+    """Finalists of a search, the best first, and whether the best were polished."""
 
     finalists: list[Evaluation]
-    leaders: list[Evaluation]
     polished: bool
 
     @property
@@ -56,32 +43,9 @@ class _Attempt:
         return believed
 
 
-def _ended(session: Session, search: NamedSearch, name: str) -> Generator[Batch, None, SearchEnd]:
-    """Winners of a search, which is run again by the squared error if its estimator fails.
-
-    The tables have the name of the search, and the winners the given name.
-    """
-    attempts, again, racing = [(yield from _attempted(session, search))], search.again, search
-    distrust = (yield from _distrusted(session, search, attempts[0])) if again else None
-    if again and distrust:
-        estimation, racing = search.settings.estimation, again
-        estimator = f"{estimation.estimator} of {estimation.particles} particles"
-        distrust = f"{estimator} cannot be believed: {distrust}"
-        session.say(f"search {search.name}: {distrust}. Searching again with the squared error...")
-        session.reporter.foresee(search_steps(session.built, again))
-        attempts.append((yield from _attempted(session, again)))
-    believed = {times: each for found in attempts for times, each in found.believed.items()}
-    sets, raced = session.built.study.racing(believed), None
-    if sets:
-        raced = yield from _finalists(session, _racing(session.built, racing, sets))
-    return SearchEnd(_winners(session, name, attempts, raced), distrust)
-
-
-def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
+def _found(session: Session, search: NamedSearch) -> Generator[Batch, None, _Found]:
     """The finalists of a search, of which the best are polished."""
-    searching = _searching(session.built, search)
-    finalists = yield from _finalists(session, searching)
-    leaders = searching.leaders
+    finalists = yield from _finalists(session, _searching(session.built, search))
     polishes = bool(search.polishing) and not _is_too_long(session.built, search)
     if finalists and search.polishing and not polishes:
         heard(session.say, f"search {search.name}: exchanges would take too long and are skipped")
@@ -93,45 +57,10 @@ def _attempted(session: Session, search: NamedSearch) -> Generator[Batch, None, 
             )
             start = polished[0].measurement_times if polished else start
             ends = [*polished[:_POLISHED], *ends[:1]]
-        leaders = [*leaders, *ends[:1]]
         finalists = [*ends, *finalists[:_UNPOLISHED]]
     # Whichever set wins, the search believes its error in the worst scenario, if that decides.
     judged_alike = [replace(each, is_worst=session.built.is_worst) for each in finalists]
-    return _Attempt(judged_alike, leaders, polishes)
-
-
-def _distrusted(
-    session: Session, search: NamedSearch, attempt: _Attempt
-) -> Generator[Batch, None, str | None]:
-    """On which probe the estimator of a search failed; None if it did not."""
-    # The sets that led the search, and those with which it ended.
-    probed = [*attempt.leaders, *attempt.finalists]
-    sought = dict.fromkeys(Candidate(each.measurement_times, each.end) for each in probed)
-    deciding = (attempt.polished and search.polishing) or search.settings
-    orders = deciding.estimation.estimator == search.settings.estimation.estimator
-    phase = _probing(session.built, search, tuple(sought), orders=orders)
-    failure = yield from run_phase(phase, session)
-    clock = session.built.job.problem.clock
-    return failed_probe(*failure, clock=clock) if failure else None
-
-
-def _winners(
-    session: Session, name: str, attempts: Sequence[_Attempt], raced: Sequence[Evaluation] | None
-) -> dict[str, Evaluation]:
-    """Sets that are compared, by name, with the search's own evaluation of each.
-
-    After two attempts it is that of the race: the first attempt's estimator is not to be believed.
-    """
-    believed = attempts[-1].believed
-    ranked = list(believed)
-    if raced is not None and len(attempts) > 1:
-        believed = {evaluation.measurement_times: evaluation for evaluation in raced}
-        ranked = list(believed)
-    elif raced is not None:
-        order = _uncontradicted(ranked, raced) if attempts[0].polished else raced
-        ranked = [evaluation.measurement_times for evaluation in order]
-    winners = session.built.study.winners(name, ranked)
-    return {key: believed[times] for key, times in winners.items()}
+    return _Found(judged_alike, polishes)
 
 
 def _finalists(session: Session, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
@@ -155,30 +84,38 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
     return [best, *(evaluation for evaluation in order if evaluation is not best)]
 
 
-def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-    """The winners of a search, which runs to its end."""
+def run_search(
+    session: Session, search: NamedSearch
+) -> Generator[Batch, None, dict[str, Evaluation]]:
+    """The search's own evaluation of each compared set, by name, on draws that chose the set.
+
+    Empty if every set at the end of the search or of the race has an infinite error.
+    """
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
-    end = yield from _ended(session, search, search.name)
-    redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
+    found = yield from _found(session, search)
+    believed, raced = found.believed, None
+    if sets := built.study.racing(believed):
+        raced = yield from _finalists(session, _racing(built, search, sets))
+    ranked = list(believed)
+    if raced is not None:
+        order = _uncontradicted(ranked, raced) if found.polished else raced
+        ranked = [evaluation.measurement_times for evaluation in order]
     # Searches may end sooner or later than foreseen: progress goes on from the forecast.
-    reporter.note(done=start + search_steps(built, search) + redone)
-    return end
+    reporter.note(done=start + search_steps(built, search))
+    return {
+        name: believed[times] for name, times in built.study.winners(search.name, ranked).items()
+    }
 
 
 def search_steps(built: Built, search: NamedSearch) -> float:
-    """Approximate number of particle-steps of a search and the phases after it.
-
-    The forecast ignores that the search may be repeated with the squared error.
-    """
+    """Approximate number of particle-steps of a search and the phases after it."""
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]
     if search.polishing:
         if not _is_too_long(built, search):
             phases += [_polishing(built, search, start, name) for name in search.polishes]
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
-    if search.again:
-        phases.append(_probing(built, search, ()))
     return sum(phase.steps() for phase in phases)
 
 
@@ -189,7 +126,6 @@ def _searching(built: Built, search: NamedSearch) -> Phase:
         "search",
         search.settings,
         built,
-        keep_leaders=search.again is not None,
         additive=search.additive,
     )
 
@@ -216,16 +152,6 @@ def _is_too_long(built: Built, search: NamedSearch) -> bool:
     return (
         not built.is_worst and _polishing(built, search, start, search.polish).steps() > _MOST_STEPS
     )
-
-
-def _probing(
-    built: Built, search: NamedSearch, sought: tuple[Candidate, ...], *, orders: bool = True
-) -> Phase:
-    settings = replace(search.settings, draws=PROBE_DRAWS, common_noise=True)
-    estimation = settings.estimation
-    dearer = estimation.particles / estimation.steps_an_instant
-    probe = Probe(built.feasible, sought, dearer, orders)
-    return Phase(search.probe, probe, "probe", settings, built)
 
 
 def _racing(built: Built, search: NamedSearch, sets: tuple[Times, ...]) -> Phase:

@@ -4,13 +4,12 @@ import os
 from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
-from pfdist.filters.engines import is_exact
 from pfdist.filters.work import BLOCK, Estimation
-from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
 from pfdist.problem.online_section import Online
-from pfdist.problem.search_section import AUTO, EvaluationSettings, SearchSection
+from pfdist.problem.search_section import EvaluationSettings, SearchSection
 from pfdist.runner.planning import Planning
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser
@@ -35,13 +34,16 @@ class Settings:
 
     @classmethod
     def from_job(
-        cls, job: Job, own: EvaluationSettings = _NOTHING_OWN, guide: str = AUTO
+        cls,
+        job: Job,
+        own: EvaluationSettings = _NOTHING_OWN,
+        variance_is_error: bool = False,
     ) -> "Settings":
         """The settings of the job, replaced by those of a search where it has any.
 
-        `guide` is the estimator that replaces "auto".
+        If the variance of the particles estimates the error, a search that prefers to do so does.
         """
-        estimator = own.estimator or job.evaluation.estimator
+        estimator = FILTER_VARIANCE if own.by_variance and variance_is_error else SQUARED_ERROR
         return cls(
             own.draws or job.evaluation.draws,
             (own.noise or job.evaluation.noise) == "common",
@@ -50,7 +52,7 @@ class Settings:
                 comparing_of(job),
                 particles=own.particles_of(job.filter.particles),
                 resampling=own.resampling or job.filter.resampling,
-                estimator=guide if estimator == AUTO else estimator,
+                estimator=estimator.name,
             ),
         )
 
@@ -66,14 +68,6 @@ class NamedSearch:
     racing: Settings  # of the race, which the job's own filter decides by the squared error
     additive: bool  # whether the optimiser adds errors of instants; then errors must be means
     is_worst: bool  # whether the worst scenario decides
-    # The same search by the squared error, with the particles of the job's own filter. It follows
-    # if the estimator cannot be trusted. None if this search uses it.
-    again: "NamedSearch | None" = None
-
-    @property
-    def probe(self) -> str:
-        """Name of the phase that checks the estimator."""
-        return f"{self.name}.probe"
 
     @property
     def polish(self) -> str:
@@ -93,36 +87,37 @@ class NamedSearch:
     @property
     def phases(self) -> tuple[str, ...]:
         """Names of all phases that the search may have."""
-        own = self.name, *self.polishes, self.shortlist
-        return own if self.again is None else (*own, self.probe, *self.again.phases)
+        return self.name, *self.polishes, self.shortlist
 
     @property
     def all_settings(self) -> tuple[Settings, ...]:
         """Settings of all phases."""
-        own = (self.settings, self.racing, *((self.polishing,) if self.polishing else ()))
-        return own if self.again is None else (*own, *self.again.all_settings)
+        return self.settings, self.racing, *((self.polishing,) if self.polishing else ())
 
 
-def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> NamedSearch:
+def named_search(
+    study: Study, job: Job, section: SearchSection, variance_is_error: bool
+) -> NamedSearch:
     """The optimiser of a section [[search]], with the settings of its evaluations.
 
-    `guide` is the estimator that replaces "auto". Raises `JobError` if the optimiser cannot
-    search this problem.
+    Raises `JobError` if the optimiser cannot search this problem.
     """
-    settings = Settings.from_job(job, section.evaluation, guide)
+    settings = Settings.from_job(job, section.evaluation, variance_is_error)
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
         settings = replace(settings, draws=-(-settings.draws // BLOCK) * BLOCK)
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
-    search = _with_settings(job, section, section.name, optimiser, settings)
-    estimation = settings.estimation
-    # Neither the squared error nor an exact engine needs to be checked.
-    if estimation.estimator == SQUARED_ERROR.name or is_exact(job.filter.engine):
-        return search
-    estimation = replace(estimation, estimator=SQUARED_ERROR.name, particles=job.filter.particles)
-    settings = replace(settings, estimation=estimation)
-    again = _with_settings(job, section, f"{section.name}.again", optimiser, settings)
-    return replace(search, again=again)
+    apart = job.judged_apart
+    # Only the method itself may kill sets, as the paper says.
+    counting = replace(settings, common_noise=True, degenerate_policy="continue")
+    squared = replace(settings.estimation, estimator=SQUARED_ERROR.name)
+    polishing = replace(counting, draws=_POLISH_DRAWS, estimation=squared)
+    racing = replace(counting, draws=apart * _RACE_DRAWS, estimation=comparing_of(job))
+    additive = METHODS[section.method].additive
+    polishing_or_none = polishing if section.polish else None
+    return NamedSearch(
+        section.name, optimiser, settings, polishing_or_none, racing, additive, apart > 1
+    )
 
 
 def comparing_of(job: Job) -> Estimation:
@@ -135,22 +130,6 @@ def comparing_of(job: Job) -> Estimation:
         dtype=own.dtype,
         proposal=own.proposal,
     )
-
-
-def _with_settings(
-    job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
-) -> NamedSearch:
-    apart = job.judged_apart
-    # Only the method itself may kill sets, as the paper says.
-    counting = replace(settings, common_noise=True, degenerate_policy="continue")
-    polishing = replace(counting, draws=_POLISH_DRAWS)
-    if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
-        believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
-        polishing = replace(polishing, estimation=believed)
-    racing = replace(counting, draws=apart * _RACE_DRAWS, estimation=comparing_of(job))
-    additive = METHODS[section.method].additive
-    polishing_or_none = polishing if section.polish else None
-    return NamedSearch(name, optimiser, settings, polishing_or_none, racing, additive, apart > 1)
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:
@@ -167,11 +146,8 @@ def check_memory(job: Job, section: SearchSection, draws: int) -> None:
             )
 
 
-def planning_of(job: Job, cheapest: str) -> Planning:
-    """The settings for planning the remaining measurements, from [online] or its defaults.
-
-    `cheapest` is the estimator that replaces "auto".
-    """
+def planning_of(job: Job, variance_is_error: bool) -> Planning:
+    """The settings for planning the remaining measurements, from [online] or its defaults."""
     online = job.online or Online()
-    settings = Settings.from_job(job, online.search.evaluation, cheapest)
+    settings = Settings.from_job(job, online.search.evaluation, variance_is_error)
     return Planning(online.search, settings.draws, online.judging_draws, settings.estimation)

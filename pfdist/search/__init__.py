@@ -11,7 +11,6 @@ from pfdist.search.corridor import Corridor
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
-from pfdist.search.probe import Probe
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation

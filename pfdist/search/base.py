@@ -23,8 +23,6 @@ class Candidate(NamedTuple):
     individual : int, optional
         Index in the population, with which each copy of a set has fresh draws. Copies without an
         index share one evaluation; under common noise all copies do.
-    squared : bool
-        Whether the squared error is estimated. Otherwise the search's own estimator is used.
     since : int, optional
         If given, the result is the expected error of each instant from this one on, instead of the
         mean of each draw.
@@ -34,7 +32,6 @@ class Candidate(NamedTuple):
     end: int | None = None
     draws: int | None = None
     individual: int | None = None
-    squared: bool = False
     since: int | None = None
 
 

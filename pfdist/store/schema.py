@@ -25,9 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION = 4
-_READ = (3, SCHEMA_VERSION)
-"""Versions that are read; a run of the former version is not resumed."""
-_RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions
+_RELEASES = {1: "0.1", 2: "0.2", 3: "0.3"}  # releases that read and write former schema versions
 RUN_KEY = b"pfdist_run"
 """Name of the entry of a file's metadata with the key of its run."""
 
@@ -142,7 +140,6 @@ _SCHEMAS = {
         _TIMES,
         _column("search_mse", pa.float64(), _MSE, "the estimate of the search; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_mse"),
-        _column("distrust", pa.string(), "", "why the search was done again by the squared error"),
     ],
     "range_sums": [
         *_OF_A_SET,
@@ -283,7 +280,7 @@ def check_schema_version(path: Path, version: object) -> None:
     `path` is the run's folder or the file, for the error. If the version is not a number, nothing
     is raised.
     """
-    if not isinstance(version, int) or version in _READ:
+    if not isinstance(version, int) or version == SCHEMA_VERSION:
         return
     if version > SCHEMA_VERSION:
         raise StoreError(

@@ -17,7 +17,7 @@ from pfdist.questions.display import Display
 from pfdist.runner.progress import Detail, Progress, SetGain
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic")
-ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
+ASSET = Path(__file__).parents[1] / "assets" / "schema-4"
 SAYS = """
 import os, sys
 from pfdist.cli.streams import flush_output, make_harmless

@@ -149,9 +149,8 @@ def test_it_asks_for_sorted_sets_of_distinct_times_within_the_horizon(
 ) -> None:
     optimiser = _optimiser(method, problem)
     assert min(optimiser.generations, optimiser.evaluations) > 0  # known before it begins
-    for times, end, draws, _, squared, since in _asked(method, problem):
+    for times, end, draws, _, since in _asked(method, problem):
         last = PROBLEMS[problem].horizon if end is None else end
-        assert not squared  # a search estimates in one way
         assert all(a < b for a, b in itertools.pairwise(times))
         assert all(0 <= time <= last for time in times)
         fewest = 2 if since is None else 1  # the mean of one draw is an expected error
@@ -189,7 +188,7 @@ def test_where_errors_are_asked_for_some_feasible_set_has_the_last_of_the_measur
     feasible = PROBLEMS[problem]
     windows = [each for each in _asked(method, problem) if each.since is not None]
     assert bool(windows) != METHODS[method].online
-    for times, end, _, _, _, since in windows:
+    for times, end, _, _, since in windows:
         assert set(feasible.required) & set(range(max(times, default=0))) <= set(times)
         assert not set(times) & set(feasible.forbidden)
         assert since == max(times, default=0)

@@ -15,7 +15,6 @@ from pfdist.cli.main import main
 from pfdist.cli.program import arguments_of, program
 from pfdist.densities import DENSITIES
 from pfdist.filters.engines import ENGINES
-from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.pages.figure import FIGURES
 from pfdist.pools.kinds import POOLS
@@ -53,7 +52,6 @@ def test_a_table_names_everything_that_is_declared(tables: ModuleType) -> None:
         ("methods", METHODS),
         ("pools", POOLS),
         ("engines", ENGINES),
-        ("estimators", ESTIMATORS),
         ("schemes", SCHEMES),
         ("densities", DENSITIES),
     ):

@@ -20,7 +20,7 @@ from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets, sum_errors
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import FLOAT32, Estimation, with_truth
-from pfdist.kernels.estimators import TWO_FILTERS
+from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models.by_value import by_value, made
 from pfdist.models.recorded import differences, recorded, untraced, with_functions
 from pfdist.models.written import models_of, text_of
@@ -31,7 +31,7 @@ KINDS = [
     pytest.param(UNGM, Estimation(100), id="ungm"),
     pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted"),
     pytest.param(UNGM, Estimation(100, "residual", threshold=0.5), id="carried"),
-    pytest.param(UNGM, Estimation(100, estimator=TWO_FILTERS.name), id="two filters"),
+    pytest.param(UNGM, Estimation(100, estimator=FILTER_NOISE.name), id="two filters"),
     pytest.param(UNGM, with_truth(100), id="truth inside"),
     pytest.param(load_model("bearings_only"), Estimation(100), id="bearings"),
     pytest.param(load_model("robot"), Estimation(100), id="angles"),

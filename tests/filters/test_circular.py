@@ -23,7 +23,7 @@ from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation
-from pfdist.kernels.estimators import ESTIMATORS, FILTER_NOISE
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.models.base import within_half_turn
 from pfdist.models.recorded import differences, recorded
 from pfdist.questions.model_checks import check_loaded
@@ -84,7 +84,7 @@ def exact() -> tuple[Any, Array, Array]:
 
 
 @pytest.mark.parametrize("model", [HEADING, POINTS], ids=lambda model: model.name)
-@pytest.mark.parametrize("estimator", [*ESTIMATORS, FILTER_NOISE.name])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_the_compiled_filter_is_its_plain_twin(model: StateSpaceModel, estimator: str) -> None:
     draws = simulate(model, HORIZON, range(6), 3)
     settings = Estimation(70, estimator=estimator)
@@ -140,23 +140,18 @@ def test_many_particles_reach_the_exact_expected_error(exact: Any) -> None:
     assert mse.mean() == pytest.approx(least.mean(), rel=5e-3)
 
 
-@pytest.mark.parametrize("particles", [3, 20])
-def test_two_filters_estimate_the_error_without_bias(particles: int) -> None:
+@pytest.mark.parametrize(("particles", "times"), [(3, ()), (20, ()), (60, TIMES)])
+def test_the_variance_is_too_small_by_twice_the_distance_of_two_filters(
+    particles: int, times: Sequence[int]
+) -> None:
     # 1 - R' cos(m - m') and 1 - cos(z - m) have the same expectation, for any number of particles,
     # if the mean vectors have no bias, as without measurements.
-    squared, estimate = (
-        _mse(10_000, particles, estimator, ()) for estimator in ("squared_error", "two_filters")
+    squared, variance, noise = (
+        _mse(10_000, particles, estimator, times)
+        for estimator in ("squared_error", "filter_variance", "filter_noise")
     )
-    assert_mean(squared - estimate)
-
-
-def test_with_measurements_two_filters_estimate_the_error() -> None:
-    squared, estimate, variance = (
-        _mse(8000, 60, estimator)
-        for estimator in ("squared_error", "two_filters", "filter_variance")
-    )
-    assert_mean(squared - estimate)
-    assert_positive(squared - variance)  # too small by what particles cost
+    assert_mean(squared - variance - 2 * noise)
+    assert_positive(squared - variance)
 
 
 @pytest.mark.parametrize("particles", [2, 5, 50])

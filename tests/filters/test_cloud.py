@@ -86,7 +86,7 @@ def test_the_two_filters_of_an_estimator_start_from_particles_of_their_own(
 ) -> None:
     """Their distance is to show how much the particles vary, so it must not be that of twins."""
     prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 200)))
-    estimation, found = Estimation(40, "systematic", "two_filters"), []
+    estimation, found = Estimation(40, "systematic", "filter_noise"), []
     for engine in ENGINES:
         evaluator = Evaluator(ungm, HORIZON, engine=engine, prior=prior)
         draws = evaluator.draws(range(20), 3)

@@ -16,7 +16,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import FLOAT32, Estimation, with_truth
-from pfdist.kernels.estimators import TWO_FILTERS
+from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import installed_models
 
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
@@ -54,7 +54,7 @@ def difference(with_all, singles):
         ),
         pytest.param(UNGM, Estimation(101, "sorted_systematic"), id="sorted"),
         pytest.param(UNGM, Estimation(100, "residual", threshold=0.5), id="carried"),
-        pytest.param(UNGM, Estimation(100, estimator=TWO_FILTERS.name), id="two filters"),
+        pytest.param(UNGM, Estimation(100, estimator=FILTER_NOISE.name), id="two filters"),
         pytest.param(growth, Estimation(100, "systematic"), id="guided"),
         pytest.param(sharp_walk(3), Estimation(100, "stratified"), id="guided, 3 components"),
     ],

@@ -20,7 +20,7 @@ def test_results_depend_neither_on_other_draws_nor_on_other_sets(resampling):
     """Batches hold several draws, and sets resume from each other: the bits are the same."""
     model = load_model("ungm")
     draws = simulate(model, 12, range(70), 1)
-    for estimator in ("squared_error", "filter_variance", "two_filters"):
+    for estimator in ("squared_error", "filter_variance", "filter_noise"):
         settings = Estimation(50, resampling, estimator)
         ends = [12, 12, 12, 8, 12, 10]
         together, _ = particle_filter.filter_checked_sets(model, draws, SETS, ends, 2, settings)

@@ -37,7 +37,7 @@ def exactly(model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]) ->
     """Evaluate candidates by the Kalman filter: whole sets, prefixes, and errors of instants."""
     sets, t, told = [candidate.measurement_times for candidate in asked], np.arange(horizon + 1), []
     for candidate, row in zip(asked, expected_errors(model, horizon, sets), strict=True):
-        times, end, _, _, _, since = candidate
+        times, end, _, _, since = candidate
         counts = (t >= (since or 0)) & (t <= (horizon if end is None else end))
         errors = np.where(counts, row, 0.0)
         told.append(

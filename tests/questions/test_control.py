@@ -16,7 +16,6 @@ from pfdist import Job, Problem, StateSpaceModel
 from pfdist.errors import JobError
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.work import Estimation
-from pfdist.kernels.estimators import ESTIMATORS
 
 QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
 WRONG = ["model.name=random_walk", "model.filter.parameters.step_sd=2.0"]
@@ -178,7 +177,3 @@ def test_a_draw_in_which_the_truth_explains_nothing_keeps_its_error_and_is_count
     np.testing.assert_array_equal(result.degenerate[:, 0], blind)
     np.testing.assert_array_equal(result.control[:, 0] == 0.0, blind)
     assert np.isfinite(result.mse).all()
-
-
-def test_no_search_can_name_it() -> None:
-    assert "control" not in ESTIMATORS

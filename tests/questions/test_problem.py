@@ -216,7 +216,7 @@ def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
     alike = Problem(robot_of(0.8), **SHORT, filter_model=robot_of(0.8))
     evaluator = build(alike.job()).evaluator
     assert evaluator.believed == evaluator.model
-    assert evaluator.cheapest_estimator == "filter_variance"
+    assert evaluator.variance_is_error
 
 
 @pytest.mark.slow

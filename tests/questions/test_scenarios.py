@@ -1,7 +1,7 @@
 """Scenarios: parameters that the truth may have, plans for their mean and for the worst."""
 
 from dataclasses import replace
-from itertools import chain, combinations
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -178,15 +178,15 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also of the sets that the search for the best mean found."""
-    winners, costs_of = search_phase._winners, list[tuple[float, float]]()
+    found, costs_of = search_phase._Found, list[tuple[float, float]]()
 
-    def seen(session: Any, name: str, attempts: Any, raced: Any) -> Any:
-        for each in chain.from_iterable(attempt.finalists for attempt in attempts):
+    def seen(finalists: list[Evaluation], polished: bool) -> Any:
+        for each in finalists:
             means = [own.expected_mse for own in each.of_scenarios.values()]
             costs_of.append((each.expected_mse, max(means)))
-        return winners(session, name, attempts, raced)
+        return found(finalists, polished)
 
-    monkeypatch.setattr(search_phase, "_winners", seen)
+    monkeypatch.setattr(search_phase, "_Found", seen)
     changes = ["comparison.draws=48", "execution.pool=serial"]
     asked = problem("worst", filter="nominal", particles=100)
     pfdist.plan(asked, tmp_path / "run", changes=changes, bound_draws=0, figures=False)

@@ -38,9 +38,8 @@ def _all_that_is_said(run: Run) -> str:
 
 
 @pytest.fixture
-def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+def raced(small_job: Job, tmp_path: Path) -> Run:
     """A run whose search ended with several sets, between which a race on other draws decided."""
-    monkeypatch.setattr("pfdist.search.probe.BELOW", 10.0)  # 20 particles are believed
     text = small_job.path.read_text()
     head, _, rest = text.partition("[[search]]")
     small_job.path.write_text(head + SURVIVORS + rest[rest.index("[comparison]") :])

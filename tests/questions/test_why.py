@@ -19,7 +19,6 @@ from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
 from pfdist.filters import kalman
 from pfdist.filters.work import Estimation, Work
-from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.questions.why import Why
 from pfdist.questions.worth import CHANGES
 from pfdist.results.sampling_windows import windows_of
@@ -102,12 +101,10 @@ def test_a_measurement_is_moved_only_to_where_the_job_allows_it(
         assert _rises(found, name).keys() == possible | {(t, "removed") for t in times}
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)  # of the searches: nothing to the profile
 def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
-    run_of: Callable[..., Run], small_job: Job, estimator: str
+    run_of: Callable[..., Run], small_job: Job
 ) -> None:
-    own = ["comparison.control=false", f"evaluation.estimator={estimator}"]
-    changes, draws = [*QUICK, *own], 60
+    changes, draws = [*QUICK, "comparison.control=false"], 60
     quick = small_job.with_changes(changes)
     found, built = why(run_of(*changes), draws), build(quick)
     for row in found.sets.to_dict("records"):

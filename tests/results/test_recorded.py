@@ -11,7 +11,7 @@ from oracles.listed import rewrite
 from pfdist.cli.main import main
 from pfdist.results.stored_run import read_recorded
 
-ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
+ASSET = Path(__file__).parents[1] / "assets" / "schema-4"
 RUN = json.loads((ASSET / "run.json").read_text())
 JOB = (ASSET / "job.toml").read_text()
 

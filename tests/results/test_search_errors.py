@@ -19,7 +19,6 @@ VARIANCE = {"particles": 100, "estimator": "filter_variance"}
     [
         (4.7, VARIANCE, CHOSE),  # three standard errors: draws may do that
         (4.5, VARIANCE, UNDERESTIMATES),
-        (0.1, {"estimator": "two_filters"}, UNDERESTIMATES),
         (4.5, {"particles": 100}, CHOSE),  # by the squared error no filter flatters itself
         (4.5, {}, CHOSE),  # 5 standard errors: the smallest of 1,000 may lie so low
         (4.4, {}, UNEXPLAINED.format("6.0")),

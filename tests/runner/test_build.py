@@ -1,7 +1,6 @@
 """From a job to the problem: the filter's model, and the engine."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,7 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     truth = {"name": "random_walk", "parameters": {"step_sd": 1.0}, "filter": {}}
     truth["filter"] = {"parameters": believed | ({"measurement_sd": 0.2} if smaller else {})}
     truth["parameters"] |= {"measurement_sd": 6.0, "initial_sd": 2.0}
-    search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
+    search = [{"method": "exhaustive"}]
     sections = {"problem": constraints, "model": truth, "search": search}
     run = pfdist.run(small_job.with_changes(sections=sections), tmp_path / "run", figures=False)
     evaluated = run.table("evaluations").query("phase == 'exhaustive'")
@@ -106,7 +105,6 @@ def test_sums_of_errors_of_other_instants_have_another_id(tmp_path: Path) -> Non
     assert len(ids) == len(spans)
 
 
-WRONG = "model.filter.parameters.process_sd=2"
 NO_SCALAR = "model.name=bearings_only"
 REFUSED = [  # changes of the job, and what the error says
     (["model.name=ungn"], r"^model\.name: the model: got 'ungn'; did you mean 'ungm'"),
@@ -115,14 +113,6 @@ REFUSED = [  # changes of the job, and what the error says
     (["model.filter.name=ungn"], r"^model\.filter\.name: the model: got 'ungn'; did you mean"),
     (["model.filter.parameters.sd=1"], "model.filter: .*unknown parameter 'sd'"),
     (["model.filter.name=other.py:model"], "as many components of z as .* 1, got 2"),
-    (
-        [WRONG, "evaluation.estimator=two_filters"],
-        "'two_filters' needs a filter with the true m",
-    ),
-    (
-        [WRONG, "search.genetic.evaluation.estimator=filter_variance"],
-        "'filter_variance' needs a fi",
-    ),
     ([NO_SCALAR, "filter.resampling=sorted_systematic"], "a scalar state"),
     ([NO_SCALAR, "search.random.evaluation.resampling=sorted_systematic"], "a scalar state"),
 ]
@@ -138,35 +128,13 @@ def test_what_does_not_fit_together_is_refused_with_the_key_of_the_job(
         build(job.with_changes([*changes, f"filter.engine={engine}"]))
 
 
-def test_a_search_has_its_estimator_and_its_race_the_squared_error_of_the_jobs_own_filter(
-    tmp_path: Path,
-) -> None:
-    changes = ["evaluation.estimator=filter_variance", "search.random.evaluation.particles=9"]
-    changes += ["search.random.evaluation.estimator=two_filters"]
-    genetic, trials = build(job_with(tmp_path).with_changes(changes)).searches
-    assert genetic.settings.estimation == Estimation(40, "multinomial", "filter_variance")
-    assert trials.settings.estimation == Estimation(9, "multinomial", "two_filters")
-    for search in (genetic, trials):  # the job's own filter, and the only estimator for any filter
+def test_a_search_has_its_own_particles_and_its_race_the_jobs(tmp_path: Path) -> None:
+    job = job_with(tmp_path).with_changes(["search.random.evaluation.particles=9"])
+    genetic, trials = build(job).searches
+    assert genetic.settings.estimation == Estimation(40, "multinomial", "squared_error")
+    assert trials.settings.estimation == Estimation(9, "multinomial", "squared_error")
+    for search in (genetic, trials):
         assert search.racing.estimation == Estimation(40, "multinomial", "squared_error")
-        assert search.again is not None
-        assert search.again.settings.estimation == Estimation(40, "multinomial", "squared_error")
-        assert search.again.racing == search.racing
-        assert search.again.again is None
-
-
-def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
-    finished: Callable[..., Path],
-) -> None:
-    changed = finished("evaluation.estimator=two_filters")
-    paper, other = map(pfdist.open_run, (finished(), changed))
-    regular = [run.table("comparison")["mse_regular"] for run in (paper, other)]
-    np.testing.assert_array_equal(*regular)
-    # On the same draws, two filters leave out the truth's own chance.
-    first, second = (run.table("evaluations")["standard_error"].mean() for run in (paper, other))
-    assert second < 0.8 * first
-    assert not {*paper.table("evaluations")["evaluation"]} & {
-        *other.table("evaluations")["evaluation"]
-    }
 
 
 NEEDS_NUMPY = {"formula": "scipy.special.erf(0.5 * x[0])"}

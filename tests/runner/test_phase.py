@@ -146,7 +146,7 @@ def test_a_prefix_up_to_the_end_and_the_whole_set_have_one_result(
 def test_a_search_may_end_where_the_last_instant_is_required(
     small_job: Job, tmp_path: Path
 ) -> None:
-    """Then the probe meets the same set as a prefix and as a whole set."""
+    """Then the search meets the same set as a prefix and as a whole set."""
     changes = ["problem.required=[0, 12]", "search.survivors.evaluation.draws=40"]
     run = pfdist.plan(
         small_job, tmp_path / "run", "survivors", changes=changes, bound_draws=0, figures=False

@@ -81,24 +81,21 @@ def test_purposes_have_different_keys_and_others_are_refused() -> None:
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("pfdist.runner.searches._POLISH_DRAWS", 64)  # several sets are left to race
     paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run", figures=False))
     changes = [*SMALL, "seed=1"]
     plan = _asked_by(
         streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=changes, figures=False)
     )
-    first = {"", ".polish", ".probe"}  # 10 particles fool themselves
-    again = {".again", ".again.polish", ".again.shortlist"}
-    assert plan.keys() == _phases(*first, *again) | {"comparison", "bound"}
+    assert plan.pop("evenly.spaced") & plan["comparison"]  # judged on the same draws
+    assert plan.keys() == _phases("", ".polish", ".shortlist") | {"comparison", "bound"}
     budget = _asked_by(
         streams,
         lambda: pfdist.budget(
             small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL, figures=False
         ),
     )
-    assert budget.keys() == _phases("", ".probe", ".again", ".again.shortlist") | {
-        "comparison",
-        "bound",
-    }
+    assert budget.keys() == {DEFAULT_METHOD, "comparison", "bound"}
     # The bound filters the compared sets on the draws of the comparison, with noise of its own:
     draws = stream_of("budget", small_job.seed, "draws")
     assert budget["comparison"] & budget["bound"] == {draws}
@@ -108,7 +105,12 @@ def test_no_two_phases_share_a_draw(
             assert keys
             assert not keys & other_keys
     # A number that was found by its budget is proved by a plan, on draws that did not choose it.
-    assert not budget["comparison"] & plan["comparison"]
+    # Only filters that measure the loss by particles have the same noise, on different draws.
+    losses = {
+        stream_of("comparison", 1, "filter", table)
+        for table in ("filter_distance", "filter_variance")
+    }
+    assert budget["comparison"] & plan["comparison"] <= losses
 
     works: list[Work] = []
     filtered = Evaluator.filtered

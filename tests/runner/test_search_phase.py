@@ -1,4 +1,4 @@
-"""Which set a search returns after a race, and what guides it where the filter is wrong."""
+"""Which set a search returns after a race, and how its phases estimate."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,6 @@ from pfdist.runner.search_phase import _uncontradicted
 
 DRAWS = 400
 PREFERRED, WINNER, THIRD = (0, 4), (1, 5), (2, 6)
-WRONG_FILTER = ["model.filter.parameters.process_sd=2"]
 
 
 def _raced(times: Times, mean: float, standard_error: float) -> Evaluation:
@@ -55,17 +54,15 @@ def test_an_empty_race_has_no_winner() -> None:
     assert _uncontradicted([PREFERRED, WINNER], []) == []
 
 
-def test_the_phases_of_a_search_with_a_wrong_filter_take_these_estimators(
+def test_the_phases_of_a_search_take_these_estimators(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pfdist.search.probe.BELOW", 10.0)  # the probes fail on nothing
     monkeypatch.setattr("pfdist.runner.searches._POLISH_DRAWS", 64)  # several sets are left to race
-    changes = [*WRONG_FILTER, f"search.{DEFAULT_METHOD}.evaluation.draws=100"]
+    changes = [f"search.{DEFAULT_METHOD}.evaluation.draws=100"]
     run = pfdist.plan(small_job, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
     rows = run.table("evaluations")
     taken = rows.groupby("phase")["estimator"].agg(set)
-    assert taken[DEFAULT_METHOD] == {"own_variance"}
-    assert taken[f"{DEFAULT_METHOD}.probe"] == {"own_variance", "squared_error"}
+    assert taken[DEFAULT_METHOD] == {"filter_variance"}
     assert taken[f"{DEFAULT_METHOD}.polish"] == {"squared_error"}
     race = rows[rows["phase"] == f"{DEFAULT_METHOD}.shortlist"]
     assert set(race["estimator"]) == {"squared_error"}

@@ -36,11 +36,8 @@ measurement_budget = {BUDGET}
 [evaluation]
 draws = 200
 noise = "common"
-estimator = "filter_variance"
 [filter]
 resampling = "systematic"
-[[search]]
-method = "genetic"
 [[search]]
 method = "exchange"
 [[search]]
@@ -56,7 +53,7 @@ Array = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def best_sets(tmp_path_factory: pytest.TempPathFactory) -> list[Times]:
-    """The best sets that any of three searches has met."""
+    """The best sets that either of two searches has met."""
     folder: Path = tmp_path_factory.mktemp("best")
     (folder / "job.toml").write_text(JOB)
     run = pfdist.run(load_job(folder / "job.toml"), folder / "run", figures=False)

@@ -49,7 +49,7 @@ class Draws:
         return self.known[key]
 
     def told(self, candidate: Candidate) -> Evaluation:
-        times, end, _, _, _, since = candidate
+        times, end, _, _, since = candidate
         last = HORIZON if end is None else end
         errors = self.errors(times)[since or 0 : last + 1]
         cost = errors.sum() / (HORIZON + 1)
