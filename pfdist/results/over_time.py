@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.problem.problem_section import ProblemSection
-from pfdist.results.stored_run import StoredRun, problem_of
+from pfdist.results.stored_run import StoredRun, problem_of, schema_version_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 RANGE_SUMS = "range_sums"
 """Name of the table."""
+_UNWEIGHTED_SINCE = 4  # schema version
 _FEWEST = 32  # ranges of a comparison, if it has so many draws: standard errors are as good as that
 
 
@@ -81,8 +82,7 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
-    ranges, problem = read_ranges(run.table(RANGE_SUMS)), problem_of(run)
-    tables = list[pd.DataFrame]()
+    ranges, problem, tables = _ranges_of(run), problem_of(run), list[pd.DataFrame]()
     for place, (name, times) in enumerate(run.sets.items()):
         tables.append(profile_of(problem, problem.clock.measurements(times), ranges, place))
         tables[-1].insert(0, "name", name)
@@ -93,8 +93,16 @@ def error_over_time(run: StoredRun) -> pd.DataFrame:
 
 def difference_over_time(run: StoredRun, name: str, reference: str) -> tuple[Array, Array]:
     """The error of a set at each instant less that of another, and its standard error, (T+1,)."""
-    ranges = read_ranges(run.table(RANGE_SUMS))
-    return errors_of(ranges, run.names.index(name), run.names.index(reference))
+    return errors_of(_ranges_of(run), run.names.index(name), run.names.index(reference))
+
+
+def _ranges_of(run: StoredRun) -> list[Range]:
+    """The ranges of a comparison; the sums in a run of schema version 3 are weighted."""
+    ranges, weights = read_ranges(run.table(RANGE_SUMS)), problem_of(run).weights
+    if weights is None or schema_version_of(run) >= _UNWEIGHTED_SINCE:
+        return ranges
+    with np.errstate(divide="ignore", invalid="ignore"):  # weight 0: the error is unknown
+        return [each._replace(sums=each.sums / np.array(weights)) for each in ranges]
 
 
 def profile_of(

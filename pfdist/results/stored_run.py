@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from copy import deepcopy
@@ -13,8 +14,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.common.gone import without_gone
 from pfdist.common.measurement_times import Times
-from pfdist.errors import JobError, StoreError
+from pfdist.errors import JobError, PfdistWarning, StoreError
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.job import Job
 from pfdist.problem.methods import METHODS
@@ -108,12 +110,21 @@ class StoredRun:
 def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The content of run.json, and the validated job of job.toml.
 
+    Keys that are gone are ignored, with a warning unless their values are the former defaults.
+
     Raises
     ------
     StoreError
         The folder holds no run, or a file cannot be read or is damaged.
     """
     run, job = read_run(path)
+    job, ignored = without_gone(job)
+    if ignored:
+        warnings.warn(
+            f"{path / 'job.toml'}: keys of an earlier version are ignored: {', '.join(ignored)}",
+            PfdistWarning,
+            stacklevel=2,
+        )
     lacking, known = [*_lacking_searches(job)], deepcopy(job)
     for section, key, search in lacking:
         known[section][key] = {"method": "random", "name": search.get("name")}
@@ -160,6 +171,11 @@ def angles_of(run: StoredRun) -> list[bool]:
 def version_of(run: StoredRun) -> str:
     """Version of pfdist that started the run."""
     return str(run._about["pfdist"])
+
+
+def schema_version_of(run: StoredRun) -> int:
+    """Version of the schema of the run's tables."""
+    return int(run._about["schema_version"])
 
 
 def problem_of(run: StoredRun) -> ProblemSection:

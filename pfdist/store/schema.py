@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION = 4
-_RELEASES = {1: "0.1", 2: "0.2", 3: "0.3"}  # releases that read and write former schema versions
+_READ = (3, SCHEMA_VERSION)
+"""Versions that are read; a run of the former version is not resumed."""
+_RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions
 RUN_KEY = b"pfdist_run"
 """Name of the entry of a file's metadata with the key of its run."""
 
@@ -270,7 +272,8 @@ _KINDS = {
     "degenerate": pa.bool_(),
     "sensor": pa.string(),
     "date": pa.string(),
-}  # of columns that sets or sensors name
+    "distrust": pa.string(),
+}  # of columns that sets or sensors name, or that former versions had
 _CLOCK_TYPES = (pa.float64(), pa.list_(pa.float64()), pa.list_(pa.string()))
 
 
@@ -280,7 +283,7 @@ def check_schema_version(path: Path, version: object) -> None:
     `path` is the run's folder or the file, for the error. If the version is not a number, nothing
     is raised.
     """
-    if not isinstance(version, int) or version == SCHEMA_VERSION:
+    if not isinstance(version, int) or version in _READ:
         return
     if version > SCHEMA_VERSION:
         raise StoreError(

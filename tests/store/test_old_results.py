@@ -10,8 +10,10 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.listed import rewrite
 from pfdist import load_job
 from pfdist.cli.main import main
+from pfdist.errors import PfdistWarning
 from pfdist.store import SCHEMA_VERSION
 
 pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
@@ -50,13 +52,33 @@ def test_the_run_of_the_present_schema_is_verified_and_computed_again_to_the_las
     record_property("faults", f"{PROMISE}: 1")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("command", ["status", "table", "plot", "report", "verify"])
+def test_a_run_of_the_former_schema_is_read(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Record
+) -> None:
+    """Its job names estimators, with the values that they had without a name."""
+    old = shutil.copytree(ASSETS / "schema-3", tmp_path / "old")
+    assert main([command, str(old)]) == 0
+    assert capsys.readouterr().err == ""
+    record_property("faults", f"{PROMISE}: 1")
+
+
+def test_keys_that_are_gone_are_ignored_with_a_line(tmp_path: Path, small_run: pfdist.Run) -> None:
+    job = small_run.path / "job.toml"
+    rewrite(job, job.read_text().replace("[evaluation]", "[evaluation]\nestimator = 'two_filters'"))
+    with pytest.warns(PfdistWarning, match=r"ignored: evaluation.estimator = 'two_filters'"):
+        run = pfdist.open_run(small_run.path)
+    assert run.best == small_run.best
+
+
 @pytest.mark.parametrize(
     "command",
     ["status {run}", "plot {run}", "verify {run}", "report {run}",
      "why {run}/job.toml",
      "run {job} --results {run}", "run {job} --results {run}-new --reuse {run}"],
 )  # fmt: skip
-@pytest.mark.parametrize("version", [1, 2, 3, SCHEMA_VERSION + 1])
+@pytest.mark.parametrize("version", [1, 2, SCHEMA_VERSION + 1])
 def test_a_run_of_another_schema_is_refused_in_a_line_that_names_the_version_for_it(
     version: int,
     command: str,
