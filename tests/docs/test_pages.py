@@ -37,6 +37,7 @@ VALUES |= {"[RUN": "RUN", "...]": "RUN"}
 A_FILE = re.compile(r"# (\w+\.(?:py|toml|csv))")  # the first line of a block that is a file
 SLOW_PAGES = (
     "choose-model", "compare", "cookbook", "densities", "guided", "questions", "robust", "sensors",
+    "start",
 )  # fmt: skip
 PROSE = ("pfdist finds", "pfdist needs")  # sentences of the README that begin a line
 SECONDS = 600  # for a cell of the notebook, on a machine with other work
@@ -137,7 +138,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.usefixtures("checkout")
 @pytest.mark.parametrize(
     "page",
-    ["filter", "start", *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
+    ["filter", *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
 )
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert _blocks(DOCS / f"{page}.md", "console|python")
@@ -166,6 +167,7 @@ def test_the_page_about_particles_prints_and_draws_what_it_shows(
     assert tomllib.loads(section) == {"filter": {"particles": "auto"}}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("checkout")
 @pytest.mark.filterwarnings("ignore:The estimate is that of a few particles")  # y fits no model
 def test_the_planner_of_the_page_about_online_times_measures_as_often_as_the_plan(
@@ -173,7 +175,10 @@ def test_the_planner_of_the_page_about_online_times_measures_as_often_as_the_pla
 ) -> None:
     names = _play("online", capsys, measure_at=lambda t: 0.3 * t)
     assert len(names["planner"].measured) == 21
-    assert pfdist.load_job("jobs/online.toml").online == Online()  # the page says so
+
+
+def test_the_job_of_the_page_about_online_times_has_the_settings_of_the_page() -> None:
+    assert pfdist.load_job(ROOT / "jobs" / "online.toml").online == Online()
 
 
 def test_the_scenarios_of_the_page_are_those_of_the_job() -> None:

@@ -26,9 +26,13 @@ MODELS = {
     "guided walk": sharp_walk(2),
     "batched": batched(replace(lake(), linear_gaussian=False)),
 }
+RELATIVES = {*installed_models()} - {"ungm", "constant_velocity", "epidemic_counts"}
+"""Those kept have one noise and one sensor, angles, and counts."""
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in RELATIVES)) for name in MODELS]
+)
 def test_draws_have_the_same_states_and_measurements(name: str) -> None:
     """And z is another measurement of the same state."""
     model = MODELS[name]

@@ -346,7 +346,7 @@ def test_instants_of_uneven_distances_need_a_clock():
 def test_too_many_steps_are_not_fewer_steps():
     """A step that is too small for the largest number of steps gives no number."""
     with pytest.raises(ModelError, match=r"must stay finite, got x\[0\] = nan at t = 1"):
-        solved(ode(linear, largest_step=1e-5))
+        solved(ode(linear, largest_step=1e-5), (0.0, 1.0))
 
 
 def test_a_value_of_a_step_is_not_kept():

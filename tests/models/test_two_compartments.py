@@ -48,7 +48,7 @@ def test_the_particle_filter_costs_what_the_kalman_filter_costs() -> None:
 def test_a_wrong_clearance_costs_more_and_the_job_says_so() -> None:
     job = pfdist.load_job(JOB, ["filter.particles=100"])
     told = job.with_changes(["scenarios.filter=told"])
-    nominal, known = (pfdist.evaluate(each, MEASURED, draws=1200) for each in (job, told))
+    nominal, known = (pfdist.evaluate(each, MEASURED, draws=240) for each in (job, told))
     apart = nominal.mse - known.mse  # the draws are the same
     assert apart.mean() > 4 * apart.std() / np.sqrt(apart.size)
     assert len(nominal.of_scenarios) == 8

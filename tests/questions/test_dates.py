@@ -345,7 +345,10 @@ def test_days_and_local_times_in_a_diary_have_no_time_zone(tmp_path: Path) -> No
             clock={"start": start, "step": step},
         )
         file = tmp_path / f"{step}{len(start)}.ics"
-        planned = pfdist.plan(problem, tmp_path / f"{len(start)}", figures=False, export=file)
+        planned = pfdist.plan(
+            problem, tmp_path / f"{len(start)}", figures=False, export=file, bound_draws=0,
+            changes=["comparison.draws=30"],
+        )  # fmt: skip
         found = events(file)
         assert all(re.fullmatch(pattern, each["DTSTART"]) for each in found)
         assert [each["SUMMARY"].partition(": ")[2] for each in found] == [

@@ -51,9 +51,16 @@ def problem(**keys: object) -> pfdist.Problem:
     return pfdist.Problem(start, horizon=HORIZON, measurement_budget=4, **keys)
 
 
-def test_the_fit_finds_the_maximum_of_the_exact_likelihood(data: pd.DataFrame) -> None:
+@pytest.fixture(scope="module")
+def fitted(data: pd.DataFrame) -> Fitted:
+    """The fit of all parameters by the exact likelihood."""
+    return pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial")
+
+
+def test_the_fit_finds_the_maximum_of_the_exact_likelihood(
+    data: pd.DataFrame, fitted: Fitted
+) -> None:
     """Another search of the same likelihood, with derivatives, ends at the same place."""
-    fitted = pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial")
     y = np.full((SYSTEMS, HORIZON + 1, 1), np.nan)
     y[data["system"], data["t"], 0] = data["y0"]
 
@@ -73,10 +80,10 @@ def test_the_fit_finds_the_maximum_of_the_exact_likelihood(data: pd.DataFrame) -
     assert fitted.log_likelihood >= -loss(np.array([*TRUE.values()]))
 
 
-def test_particles_find_nearly_the_same(data: pd.DataFrame) -> None:
+def test_particles_find_nearly_the_same(data: pd.DataFrame, fitted: Fitted) -> None:
     """The fit by particles loses little of Kalman's likelihood: less than a 95 % region, 3.9."""
-    exact = pfdist.fit(problem(engine="kalman"), data, [*START], pool="serial")
-    fitted = pfdist.fit(problem(particles=500), data, [*START], evaluations=150, pool="threads")
+    exact = fitted
+    fitted = pfdist.fit(problem(particles=300), data, [*START], evaluations=80, pool="threads")
     start = pfdist.Problem(
         model_with(**fitted.parameters), horizon=HORIZON, measurement_budget=4, engine="kalman"
     )

@@ -81,13 +81,13 @@ def test_only_the_run_of_the_job_decides(tmp_path: Path) -> None:
 
 def test_a_run_says_which_and_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same call goes on with the proposal of the run, and measures nothing again."""
-    said = list[str]()
+    said, quiet = list[str](), {"pool": "serial", "figures": False}
     job = problem(SHARP)
-    run = pfdist.plan(job, tmp_path / "run", pool="serial", figures=False, say=said.append)
+    run = pfdist.plan(job, tmp_path / "run", bound_draws=0, say=said.append, **quiet)
     assert any(line.startswith("filter.proposal: guided") for line in said)
     assert 'proposal = "guided"\n' in (run.path / "job.toml").read_text()
     monkeypatch.setattr(particles, "why_plain", lambda *_: 1 / 0)
-    again = pfdist.plan(job, run.path, pool="serial", figures=False)
+    again = pfdist.plan(job, run.path, bound_draws=0, **quiet)
     assert again.job["filter"]["proposal"] == GUIDED
 
 

@@ -29,7 +29,7 @@ COMPUTERS = {
     "plan": [],
     "compare": ["--times", "mine=0,3", "--times", "other=1,4"],
     "online": ["--set", "online.draws=3"],
-    "budget": ["--measurements", "2:3"],
+    "budget": ["--measurements", "2:3", "--draws", "20", "--bound-draws", "0"],
     "evaluate": ["--times", "0,3"],
 }
 

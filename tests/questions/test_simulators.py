@@ -95,7 +95,7 @@ def test_every_pool_gives_the_same_bytes(
 def test_its_questions_are_answered(finished: Run) -> None:
     job = finished.path.parent / "job.toml"
     folder = finished.path
-    bound = pfdist.bound(job, draws=960, results=folder, figures=False, report=False)
+    bound = pfdist.bound(job, draws=480, results=folder, figures=False, report=False)
     assert all(0.0 <= gap.gap_at_most <= 1.0 for gap in bound.gaps)
     why = pfdist.why(job, results=folder, draws=50, figures=False)
     assert why.profile["error"].notna().all()
