@@ -187,7 +187,7 @@ def test_it_is_the_exact_filter_within_monte_carlo_error() -> None:
     draws = simulate(SENSORS, HORIZON, range(1), 3)
     exact = Filter(SENSORS, engine="kalman")
     # The bias of order 1/P must be small against the standard error over the seeds, 1/sqrt(P S).
-    particles, seeds = 4000, 60
+    particles, seeds = 2000, 40
     filters = [Filter(SENSORS, particles, seed) for seed in range(seeds)]
     for t in TIMES:
         known = exact.update(t, draws.y[0, t])

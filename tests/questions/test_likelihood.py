@@ -236,7 +236,9 @@ def test_each_model_that_ships_agrees_at_24_pairs(name: str) -> None:
         assert looked(part.model) == ("ok", "it agrees with measurement at 24 pairs of states")
 
 
-@pytest.mark.parametrize("size", [0.5, 2.0, 20.0])
+@pytest.mark.parametrize(
+    "size", [0.5, *(pytest.param(size, marks=pytest.mark.slow) for size in (2.0, 20.0))]
+)
 def test_counts_of_almost_nothing_and_of_many_agree(size: float) -> None:
     """At x = -6.5 nearly all counts are 0, and the ratio of likelihoods has a rare heavy tail."""
     model = model_of(counted(size), counts(size), *TWO)

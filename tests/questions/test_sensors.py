@@ -167,9 +167,9 @@ def test_a_bound_with_particles_knows_limits_and_a_stopped_proof_ends_with_the_s
     sensors = {"near": {}, "far": {"most": 1}, "both": {"most": 1}}
     problem = pfdist.Problem(
         system.as_model(), horizon=horizon, measurement_budget=number, sensors=sensors,
-        particles=200,
+        particles=80,
     )  # fmt: skip
-    changes = "comparison.draws=1000", "seed=5"
+    changes = "comparison.draws=480", "seed=5"
     quiet = {"pool": "serial", "changes": changes, "figures": False, "report": False}
     run = pfdist.plan(problem, results=tmp_path / "run", bound_draws=0, **quiet)
     stopped = shutil.copytree(run.path, tmp_path / "stopped")
