@@ -21,6 +21,7 @@ from pfdist import Job, StateSpaceModel, load_job, load_model
 from pfdist.cli.main import main
 from pfdist.common import stopping
 from pfdist.errors import started_in
+from pfdist.store.folder import FORMATS
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
@@ -56,6 +57,23 @@ def no_flush() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _: None)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_format() -> Iterator[None]:
+    """Draw figures as SVG alone, because each other format takes as long again.
+
+    A test of the other formats asks for `every_format`.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pfdist.pages.figure.FORMATS", ("svg",))
+        yield
+
+
+@pytest.fixture
+def every_format(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw figures in all formats, as the program does."""
+    monkeypatch.setattr("pfdist.pages.figure.FORMATS", FORMATS)
 
 
 @pytest.fixture(scope="session")

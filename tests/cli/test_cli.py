@@ -142,6 +142,7 @@ def test_evaluate_says_how_many_draws_are_degenerate(
     assert answer["degenerate_draws"] == answer["draws"] == 30
 
 
+@pytest.mark.usefixtures("every_format")
 def test_plot_draws_every_figure_as_png_svg_and_pdf(run: Path, call: Call) -> None:
     files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
     names = {"searches", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
@@ -271,6 +272,7 @@ def test_without_a_terminal_progress_is_plain_lines(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("every_format")
 def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call) -> None:
     model, flag, run = tmp_path / "mine.py", tmp_path / "flag", tmp_path / "run"
     model.write_text(

@@ -10,7 +10,6 @@ import pytest
 
 import pfdist
 from oracles.model_text import MEASURED
-from pfdist.pages import figure as figures
 
 MODEL = (
     """
@@ -69,7 +68,6 @@ def start(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     (folder / "jobs" / "believed.py").write_text(believed)
     engine = "" if request.param == "at import" else 'engine = "numpy"'
     (folder / "jobs" / "a.toml").write_text(JOB.format(engine=engine))
-    monkeypatch.setattr(figures, "FORMATS", ("svg",))  # the others take as long again
     monkeypatch.chdir(folder)
     return folder
 

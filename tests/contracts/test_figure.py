@@ -1,7 +1,7 @@
 """The contract of every figure of a run."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,13 +16,6 @@ ROOT = Path(__file__).parents[1]
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]  # compiles no filter of a search
 
 every = pytest.mark.parametrize("name", FIGURES)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_format() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figures, "FORMATS", ("svg",))  # the others take as long again
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
-from pfdist.pages import figure as figures
 from pfdist.pools.kinds import POOLS
 from pfdist.questions.model_checks import check_loaded
 from pfdist.questions.sweep import foreseen
@@ -73,10 +72,7 @@ def test_there_is_a_job_of_it(name: str) -> None:
         for path in JOBS
     ],
 )
-def test_a_job_is_evaluated_and_runs(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(figures, "FORMATS", ("svg",))  # the others take as long again
+def test_a_job_is_evaluated_and_runs(path: Path, tmp_path: Path) -> None:
     job = _small(path)
     times = job.problem.clock.written_of(job.problem.feasible.regular())
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf

@@ -278,7 +278,7 @@ def function(seconds):
 """
 
 
-@isolated
+@pytest.mark.parametrize("isolated", ["processes", pytest.param("ray", marks=pytest.mark.slow)])
 def test_a_task_that_computes_is_never_ended_because_the_machine_is_busy(
     make_isolated: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -115,6 +115,7 @@ def test_errors_are_relative_to_the_least_of_the_searches_that_estimate_alike(
     assert any(label.startswith("the reference: ") for label in _lines(searches(run, ax=_axes())))
 
 
+@pytest.mark.usefixtures("every_format")
 def test_a_file_is_laid_out_once_and_drawn_once(
     plain: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

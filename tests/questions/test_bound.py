@@ -498,9 +498,7 @@ def test_the_growth_of_windows_is_foreseen(walk: Path) -> None:
 
 def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path) -> None:
     found = bound(walk, 2 * LEAST_DRAWS, figures=True)
-    assert {file.name for file in (walk / "figures").iterdir()} == {
-        "bound.png", "bound.svg", "bound.pdf"
-    }  # fmt: skip
+    assert [file.name for file in (walk / "figures").iterdir()] == ["bound.svg"]
     bound(walk, LEAST_DRAWS, window=1)
     run = pfdist.open_run(walk)
     rows, summary = run.table("bound"), results_of(run)

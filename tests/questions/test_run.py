@@ -374,6 +374,7 @@ def test_figures_are_drawn_again_when_the_run_has_grown(small_job: Job, tmp_path
     assert figure.exists()
 
 
+@pytest.mark.usefixtures("every_format")
 def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

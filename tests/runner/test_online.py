@@ -278,5 +278,5 @@ def test_it_is_not_worse_than_the_plan_by_more_than_noise(job: Job, tmp_path: Pa
     difference = draws.mse("online") - draws.mse("survivors")
     assert difference.mean() < 2 * stats.sem(difference)
     assert draws.differ.mean() > 0.5  # it did not just keep the plan
-    names = {file.stem for file in (run.path / "figures").glob("online_*.png")}
+    names = {file.stem for file in (run.path / "figures").glob("online_*.svg")}
     assert names == {"online_gain", "online_draw", "online_times"}
