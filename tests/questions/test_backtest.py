@@ -57,29 +57,29 @@ def judged(job: Any, data: Any, **options: Any) -> Any:
 
 def test_errors_are_those_of_the_plan_and_both_grids(planned: Path) -> None:
     """Real errors of Kalman's recursion by hand, over the variance of all judged values."""
-    data = days(5)
+    data = days(3)
     found = judged(planned, data, times={"mine": [1, 2, 3, 40]})
     plan = tuple(map(int, found.plan))
     sets = {"plan": plan, **GRIDS, "mine": (1, 2, 3, 40)}
     assert [*found.sets] == [*sets]
     instants = [t for t in range(HORIZON + 1) if t not in {t for s in sets.values() for t in s}]
-    y = data["y0"].to_numpy().reshape(5, -1)
+    y = data["y0"].to_numpy().reshape(3, -1)
     variance = y[:, instants].var()
-    for place in range(5):
+    for place in range(3):
         for name, times in sets.items():
             mean, _ = estimates(y[place], times)
             row = found.table.query(f"replicate == 'd{place}' and set == '{name}'").iloc[0]
             expected = np.mean((y[place] - mean)[instants] ** 2) / variance
             assert row["real"] == pytest.approx(expected, rel=1e-9)
             assert row["judged"] == len(instants)
-    assert found.judged == 5 * len(instants)
+    assert found.judged == 3 * len(instants)
     assert found.noise == pytest.approx(0.01 / variance, rel=0.05)
     assert {*found.promises} == {*sets} - {"plan"}
     assert found.files == ()
 
 
 def test_a_foreseen_gain_is_that_of_the_exact_errors(planned: Path) -> None:
-    found = judged(planned, days(40))
+    found = judged(planned, days(24))
     sets = {"plan": tuple(map(int, found.plan)), **GRIDS}
     used = {t for times in sets.values() for t in times}
     instants = [t for t in range(HORIZON + 1) if t not in used]
@@ -99,7 +99,7 @@ def test_a_foreseen_gain_is_that_of_the_exact_errors(planned: Path) -> None:
 
 def test_a_wrong_model_is_found_and_a_promise_is_kept(planned: Path) -> None:
     """Errors three times as large as foreseen; the gain is large and measured by each day."""
-    data = days(60)
+    data = days(24)
     data["y0"] *= np.sqrt(3)
     late = {"late": [44, 45, 46, 47]}
     with pytest.warns(PfdistWarning, match="The model is wrong: the real error differs from"):
@@ -166,7 +166,7 @@ def test_no_file_of_others_is_overwritten(planned: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize("pool", ["threads", pytest.param("processes", marks=pytest.mark.slow)])
 def test_every_pool_gives_the_same_bytes(pool: str, planned: Path, tmp_path: Path) -> None:
     data = tmp_path / "days.csv"
-    days(4).to_csv(data, index=False)
+    days(3).to_csv(data, index=False)
     for each in (False, True):
         folders = [tmp_path / f"{name}{each}" for name in ("serial", pool)]
         for name, folder in zip(("serial", pool), folders, strict=True):
@@ -198,7 +198,7 @@ def test_the_command_says_the_verdict_and_gives_json(
     planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = tmp_path / "days.csv"
-    days(6).assign(train=lambda table: (table["day"] == "d0").astype(int)).to_csv(data, index=False)
+    days(4).assign(train=lambda table: (table["day"] == "d0").astype(int)).to_csv(data, index=False)
     words = ["backtest", str(planned), str(data), "--pool", "serial", "--times", "mine=0,1,2,3"]
     assert main(words) == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -211,7 +211,7 @@ def test_the_command_says_the_verdict_and_gives_json(
     answer = json.loads(capsys.readouterr().out)
     assert {*answer["promises"]} == {"from_start", "centred", "mine"}
     assert {*answer["sets"]} == {"plan", *answer["promises"]}
-    assert answer["replicates"] == 5
+    assert answer["replicates"] == 3
     assert answer["left_out"] == {"d0": "the model was fitted to it"}
     assert answer["is_checked"] is True
     assert [Path(answer[key]).name for key in ("table", "figure", "report")] == [
@@ -301,7 +301,7 @@ def test_replicates_have_clocks_of_their_own() -> None:
         pfdist.load_model("pharmacokinetics"), horizon=12, time_step=0.5, time_unit="h",
         measurement_budget=3, particles=60,
     )  # fmt: skip
-    draws = pfdist.simulate(problem, draws=3, seed=3).rename(columns={"draw": "patient"})
+    draws = pfdist.simulate(problem, draws=2, seed=3).rename(columns={"draw": "patient"})
     data = draws.rename(columns={"y_log_concentration": "y0"})[["patient", "t", "y0"]]
     inside = (data["patient"] == 1) & (data["t"] > 0) & (data["t"] < 12)
     data.loc[inside, "t"] += 0.1

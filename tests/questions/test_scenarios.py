@@ -52,6 +52,7 @@ def problem(criterion: str = "mean", **keys: Any) -> pfdist.Problem:
         WALK,
         horizon=HORIZON,
         measurement_budget=4,
+        proposal="plain",
         scenarios=section | {"filter": keys.pop("filter", "told")},
         **keys,
     )
@@ -188,7 +189,7 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
 
     monkeypatch.setattr(search_phase, "_Found", seen)
     changes = ["comparison.draws=48", "execution.pool=serial"]
-    asked = problem("worst", filter="nominal", particles=100)
+    asked = problem("worst", filter="nominal", particles=40)
     pfdist.plan(asked, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
     assert len(costs_of) > 1
     assert all(cost == largest for cost, largest in costs_of)
@@ -208,7 +209,7 @@ def test_a_summary_compares_the_belief_of_a_search_with_the_error_of_the_worst(
     asked = problem(
         "worst", scales=scales, **({"engine": engine} if engine else {"particles": 100})
     )
-    search = {"method": "exhaustive", "evaluation": {"draws": 240}}
+    search = {"method": "exhaustive", "evaluation": {"draws": 120}}
     job = asked.job(search=[search], comparison={"draws": 600})
     run = pfdist.run(job, tmp_path / "run", figures=False)
     rows = run.table("scenarios").query("name == 'exhaustive'")
@@ -237,10 +238,10 @@ def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Pa
 @pytest.mark.parametrize("told", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_path: Path) -> None:
     """A Kalman filter by hand knows the mean error with a measurement, and without it."""
-    asked = problem(filter="told" if told else "nominal", particles=400)
+    asked = problem(filter="told" if told else "nominal", particles=100)
     few = ["comparison.draws=48"]
     run = pfdist.plan(asked, tmp_path / "run", changes=few, bound_draws=0, figures=False)
-    answer = pfdist.why(asked, results=run.path, draws=1000, changes=few, figures=False)
+    answer = pfdist.why(asked, results=run.path, draws=480, changes=few, figures=False)
     rows = answer.worth.query("name == 'relaxation'").set_index("t")
     times = list(run.sets["relaxation"])
     without = [[t for t in times if t != out] for out in times]
@@ -259,10 +260,10 @@ def test_a_nominal_filter_finds_the_optimum_and_the_bound_lies_below(
             search=[
                 {
                     "method": "exhaustive",
-                    "evaluation": {"draws": 240, "particles": 50, "noise": "common"},
+                    "evaluation": {"draws": 120, "particles": 40, "noise": "common"},
                 }
             ],
-            comparison={"draws": 1500},
+            comparison={"draws": 900},
         ),
         tmp_path / "run",
         figures=False,
