@@ -160,11 +160,12 @@ def test_axes_of_figures_have_local_dates(run: pfdist.Run, panel: str) -> None:
 )
 def test_measurements_have_dates_or_numbers(folder: Path, t: Any, tmp_path: Path) -> None:
     table = pd.DataFrame({"t": t, "y0": [0.1, 0.2]})
-    found = pfdist.filter_measurements(folder / "dated", table, out=tmp_path)
+    few: Any = {"out": tmp_path, "report": False}
+    found = pfdist.filter_measurements(folder / "dated", table, **few)
     assert found.measured == ("2026-03-28T08:00", ON_SUNDAY)
     written = pd.read_csv(tmp_path / "measurements.filtered.csv")
     assert written["date"].tolist() == [*map(local, written["t"])]
-    pfdist.filter_measurements(folder / "dated", table, out=tmp_path)  # replaces the earlier ones
+    pfdist.filter_measurements(folder / "dated", table, **few)  # replaces the earlier ones
 
 
 @pytest.mark.parametrize(
