@@ -188,9 +188,11 @@ def test_a_search_for_the_worst_believes_the_error_of_the_worst_of_each_finalist
         return found(finalists, polished)
 
     monkeypatch.setattr(search_phase, "_Found", seen)
-    changes = ["comparison.draws=48", "execution.pool=serial"]
+    changes = ["comparison.draws=48", "search.relaxation.evaluation.draws=96"]
     asked = problem("worst", filter="nominal", particles=40)
-    pfdist.plan(asked, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    pfdist.plan(
+        asked, tmp_path / "run", changes=changes, pool="serial", bound_draws=0, figures=False
+    )
     assert len(costs_of) > 1
     assert all(cost == largest for cost, largest in costs_of)
 
@@ -239,7 +241,7 @@ def test_each_number_of_measurements_has_the_optimum_of_brute_force(tmp_path: Pa
 def test_why_gives_the_worth_of_each_measurement_to_the_mean(told: bool, tmp_path: Path) -> None:
     """A Kalman filter by hand knows the mean error with a measurement, and without it."""
     asked = problem(filter="told" if told else "nominal", particles=100)
-    few = ["comparison.draws=48"]
+    few = ["comparison.draws=48", "search.relaxation.evaluation.draws=96"]
     run = pfdist.plan(asked, tmp_path / "run", changes=few, bound_draws=0, figures=False)
     answer = pfdist.why(asked, results=run.path, draws=480, changes=few, figures=False)
     rows = answer.worth.query("name == 'relaxation'").set_index("t")
