@@ -11,6 +11,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Run
 from pfdist.errors import EngineWarning, ModelError, RunMismatchError
+from pfdist.questions import model_checks as checks_of_models
 from pfdist.questions.model_checks import check_loaded
 
 HELPER = """
@@ -149,7 +150,10 @@ def test_a_simulator_that_crashes_is_a_failed_task(tmp_path: Path) -> None:
         ("x = x[:1, :]", r"ns a particle-step on arrays; the functions cannot be traced"),
     ],
 )
-def test_check_model_names_the_faster_engine(tmp_path: Path, line: str, says: str) -> None:
+def test_check_model_names_the_faster_engine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, says: str
+) -> None:
+    monkeypatch.setattr(checks_of_models, "_LONGEST", 0.5)  # no larger numbers are tried
     job = written(tmp_path / "here", line=line)
     name = f"{job.with_name('simulator.py')}:model"
     checks = {each.name: each for each in check_loaded(partial(pfdist.load_model, name), 8, 40)}
