@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(words: list[str], *, ends: bool) -> int:
     """The exit code of a command line; the process ends afterwards if `ends` is true."""
     try:
-        started_in(os.getcwd())  # a model may change the working folder
+        started_in(_working_folder())  # a model may change it
         # Not above: the package itself makes this check, before anything imports Numba.
         from pfdist.kernels import check_settings  # noqa: PLC0415
 
@@ -88,6 +88,15 @@ def _main(words: list[str], *, ends: bool) -> int:
     except Exception as error:
         return _error(error, debug="--debug" in words)
     return _DONE if line is None else _run(line, ends=ends)
+
+
+def _working_folder() -> str:
+    try:
+        return os.getcwd()
+    except OSError as error:
+        raise PfdistError(
+            f"the working folder cannot be read ({error.strerror}): change into another"
+        ) from error
 
 
 def _run(line: "Line", *, ends: bool) -> int:

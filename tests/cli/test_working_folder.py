@@ -103,3 +103,16 @@ def test_nothing_moves_in_python(start: Path) -> None:
     assert Path.cwd() != start
     assert run.state == "finished"
     assert run.path == start / "results/a"
+
+
+def test_a_working_folder_that_was_removed_is_a_line(
+    tmp_path: Path, call: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path.joinpath("gone").mkdir() or tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    called = call("list")
+    assert called.code == 1
+    assert called.err == (
+        "pfdist: the working folder cannot be read (No such file or directory): change into "
+        "another\n"
+    )

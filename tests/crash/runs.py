@@ -71,9 +71,12 @@ class Running:
         return len(list((self.run / "parts" / table).glob("[!.]*.parquet")))
 
     def kill(self) -> bool:
-        """End it at once; give whether it still ran."""
+        """End it and the process that computes at once; give whether it still ran."""
+        computing = self.computing
         self.process.kill()
-        return self.process.wait() == -signal.SIGKILL
+        killed = self.process.wait() == -signal.SIGKILL
+        until(lambda: all_gone(computing), GONE_SECONDS)
+        return killed
 
     def wait(self) -> int:
         """Give its exit code."""

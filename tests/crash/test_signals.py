@@ -57,8 +57,8 @@ import os, signal, sys, threading, time
 from pfdist.cli.main import main
 from pfdist.common import stopping
 signal.signal(signal.SIGINT, signal.default_int_handler)
-def listen(original=stopping.listen):
-    original()  # before NumPy starts threads
+def listen(original=stopping.listen, **options):
+    original(**options)  # before NumPy starts threads
     exec({!r}, globals())
 stopping.listen = listen
 print("beginning", flush=True)

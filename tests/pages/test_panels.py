@@ -454,7 +454,6 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
         (lambda run: plots.one_draw(run, "nobody"), "sets must be one of genetic, survivors"),
         (lambda run: plots.one_draw(run, draw=61), "draw must be one of 0, 1, 2"),
         (lambda run: plots.searches(run, ["nobody"]), "searches must be one of genetic, survivors"),
-        (lambda run: plots.searches(run, ["genetic", "survivors"]), "must estimate errors alike"),
         (lambda run: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'n"),
         (lambda run: plots.sampling_windows(WINDOWS, "x"), "name must be one of regular, mine"),
     ],
