@@ -43,6 +43,7 @@ from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, made
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
+from pfdist.models.programs import Declared
 from pfdist.models.recorded import check_same_functions, recorded, untraced
 from pfdist.models.written import key_of_model
 
@@ -277,6 +278,7 @@ class Evaluator:
             "ends": (self.horizon,) * len(sets),
             "filter_streams": (stream,) * len(sets),
             "sensors": self.sensors,
+            "together": max(1, self.most_together // estimation.particles),
         }
         return Work(
             measurement_times=tuple(sets),
@@ -285,6 +287,12 @@ class Evaluator:
             estimation=estimation,
             **(same | others),
         )
+
+    @cached_property
+    def most_together(self) -> int:
+        """The largest number of particles in an array that a declared function gets, or 0."""
+        functions = (*self.model.formulas.values(), *self.believed.formulas.values())
+        return max((f.together for f in functions if isinstance(f, Declared)), default=0)
 
     @property
     def variance_is_error(self) -> bool:
@@ -441,6 +449,9 @@ class Evaluator:
         numbers = self.scenarios_of(work.draws_stream, range(*work.draws))
         if numbers is not None:
             parts = stretches(numbers, work.draws[0])
+            if work.summed and work.together == 1:
+                singles = [(draw, draw + 1) for draw in range(*work.draws)]
+                parts = zip(numbers, singles, strict=True)
             return joined([work.part(draws).result(self.of_scenarios[n]) for n, draws in parts])
         if work.summed:
             first, ends = np.array([work.since, work.ends])[:, :, None]

@@ -1,8 +1,8 @@
 """A unit of work, and its result: a range of draws, filtered with sets of measurement times."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,7 +107,8 @@ class Work:
     # all sets.
     ids: tuple[str, ...] = ()
     # (S,): If given, the errors of each set at the instants from this one to its end are wanted, as
-    # sums over the draws. Such a work is not cut: the rounding of a sum depends on its draws.
+    # sums over a block of draws. Such a work is cut into single draws or not at all, because the
+    # rounding of a sum depends on its order; see `sum_of_draws`.
     since: tuple[int, ...] = ()
     # whether the filter uses the true model, whatever the evaluator's filter model is
     knows_truth: bool = False
@@ -117,6 +118,7 @@ class Work:
     # If not 0, the errors at each instant are wanted, too: of each draw, or as sums over ranges of
     # at most so many draws, a power of 2, from `Evaluator.results`; see `ranges_of`.
     over_time: int = 0
+    together: int = 1  # draws whose particles a function of arrays gets in one array
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
@@ -146,6 +148,11 @@ class Work:
     def summed(self) -> bool:
         """Whether the result has sums over the draws."""
         return bool(self.since)
+
+    @property
+    def is_part_of_block(self) -> bool:
+        """Whether the result has sums over fewer draws than a block."""
+        return self.summed and self.draws[1] - self.draws[0] < BLOCK
 
     @property
     def steps_a_draw(self) -> int:
@@ -240,14 +247,25 @@ def ranges_of(first: int, end: int, most: int) -> list[tuple[int, int]]:
     return ranges
 
 
+def whole_block(draw: int) -> tuple[int, int]:
+    """The first draw of a draw's block, and the draw after its last."""
+    first = draw - draw % BLOCK
+    return first, first + BLOCK
+
+
+def sum_of_draws(sums: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The sums over a block from those of its single draws, in order, with the same bits."""
+    return reduce(np.add, sums)
+
+
 def joined(results: Sequence[Result]) -> Result:
-    """The result of successive ranges of draws with the same sets; sums are added."""
+    """The result of successive ranges of draws with the same sets; sums are of single draws."""
 
     def all_of(name: str, axis: int = 0) -> NDArray[Any]:
         arrays = [getattr(result, name) for result in results]
         return np.concatenate(arrays, axis if arrays[0].ndim > axis else 0)
 
-    sums = np.sum([result.sums for result in results], axis=0)
+    sums = sum_of_draws(result.sums for result in results)
     mse, z, y, degenerate = map(all_of, ("mse", "z", "y", "degenerate"))
     estimates, sizes = all_of("estimates", 1), all_of("sizes", 1)
     result = Result(mse, z, y, estimates, sizes, sums, degenerate=degenerate)

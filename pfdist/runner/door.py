@@ -9,10 +9,10 @@ The steps of a batch, in this order, and the cost of a kill at each:
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
    Nothing is computed yet, so a kill costs nothing.
 2. Missing works are cut into tasks of about 0.3 s, with hundreds of workers up to 2 s; the first
-   tasks have one draw, and a block of sums is never cut. A worker holds one or two tasks, which are
-   lost with it.
+   tasks have one draw. A worker holds one or two tasks, which are lost with it.
 3. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
-   kill of the driver costs the rows that wait.
+   kill of the driver costs the rows that wait. The driver learns the sums of a block when those of
+   its draws are there.
 4. Waiting rows are committed with the first result after `COMMIT_SECONDS` (five times as long in a
    run of minutes), and at the end of a batch unless more follows. A commit writes a file under a
    temporary name, flushes it and gives it its name: a kill before the last step leaves a temporary
@@ -47,7 +47,7 @@ import pyarrow as pa
 from pfdist.common.stopping import check
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
-from pfdist.filters.work import Result, Work
+from pfdist.filters.work import BLOCK, Result, Work, sum_of_draws, whole_block
 from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
@@ -114,6 +114,8 @@ class Batch:
         self._next: _Cut | None = None
         self._again: deque[_Cut] = deque()  # failed tasks
         self._in_flight, self._enough = 0, False
+        # Results of the draws of unfinished blocks of sums, by the ids, the block and the draw
+        self._open = defaultdict[Any, dict[int, Result]](dict)
 
     @property
     def is_computed(self) -> bool:
@@ -123,6 +125,16 @@ class Batch:
 
     def learn(self, work: Work, result: Result) -> None:
         """Hand a result to the driver, and record whether it needs no more."""
+        if work.is_part_of_block:
+            draw, _ = work.draws
+            block = whole_block(draw)
+            draws = self._open[work.ids, block]
+            draws[draw] = result
+            if len(draws) < BLOCK:
+                return
+            sums = sum_of_draws(draws[draw].sums for draw in range(*block))
+            work, result = work.part(block), replace(result, sums=sums)
+            self.keep(work, result)
         self._enough = self._learn(work, result) is True or self._enough
 
     def add(self, works: list[Work], workers: int, *, is_shared: bool) -> None:
@@ -184,7 +196,7 @@ class _Cut(NamedTuple):
 
 
 def _cuts(table: str, function: Function, works: list[Work], pace: Pace) -> Iterator[_Cut]:
-    for bundle in bundles(works, pace.size):
+    for bundle in bundles(works, pace.size, pace.expected):
         key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
         task = Task(key, function, bundle.works, pace.expected(bundle.steps))
         yield _Cut(task, bundle.steps)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from pfdist.filters.work import Work
+from pfdist.filters.work import BLOCK, Work
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
@@ -72,11 +72,16 @@ class Bundle(NamedTuple):
     steps: int
 
 
-def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundle]:
+def bundles(
+    works: Iterable[Work],
+    size: Callable[[int], int],
+    expected: Callable[[int], float] = lambda steps: 0.0,
+) -> Iterator[Bundle]:
     """Bundles of works, which are cut between their draws.
 
     `size` gives the particle-steps of the next bundle from those that remain. A bundle has about
-    this size, but at least one draw. Sums over draws are never cut.
+    this size, but at least one draw, or those of one array. `expected` gives the seconds of
+    particle-steps: sums over a block are cut into single draws if the whole block would take long.
 
     >>> from pfdist.filters.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
@@ -95,7 +100,11 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundl
         most = MOST_ROWS // len(work.measurement_times) * a_draw
         while first < last:
             room = room if bundle else min(size(remaining), most)
-            end = last if work.summed else min(last, first + max(1, room // a_draw))
+            end = min(last, first + max(work.together, room // a_draw))
+            if work.summed:
+                is_long = expected((last - first) * a_draw) > LONGEST_SECONDS
+                is_cut = last - first < BLOCK or (is_long and work.together == 1)
+                end = first + 1 if is_cut else last
             bundle.append(replace(work, draws=(first, end)))
             steps, first = (end - first) * a_draw, end
             room, remaining, total = room - steps, remaining - steps, total + steps

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.common.percent import RANKS_FAIL
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Result, Work
+from pfdist.filters.work import Result, Work, sum_of_draws
 from pfdist.kernels.variates import TRUTH_RANK, variates
 
 Array = NDArray[np.float64]
@@ -46,11 +46,10 @@ class RankWork(Work):
         if evaluator.of_scenarios:
             return evaluator.filtered(self)  # gives each scenario its draws
         statistics = self._statistics(evaluator)
-        sums = np.concatenate([statistics.sum(axis=1), (statistics**2).sum(axis=1)])
-        return Result(np.empty(0), sums=sums)
+        return Result(np.empty(0), sums=sum_of_draws(np.hstack([statistics, statistics**2])))
 
     def _statistics(self, evaluator: Evaluator) -> Array:
-        """Both statistics of each draw, (2, D)."""
+        """Both statistics of each draw, (D, 2)."""
         draws = evaluator.draws(range(*self.draws), self.draws_stream)
         settings, centred = evaluator.settings(self.estimation), list[Array]()
         for times, stream in zip(self.measurement_times, self.filter_streams, strict=True):
@@ -62,8 +61,8 @@ class RankWork(Work):
                     key = stream, np.array(draws.index), t, TRUTH_RANK, c
                     uniform = variates("uniform", 1, *key)[:, 0]
                     centred.append(below[:, t, c] + uniform * equal[:, t, c] - 0.5)
-        u = np.stack(centred)
-        return np.stack([u.mean(axis=0), (u**2 - 1 / 12).mean(axis=0)])
+        u = np.stack(centred, axis=1)  # so the bits of a mean do not depend on the draws beside it
+        return np.stack([u.mean(axis=1), (u**2 - 1 / 12).mean(axis=1)], axis=1)
 
 
 def wrong_likelihood(sums: Array, draws: int) -> str:

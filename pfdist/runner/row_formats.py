@@ -8,13 +8,14 @@ once.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.filters.work import BLOCK as SUMMED
-from pfdist.filters.work import Result, Work, cut
+from pfdist.filters.work import Result, Work, cut, whole_block
 from pfdist.results import BLOCK
 from pfdist.runner.door import StoredResults
 from pfdist.store import Store, schema
@@ -74,33 +75,38 @@ class PerDraw:
 class BlockOfSums:
     """Rows of the table ``error_sums``: the summed errors of sets over whole blocks of draws.
 
-    There are too many windows to store the errors of each draw.
+    There are too many windows to store the errors of each draw. If a model is slow, those of the
+    draws of unfinished blocks are stored: draw d has the number -1 - d, and goes when the table is
+    published.
     """
 
     table, is_shared = "error_sums", True
 
     def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
-        """The blocks that a store lacks, and the sums that it has; each work is one block.
-
-        A block is committed whole or not at all.
-        """
+        """The draws that a store lacks, and the sums that it has; each work is within one block."""
         blocks = 1 + max(_block(work) for work in works)
         sums = dict[tuple[str, int], NDArray[np.float64]]()
         for id_ in dict.fromkeys(work.ids[0] for work in works):
             rows = store.sums(id_, blocks)
             for block, values in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
                 sums[id_, block] = values.values.to_numpy()
-        lacking = [work for work in works if (work.ids[0], _block(work)) not in sums]
-        stored = (
-            (work, Result(np.empty(0), sums=sums[work.ids[0], _block(work)]))
-            for work in works
-            if (work.ids[0], _block(work)) in sums
-        )
-        return lacking, stored
+        lacking, stored = list[Work](), list[Work]()
+        for work in works:
+            whole = work.part(whole_block(work.draws[0]))
+            if _key(whole) in sums:
+                stored.append(whole)
+                continue
+            singles = [work.part((draw, draw + 1)) for draw in range(*work.draws)]
+            there = [_key(single) in sums for single in singles]
+            stored += compress(singles, there)
+            missing = np.flatnonzero(np.logical_not(there)) + work.draws[0]
+            lacking += [work.part(piece) for piece in cut(missing, SUMMED)]
+        return lacking, ((work, Result(np.empty(0), sums=sums[_key(work)])) for work in stored)
 
     def rows(self, work: Work, result: Result) -> pa.Table:
-        """One row of the table ``error_sums``: the sums of a block."""
-        row = {"evaluation": work.ids[0], "block": _block(work), "sums": result.sums}
+        """One row of the table ``error_sums``: the sums of a block, or of one draw."""
+        id_, number = _key(work)
+        row = {"evaluation": id_, "block": number, "sums": result.sums}
         return pa.Table.from_pylist([row], schema=schema(self.table))
 
 
@@ -158,6 +164,10 @@ PER_DRAW, BLOCK_OF_SUMS = PerDraw(), BlockOfSums()
 
 def _block(work: Work) -> int:
     return work.draws[0] // SUMMED
+
+
+def _key(work: Work) -> tuple[str, int]:
+    return work.ids[0], -1 - work.draws[0] if work.is_part_of_block else _block(work)
 
 
 def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.bool_], list[int]]]:

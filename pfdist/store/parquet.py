@@ -158,9 +158,13 @@ class Store:
         return prepare_table(folder, signed(self.timed(rows), self._run_key))
 
     def settle(self, table: str, phase: str) -> None:
-        """Publish all committed rows of a phase, sorted by key, if it has parts."""
+        """Publish all committed rows of a phase, sorted by key, if it has parts.
+
+        Sums of single draws go: those of their blocks are there, or the search needs them no more.
+        """
         if self.has_parts(table, phase):
-            pieces = self._load(table, phase)
+            whole = pc.field("block") >= 0 if table == "error_sums" else None
+            pieces = self._load(table, phase, filters=whole)
             self.publish(table, phase, [unique(pieces, keys_of(table, pieces[0].column_names))])
 
     def renew(self, table: str, phase: str, rows: pa.Table) -> None:

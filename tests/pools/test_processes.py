@@ -42,6 +42,19 @@ def _process(_: object) -> int:
     return os.getpid()
 
 
+BLOCKED = """
+import os, signal
+from pfdist.pools.base import Task
+from pfdist.pools.processes import ProcessPool
+
+signals = {signal.SIGINT, signal.SIGTERM, signal.SIGUSR1}
+signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # as the program does before its first thread
+with ProcessPool(1) as pool:
+    (outcome,) = pool.run([Task("a", lambda _: os.getpid(), 0)])
+print(signals <= signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+
+
 def _started(source: str, *words: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-c", source, *words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -89,3 +102,9 @@ def test_processes_end_with_a_program_that_is_killed_or_ends_while_a_task_hangs(
                 program.kill()
             assert program.wait(30) == code
             until(lambda worker=worker: not _lives(worker), 30)
+
+
+def test_signals_stay_blocked_in_a_process_that_starts_others() -> None:
+    """Else a signal ends the driver at once, and the rows that wait for a commit are lost."""
+    with _started(BLOCKED) as process:
+        assert process.communicate(timeout=60)[0] == "True\n"

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,14 @@ import pytest
 
 from pfdist import Job
 from pfdist.filters.evaluator import Evaluator
-from pfdist.filters.work import Estimation, Result, Work
+from pfdist.filters.work import Estimation, Result, Work, sum_of_draws, with_truth
 from pfdist.pools.base import SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
 from pfdist.runner.build import Built, build
 from pfdist.runner.door import Session
+from pfdist.runner.pace import Pace
 from pfdist.runner.phase import Phase, run_phase
+from pfdist.runner.ranks import RankWork
 from pfdist.search import Candidate
 from pfdist.store import Store
 
@@ -55,6 +58,10 @@ def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> list[np.
     return COUNTED.of_instants(means)
 
 
+def _draws(handed: list[Work]) -> list[int]:
+    return sorted(draw for work in handed for draw in range(*work.draws))
+
+
 def assert_alike(found: list[np.ndarray], errors: list[np.ndarray], rtol: float = 1e-12) -> None:
     assert len(found) == len(errors)
     for mean, expected in zip(found, errors, strict=True):
@@ -65,12 +72,79 @@ def test_means_are_those_of_all_draws_and_blocks_that_are_stored_are_not_filtere
     built: Built, session: Session, means: Means, handed: list[Work]
 ) -> None:
     first = means(session, 2)
-    assert [work.draws for work in handed] == [(0, BLOCK), (BLOCK, 2 * BLOCK)]
+    assert _draws(handed) == [*range(2 * BLOCK)]
     assert_alike(means(session, 2), first, rtol=0)
-    assert len(handed) == 2
+    assert _draws(handed) == [*range(2 * BLOCK)]
     more = means(session, BLOCKS)
-    assert [work.draws for work in handed[2:]] == [(2 * BLOCK, 3 * BLOCK)]
+    assert _draws(handed) == [*range(3 * BLOCK)]
     assert_alike(more, _expected(built, (0, BLOCKS * BLOCK)))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [],
+        ["problem.instant_weights=[1, 0.3, 1, 2, 3, 0.7, 5, 6, 7, 8, 9, 0.1, 2]"],
+        ["filter.engine=numpy"],
+        [
+            "filter.engine=numpy",
+            "problem.instant_weights=[1, 0.3, 1, 2, 3, 0.7, 5, 6, 7, 8, 9, 0.1, 2]",
+        ],
+        ["scenarios.parameters={process_sd={uniform=[2, 4]}}", "scenarios.count=3"],
+    ],
+)
+@pytest.mark.parametrize("kind", [Work, RankWork])
+def test_a_block_has_the_bits_of_the_sum_of_its_draws(
+    small_job: Job, changes: list[str], kind: type[Work]
+) -> None:
+    """So a table does not show whether a model was slow and its blocks were cut."""
+    evaluator = build(small_job.with_changes(changes)).evaluator
+    since, ends = tuple(COUNTED.first.tolist()), tuple(COUNTED.ends.tolist())
+    given = SETS, 5, 5, (BLOCK, 2 * BLOCK), with_truth(40)
+    whole = kind(**vars(evaluator.work(*given, since=since, ends=ends, ids=("id",))))
+    singles = [whole.part((draw, draw + 1)) for draw in range(*whole.draws)]
+    sums, *of_draws = (result.sums for result in evaluator.results([whole, *singles]))
+    np.testing.assert_array_equal(sums, sum_of_draws(of_draws))
+    assert len(sums) == (4 if kind is RankWork else COUNTED.set_of.size)
+    assert np.ptp(of_draws, axis=0).min() > 0
+
+
+@pytest.mark.parametrize("draws", [1, 10, BLOCK + 5])
+def test_a_slow_model_loses_no_draw_that_was_filtered(
+    session: Session,
+    means: Means,
+    handed: list[Work],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    draws: int,
+) -> None:
+    """The process is killed after some draws; the tables are those of a quick model."""
+    quick = Session(session.built, Store(tmp_path / "quick"))
+    expected, do = means(quick, 2), SerialPool.run
+    monkeypatch.setattr(Pace, "expected", lambda self, steps: 3600.0)
+    monkeypatch.setattr(Pace, "size", lambda self, remaining: 1)
+    handed.clear()
+
+    def killed(self: SerialPool, tasks: Any) -> Any:
+        yield from islice(do(self, tasks), draws)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SerialPool, "run", killed)
+        patch.setattr("pfdist.runner.door.COMMIT_SECONDS", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            means(session, 2)
+    assert _draws(handed) == [*range(draws)]
+    assert_alike(means(session, 2), expected, rtol=0)
+    assert _draws(handed) == [*range(2 * BLOCK)]
+    for store in (quick.store, session.store):
+        for phase in store.phases_of("error_sums", ""):
+            store.settle("error_sums", phase)
+    (whole,), (cut,) = (
+        [*each.store.path.glob("tables/error_sums/*.parquet")] for each in (quick, session)
+    )
+    assert whole.name == cut.name  # which contains the hash of the content
+    assert session.store.read("error_sums")["block"].tolist() == [0, 1]
 
 
 def test_whatever_order_blocks_come_in_the_means_have_the_same_bytes(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pfdist.filters.work import Estimation, Work
+from pfdist.filters.work import BLOCK, Estimation, Work
 from pfdist.pools.base import patience
 from pfdist.runner.pace import (
     LEAST_SECONDS,
@@ -69,6 +69,23 @@ def test_however_fast_a_model_is_a_task_holds_so_many_errors_and_no_more(sets: i
     ]
     assert sum(held) == 2 * sets * 123_456
     assert MOST_ROWS - sets < min(held[:-1]) <= max(held) <= MOST_ROWS
+
+
+@pytest.mark.parametrize("together", [1, 7])
+def test_blocks_of_sums_are_cut_if_they_take_long_and_an_array_has_one_draw(together: int) -> None:
+    """An array of a declared function has always the same size, so it costs that of all draws."""
+    blocks = [replace(work(1, first, first + BLOCK), since=(0,)) for first in (0, BLOCK)]
+    works = [*(replace(each, together=together) for each in blocks), work(1, 0, 60)]
+
+    def sizes(seconds: float) -> list[int]:
+        pieces = bundles(works, lambda remaining: 1, lambda steps: seconds)
+        return [last - first for each in pieces for first, last in [each.works[0].draws]]
+
+    quick, slow = sizes(0.9 * LONGEST_SECONDS), sizes(1.1 * LONGEST_SECONDS)
+    assert quick == [BLOCK, BLOCK, *[1] * 60]
+    assert slow == (quick if together > 1 else [1] * (2 * BLOCK + 60))
+    only = bundles([replace(work(1, 0, 60), together=together)], lambda remaining: 1)
+    assert max(bundle.steps for bundle in only) == together
 
 
 @pytest.mark.parametrize("workers", [1, 2, 64])
