@@ -22,9 +22,9 @@ from pfdist.common.measurement_times import REGULAR
 from pfdist.errors import JobError, shown
 from pfdist.pages.style import GREY, set_style
 from pfdist.problem.set_key import PLAN
-from pfdist.results import Run, read_recorded
+from pfdist.results import Run
 from pfdist.results.run import TABLES
-from pfdist.results.stored_run import angles_of
+from pfdist.results.stored_run import angles_of, provenance_of
 
 T = TypeVar("T")
 _dates: Any = dates  # has no types
@@ -267,7 +267,7 @@ def error_unit(run: Run) -> str:
     It is empty if z has no unit or several, or if errors are not squares, or are weighted or
     scaled.
     """
-    names = read_recorded(run.path)[0]["provenance"].get("names", {}).get("z", [])
+    names = provenance_of(run).get("names", {}).get("z", [])
     units, angles = {named_component(name).unit for name in names}, angles_of(run)
     if len(units) != 1 or not angles or any(angles):
         return ""

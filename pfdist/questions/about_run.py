@@ -13,8 +13,7 @@ from pfdist.filters.engines import is_exact
 from pfdist.problem.job import job_toml
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.questions.subject import Subject, number_of, without_folder
-from pfdist.results import read_recorded
-from pfdist.results.stored_run import problem_of, version_of
+from pfdist.results.stored_run import about_of, problem_of, provenance_of, version_of
 from pfdist.store import run_key
 
 _WHAT = (
@@ -79,7 +78,7 @@ def question(subject: Subject) -> str:
 def made(subject: Subject) -> str:
     """The name of a run, the day on which it was started, and the version of pfdist."""
     run = subject.run
-    started = datetime.fromisoformat(read_recorded(run.path)[0]["provenance"]["started"])
+    started = datetime.fromisoformat(provenance_of(run)["started"])
     day = f"{started.day} {started:%B %Y}"
     return f"Run {run.path.name}, {day}, pfdist {version_of(run)}."
 
@@ -89,7 +88,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "system", _model(job["model"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", _model(job["model"]["filter"])
-    names = read_recorded(subject.run.path)[0]["provenance"].get("names", {})
+    names = provenance_of(subject.run).get("names", {})
     for key, what in (("z", "quantity of interest"), ("y", "what is measured")):
         if names.get(key):
             yield what, ", ".join(names[key])
@@ -176,7 +175,7 @@ def formatted_spelling(value: Any, unit: str) -> str:
 
 def computed(subject: Subject) -> Section:
     """Versions, seeds, processor and time of a run, and its job."""
-    about, job = read_recorded(subject.run.path)
+    about, job = about_of(subject.run), subject.run.job
     identity = [
         ("seed", str(job["seed"])),
         ("engine", about["engine"]),

@@ -130,7 +130,8 @@ class PointsAtWork:
         try:
             built = build(self._sweep.jobs[name], self._path / name)
             with opened(self._path / name, built) as store:
-                yield from compute(Session(built, store, show, say), self._bound)
+                run = Run(store.path, built.job)
+                yield from compute(Session(built, store, show, say), run, self._bound)
         except BusyError as error:
             self._busy[name] = str(error)
             return

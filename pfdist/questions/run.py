@@ -18,7 +18,7 @@ from pfdist.questions.options import Chosen, Options, following, with_options
 from pfdist.questions.report import try_report
 from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.run_page import answer_in_a_line
-from pfdist.results import Run, open_run, read_recorded
+from pfdist.results import Run, open_run
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
@@ -29,7 +29,7 @@ from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.progress import Say, Show, heard
 from pfdist.runner.provenance import lender, note_machine
 from pfdist.runner.prover import Prover
-from pfdist.store import add_to_provenance, forget_pages, listed_pages, record_pages
+from pfdist.store import add_to_provenance, forget_pages, listed_pages, read_run, record_pages
 from pfdist.store.folder import REPORT
 
 _OF_FIGURES = ("pfdist.questions.pictures", "pfdist.pages.html", "scipy.special")
@@ -131,16 +131,14 @@ def run_built(
 
     made = list[Path]()  # pages of the tables as they are now, which are listed at the end
 
-    def draw() -> Run:
-        run = Run(path, built.job)
+    def draw(run: Run) -> None:
         if chosen.figures:
             from pfdist.pages.plots import draw_missing_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn
 
             made.extend(draw_missing_figures(run, listed_pages(path).union(made)))
-        return run
 
-    def finish() -> Run:
-        run = draw()
+    def finish(run: Run) -> Run:
+        draw(run)
         if chosen.has_report and path / REPORT not in listed_pages(path) and try_report(run, say):
             made.append(path / REPORT)
         return run
@@ -150,12 +148,13 @@ def run_built(
     with opened(path, built) as store, ThreadPoolExecutor(1) as beside:
 
         def driver() -> Generator[Batch, None, Future[Run]]:
-            if (chosen.figures or chosen.has_report) and open_run(path).state != "finished":
+            run = Run(path, built.job)
+            if (chosen.figures or chosen.has_report) and run.state != "finished":
                 for module in _OF_FIGURES:  # otherwise they would be waited for later
                     beside.submit(import_module, module)
             session = Session(built, store, show, say)
-            yield from compute(session, bound, partial(beside.submit, draw))
-            return beside.submit(finish)
+            yield from compute(session, run, bound, partial(beside.submit, draw, run))
+            return beside.submit(finish, run)
 
         pool = at_work(built.job.execution, [built.evaluator.engine], say)
         try:
@@ -166,7 +165,10 @@ def run_built(
 
 
 def compute(
-    session: Session, settings: BoundSettings | None, compared: Callable[[], object] = lambda: None
+    session: Session,
+    run: Run,
+    settings: BoundSettings | None,
+    compared: Callable[[], object] = lambda: None,
 ) -> Generator[Batch, None, None]:
     """Compute what a run lacks, with its lower bound.
 
@@ -175,17 +177,17 @@ def compute(
     Parameters
     ----------
     session : Session
+    run : Run
     settings : BoundSettings or None
         Settings of the lower bound; None for no bound.
     compared : callable
         Called when only the bound is missing. The curve of budgets waits, because it shows the
         bound.
     """
-    built, store, say = session.built, session.store, session.say
-    path = store.path
-    prover, unfinished = _prover(session, settings), open_run(path).state != "finished"
+    built, say, path = session.built, session.say, run.path
+    prover, unfinished = _prover(session, settings), run.state != "finished"
     if not unfinished and (
-        prover is None or prover.has_proved(open_run(path)) or _is_long(session, prover)
+        prover is None or prover.has_proved(run) or _is_long(session, run, prover)
     ):
         return
     forget_pages(path, *[] if unfinished else [REPORT])
@@ -194,17 +196,16 @@ def compute(
         session.reporter.foresee(prover.steps, prover.steps)
     with noted(session):
         yield from drive(session)
-        if prover is not None and not _is_long(session, prover):
+        if prover is not None and not _is_long(session, run, prover):
             session.reporter.note(optional=0.0)
-            if is_known(built) and "evenly_spaced" not in open_run(path).tables:
-                yield from compare_evenly_spaced(session, open_run(path))
-            run = open_run(path)
+            if is_known(built) and "evenly_spaced" not in run.tables:
+                yield from compare_evenly_spaced(session, run)
             if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search
             if "budget" not in run.job:
                 compared()
             try:
-                yield from prover.prove(session, open_run(path))
+                yield from prover.prove(session, run)
             except (JobError, ModelError, TaskError) as error:  # the results of the run stand
                 _unproved(session, str(error))
     session.reporter.finish()
@@ -221,10 +222,10 @@ def _prover(session: Session, settings: BoundSettings | None) -> Prover | None:
     return None
 
 
-def _is_long(session: Session, prover: Prover) -> bool:
+def _is_long(session: Session, run: Run, prover: Prover) -> bool:
     """Whether a bound would take too long beside other results; a message says so."""
-    minutes = prover.steps * _seconds_a_step(session.built, session.store.path) / 60
-    if minutes > _PATIENCE and "bound" not in open_run(session.store.path).tables:
+    minutes = prover.steps * _seconds_a_step(session.built, run) / 60
+    if minutes > _PATIENCE and "bound" not in run.tables:
         command = f"`pfdist bound JOB --draws {prover.settings.most_draws}`"
         _unproved(session, f"{command} takes about {minutes:,.0f} minutes of one core")
     return minutes > _PATIENCE
@@ -232,15 +233,14 @@ def _is_long(session: Session, prover: Prover) -> bool:
 
 def _unproved(session: Session, reason: str) -> None:
     """Say why there is no lower bound, and keep the reason for every answer of the run."""
-    if read_recorded(session.store.path)[0]["provenance"].get("unproved") != reason:
+    if read_run(session.store.path)[0]["provenance"].get("unproved") != reason:
         add_to_provenance(session.store.path, {"unproved": reason})
         forget_pages(session.store.path, REPORT)
     heard(session.say, f"Not proved: {reason}.")
 
 
-def _seconds_a_step(built: Built, path: Path) -> float:
+def _seconds_a_step(built: Built, run: Run) -> float:
     """Seconds that a particle-step of the comparison has taken; a guess if there was none."""
-    run = open_run(path)
     timings = run.table("timings") if "timings" in run.tables else None
     steps = comparison_steps(built) * run.draws_compared / built.job.comparison.draws
     if timings is None or not steps:

@@ -46,7 +46,7 @@ from pfdist.questions.subject import (
     without_folder,
 )
 from pfdist.questions.why_page import worth
-from pfdist.results import Run, read_recorded
+from pfdist.results import Run
 from pfdist.results.columns import COLUMNS, Row, sets_table
 from pfdist.results.moments import quantile_name
 from pfdist.results.stored_run import (
@@ -57,6 +57,7 @@ from pfdist.results.stored_run import (
     last_bounds,
     named_sets,
     problem_of,
+    provenance_of,
     unproved,
 )
 
@@ -120,7 +121,7 @@ def page_of(run: Run, seconds: int = 0, target: float | None = None) -> Page:
     last = (searches, *([by_hand] if "budget" not in run.job else []), computed, tables, citation)
     sections = _sections(subject, (*dict.fromkeys(chapters), *last))
     # The name in the model; in an older run, the name in the job.
-    model = read_recorded(run.path)[0]["provenance"].get("name_of_model")
+    model = provenance_of(run).get("name_of_model")
     title = f"{title}: {one_line(model or without_folder(run.job['model']['name']))}"
     about = f"{question(subject)} {made(subject)}"
     return Page(title, about, sections, warnings, seconds, alarms=subject.alarms)

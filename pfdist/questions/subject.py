@@ -16,12 +16,12 @@ from pfdist.common.percent import CHECK_FAILS, RANKS_FAIL, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.filters.estimate import DOUBTFUL, degenerate_text
 from pfdist.problem.set_key import EVENLY_SPACED, phrase_of
-from pfdist.results import Run, reaching, read_recorded
+from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
 from pfdist.results.sets import best_first
-from pfdist.results.stored_run import angles_of, problem_of, unproved
+from pfdist.results.stored_run import angles_of, problem_of, provenance_of, unproved
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -161,7 +161,7 @@ class Subject:
     @cached_property
     def quantities(self) -> tuple[Component, ...]:
         """The components of z, with their names and units."""
-        names = read_recorded(self.run.path)[0]["provenance"].get("names", {}).get("z", [])
+        names = provenance_of(self.run).get("names", {}).get("z", [])
         count = len(angles_of(self.run))
         return named_components(names, len(names) or count)
 

@@ -11,7 +11,7 @@ from pfdist.common.clock import Clock
 from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import ArgumentError, one_line, shown
 from pfdist.results.sampling_windows import STRICT, WIDE, runs_of, windows_of
-from pfdist.results.stored_run import problem_of, read_recorded
+from pfdist.results.stored_run import problem_of, provenance_of
 from pfdist.store import run_key
 from pfdist.store.files import begins_with, check_replaceable, write_file
 
@@ -95,7 +95,7 @@ def _rows(run: "Run", clock: Clock) -> Rows:
 
 
 def _in_icalendar(run: "Run", rows: Rows, dates: Sequence[datetime], by_days: bool) -> str:
-    started = datetime.fromisoformat(read_recorded(run.path)[0]["provenance"]["started"])
+    started = datetime.fromisoformat(provenance_of(run)["started"])
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//pfdist//plan//EN"]
     for row, moment in zip(rows, dates, strict=True):
         key, sensor = f"{run_key(run.path)}-{row['t']}", row.get("sensor", "")

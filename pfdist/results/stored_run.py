@@ -39,7 +39,7 @@ class StoredRun:
 
     def __init__(self, path: Path, made_from: Job | None = None) -> None:
         check_entries(path)
-        self._about, self.job = read_recorded(path)
+        self._about, self.job = read_recorded(path, made_from)
         self.path = path
         self._made_from = made_from
         self._store = Store(path)
@@ -107,8 +107,10 @@ class StoredRun:
         return ProblemSection.model_validate(self.job["problem"])
 
 
-def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The content of run.json, and the validated job of job.toml.
+def read_recorded(
+    path: Path, made_from: Job | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The content of run.json, and the validated job of job.toml, or from which the run was made.
 
     Keys that are gone are ignored, with a warning unless their values are the former defaults.
 
@@ -118,6 +120,8 @@ def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         The folder holds no run, or a file cannot be read or is damaged.
     """
     run, job = read_run(path)
+    if made_from is not None:
+        return run, made_from.identity()
     job, ignored = without_gone(job)
     if ignored:
         warnings.warn(
@@ -166,6 +170,17 @@ def angles_of(run: StoredRun) -> list[bool]:
     """
     is_scaled = run.job.get("scenarios", {}).get("scales")
     return [] if is_scaled else [*run._about["provenance"].get("angles", ())]
+
+
+def about_of(run: StoredRun) -> dict[str, Any]:
+    """The content of run.json as it is now."""
+    return read_run(run.path)[0]
+
+
+def provenance_of(run: StoredRun) -> dict[str, Any]:
+    """Where, when and by what the run was computed."""
+    provenance: dict[str, Any] = about_of(run)["provenance"]
+    return provenance
 
 
 def version_of(run: StoredRun) -> str:
@@ -237,7 +252,7 @@ def unproved(run: StoredRun) -> str:
     Empty if there is a lower bound, or if none was asked for.
     """
     proofs = last_bounds(run)
-    noted = read_recorded(run.path)[0]["provenance"].get("unproved")
+    noted = provenance_of(run).get("unproved")
     found_names = found_sets(run) if run._store.has("compared") else []
     if noted and not any(name in proofs for name in found_names):
         return f"Not proved: {noted}."

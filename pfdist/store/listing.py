@@ -35,6 +35,9 @@ from pfdist.store.folder import ABOUT, FILES, REPORT, figures_in, has_report
 from pfdist.store.lock import held
 from pfdist.store.tables import REMEDY
 
+_known = dict[Path, tuple[tuple[int, ...], "Listing | None"]]()
+"""The listings that this process has read or written, and the versions of their files."""
+
 _PUBLISHED = re.compile(r"tables/[a-z_]+/[a-z0-9_.]+-\d{5}-[0-9a-f]{16}\.parquet")
 
 
@@ -51,9 +54,28 @@ class Listing:
 def read_listing(folder: Path) -> Listing | None:
     """The content of files.json; None if there is no such file.
 
-    Raises `StoreError` if it is damaged: it also contains a hash of its own content.
+    A file that has not been replaced since is not read again. Raises `StoreError` if it is damaged:
+    it also contains a hash of its own content.
     """
     path = folder / FILES
+    with files.reading(path):
+        try:
+            version = _version(path)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+    known = _known.get(path)
+    if known is None or known[0] != version:
+        known = _known[path] = version, _read(path)
+    return known[1]
+
+
+def _version(path: Path) -> tuple[int, ...]:
+    """What differs between two versions of a file that is replaced as a whole."""
+    about = path.stat()
+    return about.st_ino, about.st_mtime_ns, about.st_ctime_ns, about.st_size
+
+
+def _read(path: Path) -> Listing | None:
     with files.reading(path):
         try:
             content = parse_json(read_text(path))
@@ -87,7 +109,9 @@ def change_listing(folder: Path, key: str | None = None, **changes: Any) -> None
     about |= {name: (*about.get(name, ()), *hashes) for name, hashes in added.items()}
     listing = replace(listing, run=key or listing.run, about=about, **changes)
     text = json.dumps(_content(listing), indent=1) + "\n"
-    files.write_file(folder / FILES, lambda file: file.write_text(text, encoding="utf-8"))
+    path = folder / FILES
+    files.write_file(path, lambda file: file.write_text(text, encoding="utf-8"))
+    _known[path] = _version(path), listing
 
 
 def listed_pages(folder: Path) -> set[Path]:

@@ -367,7 +367,7 @@ def test_squared_errors_have_the_unit_of_z_squared(
     names: list[str], angles: list[bool], unit: str, several: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     about = {"provenance": {"names": {"z": names}}}
-    monkeypatch.setattr(panel, "read_recorded", lambda path: (about, {}))
+    monkeypatch.setattr(panel, "provenance_of", lambda run: about["provenance"])
     monkeypatch.setattr(panel, "angles_of", lambda run: angles)
     label = plots.budget(several, ax=_axes()).get_ylabel()
     assert label == (f"expected MSE [{unit}²]" if unit else "expected MSE")
