@@ -15,6 +15,7 @@ from pfdist.questions.report import renew_report
 from pfdist.questions.run_of_job import finished_run, own_store, run_and_job
 from pfdist.results import Run, finite
 from pfdist.results.particle_loss import ParticleLoss, particle_losses_of
+from pfdist.results.sets import publish_sets
 from pfdist.runner.bound_settings import MEMORY, BoundSettings
 from pfdist.runner.build import check_pool
 from pfdist.runner.door import Session, complete
@@ -171,10 +172,12 @@ def bound(
         with own_store(proved, built, tell) as store:
             session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
-            proof = prover.prove(session, finished_run(proved))  # it may have been found damaged
+            finished = finished_run(proved)  # it may have been found damaged
             with noted(session):
                 workers_at_work = at_work(built.job.execution, [built.evaluator.engine], tell)
-                look: Look = complete(proof, workers_at_work)
+                look: Look = complete(prover.prove(session, finished), workers_at_work)
+            if store.path == proved.path:
+                publish_sets(finished)
             session.reporter.finish()
         if chosen.figures and store.path == proved.path:
             from pfdist.pages.plots import draw_figures  # noqa: PLC0415  Matplotlib loads if a figure is drawn

@@ -12,9 +12,10 @@ from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError, reason_of, relative
 from pfdist.results import Run, open_run
-from pfdist.results.columns import Row, rows_of
+from pfdist.results.columns import Row
 from pfdist.results.pairs import formatted_ranks
-from pfdist.results.sets import best_first
+from pfdist.results.sets import best_first, rows_of_sets
+from pfdist.results.summary import summary_of
 from pfdist.store import is_held
 from pfdist.store.folder import extent, runs_below
 
@@ -100,36 +101,42 @@ def _listed(path: Path, name: str) -> Row:
 
 def _found(run: Run) -> dict[str, Any]:
     """How far a run is, and its best set."""
+    known = summary_of(run)
+    state, draws, rows = (
+        (run.state, run.draws_compared, rows_of_sets(run))
+        if known is None
+        else (known.state_of(run), known.draws, known.sets)
+    )
     found = {
-        "state": _state(run),
-        "draws": run.draws_compared,
+        "state": _state(run, state),
+        "draws": draws,
         "draws_wanted": run.job["comparison"]["draws"],
         "has_budget": "budget" in run.job,
     }
-    if (best := _best(run)) is not None:
+    if not draws:
+        return found
+    if not found["has_budget"] and (best := _best(rows)) is not None:
         gain = math.nan if best.gain_of_means is None else best.gain_of_means
         share = f"{rounded(times_100(abs(gain)), 3)} % {'above' if gain < 0 else 'below'}"
-        words = f"{best.label}: {share} {run.labels[best.reference]}"
-        known = {"best": best.name, "reference": best.reference, "gain_of_means": gain}
-        found |= known | {"found": words}
-    elif found["has_budget"] and found["draws"]:
-        numbers = run.table("sets")["measurements"]
-        found["found"] = f"{formatted_ranks(numbers.min(), numbers.max())} measurements"
+        reference = next(row.label for row in rows if row.name == best.reference)
+        words = f"{best.label}: {share} {reference}"
+        found |= {"best": best.name, "reference": best.reference}
+        found |= {"gain_of_means": gain, "found": words}
+    elif found["has_budget"]:
+        numbers = [row.measurements for row in rows]
+        found["found"] = f"{formatted_ranks(min(numbers), max(numbers))} measurements"
     return found
 
 
-def _state(run: Run) -> str:
+def _state(run: Run, state: str) -> str:
     if is_held(run.path):
         return RUNNING
-    return FINISHED if run.state == "finished" else UNFINISHED
+    return FINISHED if state == "finished" else UNFINISHED
 
 
-def _best(run: Run) -> Row | None:
-    """The best set other than the reference, once draws are compared."""
-    if "budget" in run.job or not run.draws_compared:
-        return None
-    sets = run.table("sets")
-    rows = {row.name: row for row in rows_of(sets) if row.reference is not None}
+def _best(sets: list[Row]) -> Row | None:
+    """The best set other than the reference."""
+    rows = {row.name: row for row in sets if row.reference is not None}
     return next((rows[name] for name in best_first(sets) if name in rows), None)
 
 

@@ -17,7 +17,7 @@ from pfdist.filters.user_prior import as_prior, read_prior
 from pfdist.problem.problem import JobSource
 from pfdist.questions.run_of_job import run_and_job
 from pfdist.results import Run
-from pfdist.results.sets import best_first
+from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.runner.build import Built
 from pfdist.runner.progress import Say
 from pfdist.store.user_tables import is_parquet
@@ -124,7 +124,7 @@ def planned_set(run: Run, name: str) -> tuple[str, Times]:
             f"for instance {list(sets)[-1]}",
             argument="planned",
         )
-    best = best_first(run.table("sets"))[0]
+    best = best_first(rows_of_sets(run))[0]
     return best, sets[best]
 
 

@@ -19,6 +19,7 @@ from pfdist.questions.report import try_report
 from pfdist.questions.run_of_job import folder_of
 from pfdist.questions.run_page import answer_in_a_line
 from pfdist.results import Run, open_run
+from pfdist.results.sets import publish_sets
 from pfdist.runner.bound_settings import BoundSettings, DrawsOrNone
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
@@ -200,6 +201,7 @@ def compute(
             session.reporter.note(optional=0.0)
             if is_known(built) and "evenly_spaced" not in run.tables:
                 yield from compare_evenly_spaced(session, run)
+            publish_sets(run)
             if line := answer_in_a_line(run):
                 say(line)  # first, because the proof takes longer than the search
             if "budget" not in run.job:
@@ -208,6 +210,7 @@ def compute(
                 yield from prover.prove(session, run)
             except (JobError, ModelError, TaskError) as error:  # the results of the run stand
                 _unproved(session, str(error))
+    publish_sets(run)
     session.reporter.finish()
 
 

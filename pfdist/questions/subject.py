@@ -20,7 +20,7 @@ from pfdist.results import Run, reaching
 from pfdist.results.budget_curve import FOUND
 from pfdist.results.columns import COLUMNS, Row, rows_of, sets_table
 from pfdist.results.online import is_online, online_draws
-from pfdist.results.sets import best_first
+from pfdist.results.sets import best_first, rows_of_sets
 from pfdist.results.stored_run import angles_of, problem_of, provenance_of, unproved
 
 if TYPE_CHECKING:
@@ -53,8 +53,7 @@ class Subject:
     @cached_property
     def rows(self) -> dict[str, Row]:
         """The rows of the table of sets by name, the reference first."""
-        is_known = "sets" in self.run.tables
-        return {row.name: row for row in rows_of(self.sets)} if is_known else {}
+        return {row.name: row for row in rows_of_sets(self.run)}
 
     @property
     def reference_row(self) -> Row:
@@ -97,7 +96,7 @@ class Subject:
     @cached_property
     def by_error(self) -> list[str]:
         """Names of the found sets, or of all sets of a run without a search, the best first."""
-        return best_first(self.sets) if self.rows else []
+        return best_first([*self.rows.values()]) if self.rows else []
 
     @property
     def shown(self) -> list[str]:

@@ -11,10 +11,12 @@ from pfdist.common.dotted_keys import leaves, short_names
 from pfdist.common.formatted_times import formatted_time
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded, with_error, with_interval
-from pfdist.results.columns import Row, rows_of
+from pfdist.results.columns import Row
 from pfdist.results.moments import GAINS
 from pfdist.results.run import Run
+from pfdist.results.sets import rows_of_sets
 from pfdist.results.stored_run import evaluations_of, problem_of, version_of
+from pfdist.results.summary import summary_of, worker_seconds_of
 
 _TRUE, _FILTERS = "model.parameters.", "model.filter.parameters."
 _NO_SEARCH = "search"  # the leaf of an empty list
@@ -113,15 +115,15 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
 
 def _rows(run: Run) -> Iterator[Results]:
     """Yield the rows of a run; one without results if only the reference has any."""
-    has_timings = "timings" in run.tables
+    known = summary_of(run)
     shared = {
-        "state": run.state,
-        "draws": run.draws_compared,
-        "evaluations": evaluations_of(run),
-        "worker_seconds": run.table("timings")["seconds"].sum() if has_timings else None,
+        "state": run.state if known is None else known.state_of(run),
+        "draws": run.draws_compared if known is None else known.draws,
+        "evaluations": evaluations_of(run) if known is None else known.evaluations,
+        "worker_seconds": worker_seconds_of(run) if known is None else known.worker_seconds,
         "path": str(run.path),
     }
-    sets = {row.name: row for row in rows_of(run.table("sets"))} if "sets" in run.tables else {}
+    sets = {row.name: row for row in (rows_of_sets(run) if known is None else known.sets)}
     others = [row for row in sets.values() if row.reference is not None]
     if not others:
         yield shared | (_reference(next(iter(sets.values()))) if sets else {})

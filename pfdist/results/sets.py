@@ -16,7 +16,7 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.problem.problem_section import ProblemSection
 from pfdist.problem.set_key import key_of
 from pfdist.results.budget_curve import FOUND, GIVEN, with_bounds, worse_than
-from pfdist.results.columns import COLUMNS
+from pfdist.results.columns import COLUMNS, Row, rows_of
 from pfdist.results.evenly_spaced import columns_of
 from pfdist.results.moments import ComparisonStatistics, gain_over_itself, relative_gain
 from pfdist.results.particle_loss import hardly_measured, particle_losses_of
@@ -31,6 +31,7 @@ from pfdist.results.stored_run import (
     statistics_of,
     worst_of,
 )
+from pfdist.results.summary import keep_summary, summary_of
 from pfdist.store.schema import components_in
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
     """
     import pandas as pd  # noqa: PLC0415  it loads when tables are made
 
+    if (known := summary_of(run)) is not None:
+        return _typed(pd.DataFrame([*map(vars, known.sets)], columns=[*COLUMNS]))
     rows = {row["name"]: row for row in _given(run)}
     statistics = statistics_of(run) if "comparison" in run.tables else None
     if statistics is not None:
@@ -67,6 +70,23 @@ def sets_of(run: StoredRun) -> pd.DataFrame:
         table = with_bounds(table, proofs)
         worse = worse_than(table, blocks_of(run))
         table["worse_than"] = [worse.get(name) for name in table["name"]]
+    return _typed(table)
+
+
+def publish_sets(run: StoredRun) -> None:
+    """Keep the table of sets in a file, unless it is there; the caller holds the run's lock."""
+    if summary_of(run) is None:
+        keep_summary(run, sets_of(run))
+
+
+def rows_of_sets(run: StoredRun) -> list[Row]:
+    """The rows of the table of sets, the reference first; empty before the searches have ended."""
+    if (known := summary_of(run)) is not None:
+        return known.sets
+    return rows_of(sets_of(run)) if "compared" in run.tables else []
+
+
+def _typed(table: pd.DataFrame) -> pd.DataFrame:
     for name, column in COLUMNS.items():
         if column.dtype == "object":
             table[name] = table[name].astype(object).where(table[name].notna(), None)
@@ -326,13 +346,17 @@ def _gain_over_itself(run: StoredRun) -> Results:
     }
 
 
-def best_first(sets: pd.DataFrame) -> list[str]:
+def best_first(sets: Sequence[Row]) -> list[str]:
     """Names of the found sets, or of all sets of a run without a search, the best first.
 
     If the job asks for the least error in the worst scenario, sets are ordered by this error. Sets
     whose error is unknown or infinite come last. The run has one number of measurements.
     """
-    found_sets = sets[sets["kind"] == FOUND]
-    chosen = found_sets if len(found_sets) else sets
-    error = "worst_mse" if chosen["worst_mse"].notna().any() else "expected_mse"
-    return [*chosen.sort_values(error, kind="stable")["name"]]
+    chosen = [row for row in sets if row.kind == FOUND] or sets
+    is_worst = any(row.worst_mse is not None for row in chosen)
+
+    def error(row: Row) -> float:
+        found = row.worst_mse if is_worst else row.expected_mse
+        return math.inf if found is None else found
+
+    return [row.name for row in sorted(chosen, key=error)]

@@ -20,7 +20,7 @@ from pfdist.store.schema import TABLES
 
 MODELS = "model.json"
 ABOUT = ("job.toml", "run.json", MODELS)
-FILES, FIGURES_FOLDER, REPORT = "files.json", "figures", "report.html"
+FILES, FIGURES_FOLDER, REPORT, SUMMARY = "files.json", "figures", "report.html", "sets.parquet"
 FORMATS = ("png", "svg", "pdf")
 """File name extensions of figures."""
 
@@ -100,7 +100,7 @@ def check_entries(folder: Path) -> None:
     """
     below = [f"{place}/{table}" for place in ("tables", "parts") for table in TABLES]
     for is_right, what, names in (
-        (stat.S_ISREG, "file", (*ABOUT, FILES, REPORT)),
+        (stat.S_ISREG, "file", (*ABOUT, FILES, REPORT, SUMMARY)),
         (stat.S_ISDIR, "folder", ("tables", "parts", FIGURES_FOLDER, *below)),
     ):
         for name in names:

@@ -70,7 +70,7 @@ def read_listing(folder: Path) -> Listing | None:
 
 
 def _version(path: Path) -> tuple[int, ...]:
-    """What differs between two versions of a file that is replaced as a whole."""
+    """Numbers that differ between two versions of a file that is replaced as a whole."""
     about = path.stat()
     return about.st_ino, about.st_mtime_ns, about.st_ctime_ns, about.st_size
 

@@ -96,8 +96,14 @@ def _write(name: str, content: bytes) -> Any:
     return lambda run: (run / name).write_bytes(content)
 
 
-def _empty(table: str) -> Any:
-    return lambda run: next((run / table).iterdir()).write_bytes(b"")
+def _unsummed(table: str) -> Any:
+    """A table without content, and no summary: else a list would not read the table."""
+
+    def spoil(run: Path) -> None:
+        (run / "sets.parquet").unlink()
+        next((run / table).iterdir()).write_bytes(b"")
+
+    return spoil
 
 
 @pytest.mark.parametrize(
@@ -107,7 +113,7 @@ def _empty(table: str) -> Any:
         (_write("run.json", b"[" * 9999), "run.json is damaged"),
         (_write("job.toml", b"\xff"), "job.toml is damaged: text must be UTF-8"),
         (_write("job.toml", b"seed = 1"), "job.toml is damaged: its content has another hash"),
-        (_empty("tables/comparison"), "is damaged: its name has another hash"),
+        (_unsummed("tables/comparison"), "is damaged: its name has another hash"),
         (lambda run: (run / "run.json").unlink(), "it has no run.json"),
         (lambda run: (run / "job.toml").unlink(), "it has no job.toml"),
         (

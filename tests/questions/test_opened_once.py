@@ -1,4 +1,4 @@
-"""What was found out once is passed on: a command opens its run once."""
+"""A command opens its run once, and passes on what it has read."""
 
 from collections import Counter
 from pathlib import Path

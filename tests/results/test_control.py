@@ -145,6 +145,7 @@ def test_a_line_says_that_there_are_too_few_draws_for_a_gain(
 
     assert " than with " in str(answer_of(run))
     monkeypatch.setattr(stored_run, "errors_of", shifted)
+    monkeypatch.setattr("pfdist.results.sets.summary_of", lambda run: None)
     text = " ".join(str(answer_of(run)).split())
     assert "The gain is not known" in text
     assert "evenly spaced: The mean of mse - control is not above 0" in text

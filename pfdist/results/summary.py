@@ -1,0 +1,97 @@
+"""The summary of a run: its table of sets in a file, so that looking at many runs takes no time.
+
+The file has a fingerprint of the tables from which it was made. If the run's tables are others now,
+the file counts for nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from typing import TYPE_CHECKING, NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pfdist.errors import StoreError
+from pfdist.results.columns import COLUMNS, Row
+from pfdist.results.stored_run import StoredRun, evaluations_of
+from pfdist.store import QUESTIONS, WHY_PHASE, record_pages, write_file
+from pfdist.store.files import read_if_hashed
+from pfdist.store.folder import SUMMARY
+from pfdist.store.listing import read_listing
+from pfdist.store.tables import write_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_MADE_OF, _EVALUATIONS, _SECONDS = b"made_of", b"evaluations", b"worker_seconds"
+
+
+class Summary(NamedTuple):
+    """The results of a run that a list and a table of runs show."""
+
+    sets: list[Row]  # the rows of the table ``sets``, the reference first
+    evaluations: int
+    worker_seconds: float | None
+
+    @property
+    def draws(self) -> int:
+        """Number of draws that every set has filtered."""
+        return int(self.sets[0].draws)
+
+    def state_of(self, run: StoredRun) -> str:
+        """The state of the run to which the summary belongs."""
+        is_plain = self.draws == run.job["comparison"]["draws"] and "online" not in run.job
+        return "finished" if is_plain else run.state
+
+
+def summary_of(run: StoredRun) -> Summary | None:
+    """The summary of a run as its tables are now; None if there is none."""
+    listing = read_listing(run.path)
+    if listing is None or SUMMARY not in listing.pages:
+        return None
+    try:
+        content = read_if_hashed(run.path / SUMMARY, listing.pages[SUMMARY])
+    except OSError:
+        return None
+    if content is None or not (made_of := _fingerprint(run)):
+        return None
+    table = pq.read_table(pa.BufferReader(content), use_threads=False)
+    metadata = table.schema.metadata
+    if metadata[_MADE_OF] != made_of or table.column_names != [*COLUMNS]:
+        return None
+    seconds = float(metadata[_SECONDS])
+    rows = [Row(**row) for row in table.to_pylist()]
+    return Summary(rows, int(metadata[_EVALUATIONS]), seconds if seconds >= 0.0 else None)
+
+
+def keep_summary(run: StoredRun, sets: pd.DataFrame) -> None:
+    """Write the summary of a run, with its table of sets; the caller holds the run's lock."""
+    made_of, seconds = _fingerprint(run), worker_seconds_of(run)
+    if not made_of:
+        return
+    table = pa.Table.from_pandas(sets, preserve_index=False).replace_schema_metadata(
+        {
+            _MADE_OF: made_of,
+            _EVALUATIONS: str(evaluations_of(run)),
+            _SECONDS: str(-1.0 if seconds is None else seconds),
+        }
+    )
+    with contextlib.suppress(StoreError):  # without it, a list takes longer
+        write_file(run.path / SUMMARY, lambda path: write_table(table, path))
+        record_pages(run.path, [run.path / SUMMARY], locked=True)
+
+
+def worker_seconds_of(run: StoredRun) -> float | None:
+    """Seconds that all tasks have taken, or None if that is not known."""
+    return float(run.table("timings")["seconds"].sum()) if "timings" in run.tables else None
+
+
+def _fingerprint(run: StoredRun) -> bytes:
+    """A hash of the tables from which sets are described; empty if a phase is not finished."""
+    listing = read_listing(run.path)
+    if listing is None or run._store.has_parts(without=QUESTIONS):
+        return b""
+    files = (file for file in sorted(listing.files) if f"/{WHY_PHASE}-" not in file)
+    return hashlib.sha256("\n".join(files).encode()).hexdigest().encode()
