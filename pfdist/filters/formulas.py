@@ -11,13 +11,12 @@ import numpy as np
 
 from pfdist.errors import ModelError
 from pfdist.filters.guiding import Guide, guide_of
-from pfdist.filters.work import FLOAT32, GUIDED, Estimation
+from pfdist.filters.work import GUIDED, Estimation
 from pfdist.kernels import batch as rows
 from pfdist.kernels import guided as guided_rows
 from pfdist.kernels.blocks import Compiled, Source, compile_blocks
 from pfdist.kernels.callbacks import Callback
 from pfdist.kernels.estimators import ESTIMATORS
-from pfdist.kernels.lowering import Precision
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error, squared_error
 from pfdist.models.parameters import check_lengths
@@ -46,7 +45,6 @@ def filter_blocks(
         guided=settings.guides(model),
         draws_again=settings.proposal == GUIDED,
         by_error=ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
-        dtype=settings.dtype,
     )
     result: tuple[Compiled, tuple[int, ...], Guiding]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
@@ -62,7 +60,6 @@ class _Kind(NamedTuple):
     guided: bool  # by the model's own proposal
     draws_again: bool  # guided by the derived proposal
     by_error: bool  # whether DEVIATIONS are the truth's own error
-    dtype: str
 
 
 def _filter_blocks(
@@ -105,12 +102,6 @@ def _filter_blocks(
     for number, blocks_of_sensor in enumerate(guiding.sources):
         first = rows.SENSORS + len(model.parts) + int(guided_rows.BLOCKS) * number
         sources |= {first + row: each for row, each in blocks_of_sensor.items()}
-    if kind.dtype == FLOAT32:
-        if any(isinstance(each, Callback) for each in sources.values()):
-            raise ModelError(f"filter.dtype = {FLOAT32!r} needs traced formulas")
-        sources |= {
-            row: _of_singles(row, each) for row, each in sources.items() if isinstance(each, Source)
-        }
     blocks = compile_blocks([sources.get(row) for row in range(max(sources) + 1)], instants)
     return blocks, _components_of_state(sources[rows.QUANTITY]), guiding
 
@@ -199,14 +190,6 @@ def _sources_of_guide(guide: Guide, instants: range) -> dict[int, Source]:
         guided_rows.DRAWN: source("drawn", k + 1, {"x": k + guide.sums, "u": k + 1}, once),
     }
     return {int(row): each for row, each in sources.items() if each is not None}
-
-
-def _of_singles(row: Any, source: Source) -> Source:
-    """The source for particles with float32 states; estimates and errors remain float64."""
-    computes = row in (rows.INITIAL, rows.TRANSITION, rows.GUIDED) or row >= rows.SENSORS
-    reads = computes or row in (rows.QUANTITY, rows.DEVIATIONS)
-    kinds = Precision("f4" if reads else "f8", "f4" if computes else "f8")
-    return source._replace(precision=kinds)
 
 
 def _components_of_state(quantity: Source | Callback | None) -> tuple[int, ...]:

@@ -225,7 +225,7 @@ def _filter(
     )
     estimate, variance = wanted.moments
     results = Results(mse, degenerate.view(np.uint8), estimate, variance, *wanted[1:])
-    filter_all(blocks, request, planned, results, scheme.name, settings.dtype)
+    filter_all(blocks, request, planned, results, scheme.name)
     callbacks.check()
     if scheme.holds_truth:
         mse[degenerate] = np.nan  # the truth itself does not explain a measurement

@@ -19,9 +19,6 @@ from pfdist.models import StateSpaceModel
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
 
-FLOAT64, FLOAT32 = "float64", "float32"
-"""Floating-point types of the particles' states."""
-
 PLAIN, GUIDED = "plain", "guided"
 """Ways to draw the particles' noise: from the model, or given the next measurement."""
 
@@ -41,7 +38,6 @@ class Estimation:
     estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.interface`
     threshold: float = ALWAYS  # see `pfdist.kernels.schemes.threshold_of`
     prior: Prior | None = None  # in the place of `initial`
-    dtype: str = FLOAT64  # of the particles' states
     proposal: str = PLAIN  # see `pfdist.filters.guiding`
 
     @property
@@ -62,8 +58,6 @@ class Estimation:
         del recorded["prior"]
         if not self.carries:
             del recorded["threshold"]
-        if self.dtype == FLOAT64:
-            del recorded["dtype"]
         if self.proposal == PLAIN:
             del recorded["proposal"]
         return recorded

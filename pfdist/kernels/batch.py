@@ -14,7 +14,7 @@ from pfdist.kernels.ancestors import Resampling
 from pfdist.kernels.blocks import Blocks, call_block
 from pfdist.kernels.cached import compiled
 from pfdist.kernels.estimators import ErrorWeights
-from pfdist.kernels.memory import States, ahead, call, readers
+from pfdist.kernels.memory import ahead, call, readers
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.variates import Key, Row
 
@@ -138,14 +138,14 @@ class Batch(NamedTuple):
     half: NDArray[np.int64]  # (1,): which half of the cloud counts
     # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
     # step reads one half and writes the other
-    cloud: States
-    again: States  # n rows, for filters with a proposal
+    cloud: NDArray[np.float64]
+    again: NDArray[np.float64]  # n rows, for filters with a proposal
     origin: NDArray[np.float64]  # n rows, for guided filters: x at the last measurement
     records: NDArray[np.float64]  # for guided filters, see `pfdist.kernels.guided`
     noises: NDArray[np.float32]  # for guided filters: noise of each step, as in `noise`
     drawn: NDArray[np.float64]  # rows of the block DRAWN
     quantity: NDArray[np.float64]  # z, with cosines and sines of angles; squared deviations
-    log_weight: States
+    log_weight: NDArray[np.float64]
     log_carried: NDArray[np.float64]
     cumulative: NDArray[np.float64]
     noise: NDArray[np.float32]
@@ -167,7 +167,7 @@ class Batch(NamedTuple):
 class Saved(NamedTuple):
     """Batches from which later sets resume, one for each slot of the plan."""
 
-    cloud: States  # (slots, n * stride)
+    cloud: NDArray[np.float64]  # (slots, n * stride)
     origin: NDArray[np.float64]  # the same, for guided filters
     weight: NDArray[np.float32]  # (slots, stride)
     numbers: NDArray[np.float64]  # (slots, 2, row): `total` and `error`

@@ -625,12 +625,12 @@ _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, a
 
 
 def filter_all(
-    compiled: Compiled, request: Request, plan: Plan, results: Results, scheme: str, dtype: str
+    compiled: Compiled, request: Request, plan: Plan, results: Results, scheme: str
 ) -> None:
     """Filter all draws, in arrays that each call allocates, so that threads can run in parallel.
 
-    `dtype` is the type of the particles' states, "float64" or "float32", as in the blocks. The
-    number of particles that a Python function receives does not depend on the rest of the request.
+    The number of particles that a Python function receives does not depend on the rest of the
+    request.
     """
     width = -(-request.particles // LANES) * LANES
     numbers = (request.states + 1) * width * max(1, plan.clouds)
@@ -642,16 +642,16 @@ def filter_all(
     elif compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
-    batch, saved, _memory = _arrays(request, plan, width, draws, dtype)
+    batch, saved, _memory = _arrays(request, plan, width, draws)
     apart = request.sets * request.instants if results.errors.ndim == 3 else 0
     wanted = Wanted(results.estimate.size > 0, results.errors.size > 0, apart)
     scratch = resampling_scratch(draws, width)
-    steps = _needed(request, plan, results, scheme, dtype)
+    steps = _needed(request, plan, results, scheme)
     blocks = compiled.blocks
-    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps), dtype)
+    filter_draws(Work(blocks, request, plan, results, wanted, batch, scratch, saved, steps))
 
 
-def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: str) -> Steps:
+def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Steps:
     """The steps that this filter needs."""
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     draws_again = request.rows.size > 0
@@ -659,7 +659,7 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: 
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
 
     def address(function: Entry, is_needed: bool = True) -> int:
-        return function.address_for(dtype) if is_needed else 0
+        return function.address if is_needed else 0
 
     return Steps(
         begin=address(_take_prior if request.has_prior else _draw_prior),
@@ -684,7 +684,7 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str, dtype: 
 
 
 def _arrays(
-    request: Request, plan: Plan, width: int, draws: int, dtype: str
+    request: Request, plan: Plan, width: int, draws: int
 ) -> tuple[Batch, Saved, list[NDArray[np.uint8]]]:
     """The arrays of a batch of draws, and their memory."""
     stride, row, slots = draws * width, -(-draws // LANES) * LANES, plan.clouds
@@ -695,7 +695,6 @@ def _arrays(
         steps = guided.longest_gap(plan) + 1
     memory, arrays = zeros(
         Batch,
-        dtype,
         half=1,
         cloud=2 * (states + 1) * stride,
         again=states * stride if request.guided else 0,
@@ -723,7 +722,6 @@ def _arrays(
     )
     kept, places = zeros(
         Saved,
-        dtype,
         cloud=slots * states * stride,
         origin=slots * states * stride if request.rows.size else 0,
         weight=slots * stride,

@@ -19,7 +19,7 @@ from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets, sum_errors
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import FLOAT32, Estimation, with_truth
+from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models.by_value import by_value, made
 from pfdist.models.recorded import differences, recorded, untraced, with_functions
@@ -362,13 +362,6 @@ def test_the_filters_model_must_declare_other_functions_as_another_version():
         recorded_evaluator(model_with(0.5), model_with(-0.5), horizon=HORIZON)
     other = recorded_evaluator(model_with(0.5), model_with(-0.5, "2"), horizon=HORIZON)
     assert other.believed != other.model
-
-
-def test_states_of_float32_need_traced_formulas():
-    model = batched(UNGM)
-    given = simulate(model, HORIZON, range(5), 3), (TIMES,), (HORIZON,), STREAM
-    with pytest.raises(ModelError, match="'float32' needs traced formulas"):
-        filter_checked_sets(model, *given, Estimation(10, dtype=FLOAT32))
 
 
 def test_a_filter_of_one_system_calls_a_batched_model():

@@ -42,11 +42,10 @@ def test_sharp_sensors_are_guided_and_the_growth_model_is_not() -> None:
     "change",
     [
         {"engine": "numpy"},
-        {"dtype": "float32"},
         {"model": sharp_walk(3)},  # which has a proposal of its own
         {"engine": "kalman"},
     ],
-    ids=["numpy", "float32", "own proposal", "kalman"],
+    ids=["numpy", "own proposal", "kalman"],
 )
 def test_where_it_is_not_possible_auto_is_plain(change: dict[str, object]) -> None:
     given = problem(change.pop("model", SHARP), **change)
