@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -42,8 +42,7 @@ def filter_blocks(
     computed, or an angle. Raises `TraceError` if a formula cannot be traced.
     """
     kind = _Kind(
-        guided=settings.guides(model),
-        draws_again=settings.proposal == GUIDED,
+        guided=settings.proposal == GUIDED,
         by_error=ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
     )
     result: tuple[Compiled, tuple[int, ...], Guiding]
@@ -57,8 +56,7 @@ def filter_blocks(
 class _Kind(NamedTuple):
     """The settings on which the blocks of a filter depend."""
 
-    guided: bool  # by the model's own proposal
-    draws_again: bool  # guided by the derived proposal
+    guided: bool
     by_error: bool  # whether DEVIATIONS are the truth's own error
 
 
@@ -72,7 +70,7 @@ def _filter_blocks(
     check_lengths(truth.parameters, instants.stop)
     states, (own, once) = model.components[0], (_Formulas(model, truth), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
-    x, u = {"x": states}, {"u": len(model.proposal_variates)}
+    x = {"x": states}
     z, source = "quantity_of_interest", partial(_source, model)
     deviations = ("errors", own.errors) if kind.by_error else (z, own.deviations)
     sources = dict[Any, Source | Callback | None](
@@ -95,10 +93,7 @@ def _filter_blocks(
     )
     for number, part in enumerate(model.parts):
         sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
-    if kind.guided:
-        given = {**x, "y": model.components[1], "t": 0, **u}
-        sources[rows.GUIDED] = source(states + 1, "proposal", own.guided, given, instants[:-1])
-    guiding = guiding_of(model, instants) if kind.draws_again else Guiding()
+    guiding = guiding_of(model, instants) if kind.guided else Guiding()
     for number, blocks_of_sensor in enumerate(guiding.sources):
         first = rows.SENSORS + len(model.parts) + int(guided_rows.BLOCKS) * number
         sources |= {first + row: each for row, each in blocks_of_sensor.items()}
@@ -251,11 +246,7 @@ def _source(
         return None
     given = {**arguments, "p": 0}
     formula = Formula(function, name, given, model.parameters, model.name, results)
-    several = {
-        "proposal": ("proposal", "proposal_log_density", "transition"),
-        "errors": ("quantity_of_interest", "error"),
-    }
-    needed = several.get(name, (name,))
+    needed = ("quantity_of_interest", "error") if name == "errors" else (name,)
     if any(isinstance(model.formulas.get(each), Untraced) for each in needed):
         return _called(model, formula)
     return Source(trace(formula, instants), _layout(formula), model.parameters, results)
@@ -333,26 +324,6 @@ class _Formulas:
             angular = (1.0 - variance) * angular_error(first, mean) if is_angle else 0.0
             total = total + (angular if is_angle else (first - mean) ** 2)
         return total
-
-    def guided(self, x: Any, y: Any, t: Any, u: Any, p: Any) -> tuple[Any, ...]:
-        """x(t + 1) by the proposal, and the logarithm of p(w) / q(w | x, y)."""
-        formulas = self.model.formulas
-        w = formulas["proposal"](x, y, t, u, p)
-        by_model = log_density(self.model.process_noise, w)
-        by_proposal = formulas["proposal_log_density"](w, x, y, t, p)
-        return (*self.model.transition(x, t, w, p), by_model - by_proposal)
-
-
-def log_density(kinds: Sequence[str], w: Sequence[Any]) -> Any:
-    """Log-density of noise of these kinds."""
-    total: Any = 0.0
-    for kind, value in zip(kinds, w, strict=True):
-        if kind == "normal":
-            total = total + (-0.5 * value * value - _LOG_OF_ROOT)
-        else:
-            centre = 0.5 if kind == "uniform" else 0.0
-            total = total + np.where(np.abs(value - centre) <= 0.5, 0.0, -math.inf)
-    return total
 
 
 def _direction(cosine: Any, sine: Any) -> Any:

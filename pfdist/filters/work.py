@@ -13,8 +13,7 @@ from pfdist.common.streams import stream_key
 from pfdist.filters.cloud import Prior
 from pfdist.kernels.estimators import CONTROL, ESTIMATORS, FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.schemes import ALL_SCHEMES, ALWAYS, CONDITIONAL, MULTINOMIAL
-from pfdist.models import StateSpaceModel
+from pfdist.kernels.schemes import ALWAYS, CONDITIONAL, MULTINOMIAL
 
 if TYPE_CHECKING:
     from pfdist.filters.evaluator import Evaluator
@@ -44,12 +43,6 @@ class Estimation:
     def carries(self) -> bool:
         """Whether the filter may carry weights from one measurement to the next."""
         return self.threshold < ALWAYS
-
-    def guides(self, model: StateSpaceModel) -> bool:
-        """Whether the filter draws from the model's proposal; the bound's filter does not."""
-        if self.proposal != PLAIN:
-            return False
-        return model.guided and not ALL_SCHEMES[self.resampling].holds_truth
 
     @property
     def recorded(self) -> dict[str, int | float | str]:

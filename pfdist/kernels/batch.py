@@ -18,8 +18,8 @@ from pfdist.kernels.memory import ahead, call, readers
 from pfdist.kernels.prefixes import Plan
 from pfdist.kernels.variates import Key, Row
 
-INITIAL, TRANSITION, GUIDED, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
-    np.arange(10)  # NumPy's: Numba compiles a function again for each integer of Python
+INITIAL, TRANSITION, QUANTITY, DEVIATIONS, ESTIMATE, ERROR, DISTANCE, LOGARITHM, SENSORS = (
+    np.arange(9)  # NumPy's: Numba compiles a function again for each integer of Python
 )
 """Rows of `Blocks`: what each block computes. The last is the log-likelihood of the first sensor;
 those of further sensors follow.
@@ -29,7 +29,6 @@ block      from                                to
 ========== =================================== ====================================================
 INITIAL    noise                               x(0)
 TRANSITION x, noise                            x(t + 1)
-GUIDED     x, noise of the proposal, y(t + 1)  x(t + 1), and log p(w) - log q(w | x, y)
 QUANTITY   x                                   z; then the sines of the components that are angles
 DEVIATIONS x, mean of z                        squared deviation of each component of z
 ESTIMATE   weighted means of QUANTITY          mean of z (of draws)
@@ -77,7 +76,6 @@ class Request(NamedTuple):
     first_components: NDArray[np.int64]  # (sensors,): of y, for each sensor
     particles: int
     holds_truth: bool  # whether particle 0 is the truth
-    guided: bool  # whether the model has a proposal of its own
     # (sensors,): rows of the linear measurement of a guided sensor, see `pfdist.filters.guiding`; 0
     # for a sensor that is not guided. Empty if no sensor is guided.
     rows: NDArray[np.int64]
@@ -89,11 +87,11 @@ class Request(NamedTuple):
     weights: ErrorWeights  # the terms of the estimator
     instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
     components: int  # of the longest process
-    # (3, components): kinds of INITIAL_NOISE, PROCESS_NOISE and PROPOSAL_NOISE; -1 for none
+    # (2, components): kinds of INITIAL_NOISE and PROCESS_NOISE; -1 for none
     kinds: NDArray[np.int64]
 
 
-INITIAL_NOISE, PROCESS_NOISE, PROPOSAL_NOISE = np.arange(3)
+INITIAL_NOISE, PROCESS_NOISE = np.arange(2)
 
 
 class Results(NamedTuple):
@@ -139,7 +137,6 @@ class Batch(NamedTuple):
     # of particles: two halves with n states, and a row each for the logarithms of a proposal; a
     # step reads one half and writes the other
     cloud: NDArray[np.float64]
-    again: NDArray[np.float64]  # n rows, for filters with a proposal
     origin: NDArray[np.float64]  # n rows, for guided filters: x at the last measurement
     records: NDArray[np.float64]  # for guided filters, see `pfdist.kernels.guided`
     noises: NDArray[np.float32]  # for guided filters: noise of each step, as in `noise`
@@ -187,7 +184,7 @@ class Steps(NamedTuple):
     put_truth: int
     forget: int
     weigh: int
-    move_again: int
+    leave_out: int
     set_out: int
     guide: int
     sort: int

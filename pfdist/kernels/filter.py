@@ -28,12 +28,10 @@ from pfdist.kernels.batch import (
     DISTANCE,
     ERROR,
     ESTIMATE,
-    GUIDED,
     INITIAL,
     INITIAL_NOISE,
     LOGARITHM,
     PROCESS_NOISE,
-    PROPOSAL_NOISE,
     QUANTITY,
     SENSORS,
     TRANSITION,
@@ -152,8 +150,8 @@ def _measure(measurement):
     if is_drawn_again(measurement):
         call(steps.guide, measurement)
     call(steps.weigh, measurement)
-    if steps.move_again != 0:
-        call(steps.move_again, measurement)
+    if steps.leave_out != 0:
+        call(steps.leave_out, measurement)
     if steps.sort != 0:
         call(steps.sort, measurement)
 
@@ -247,18 +245,11 @@ def _set_out(instant):
 
 @entry(Instant)
 def _move(instant):
-    """Fill the other half with x(t); to a measurement by the proposal if there is one."""
-    at, _, t, sensors, _ = read(instant)
+    """Fill the other half with x(t)."""
+    at, _, t, _, _ = read(instant)
     request, batch = request_of(at.work), batch_of(at.work)
-    source, target, before = present(at), other(at), request.start + t - 1
-    if sensors > 0 and request.guided:
-        fill_noise(at, PROPOSAL_NOISE, before, FILTER_PROCESS)
-        y = measured_at(at, t, np.int64(0))
-        of_draw = request.instants * request.measurements
-        with_given(at, GUIDED, t - 1, source, target, y, of_draw, 1)
-    else:
-        fill_noise(at, PROCESS_NOISE, before, FILTER_PROCESS)
-        of_particles(at, TRANSITION, t - 1, source, target)
+    fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
+    of_particles(at, TRANSITION, t - 1, present(at), other(at))
     batch.half[0] = 1 - batch.half[0]
 
 
@@ -306,26 +297,6 @@ def _weigh(instant):
             batch.degenerate[d] = 1
 
 
-@entry(Instant)
-def _move_again(instant):
-    """Repeat the step to t without the proposal for draws whose measurement is left out."""
-    at, _, t, _, _ = read(instant)
-    request, batch = request_of(at.work), batch_of(at.work)
-    fails = False
-    for d in range(at.draws):
-        fails |= batch.weighs[d] == 0
-    if t == 0 or not fails:
-        return
-    source, cloud = other(at), present(at)
-    fill_noise(at, PROCESS_NOISE, request.start + t - 1, FILTER_PROCESS)
-    of_particles(at, TRANSITION, t - 1, source, batch.again)
-    for d in range(at.draws):
-        if not batch.weighs[d]:
-            for c in range(request.states):
-                place = c * batch.stride + d * batch.width
-                copy_numbers(ahead(batch.again, place), ahead(cloud, place), batch.width)
-
-
 @compiled
 def _fill_log_weights(instant):
     """Log-likelihoods, with the logarithms of a proposal and of carried weights."""
@@ -335,7 +306,7 @@ def _fill_log_weights(instant):
     y = measured_at(at, t, request.first_components[sensor])
     of_draw, block = request.instants * request.measurements, SENSORS + sensor
     with_given(at, block, t, cloud, batch.log_weight, y, of_draw, 1)
-    if (request.guided and t > 0) or is_drawn_again(instant):
+    if is_drawn_again(instant):
         guide = ahead(cloud, request.states * batch.stride)
         for i in range(used):
             batch.log_weight[i] += guide[i]
@@ -655,7 +626,6 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Step
     """The steps that this filter needs."""
     weights, saves = request.weights, bool((plan.slots >= 0).any())
     draws_again = request.rows.size > 0
-    goes_back = request.guided or draws_again
     has_variance = weights.variance != 0.0 or weights.distance != 0.0 or results.estimate.size > 0
 
     def address(function: Entry, is_needed: bool = True) -> int:
@@ -669,7 +639,7 @@ def _needed(request: Request, plan: Plan, results: Results, scheme: str) -> Step
         put_truth=address(_put_truth, request.holds_truth),
         forget=address(_forget),
         weigh=address(_weigh),
-        move_again=address(_move_again if request.guided else guided.leave_out, goes_back),
+        leave_out=address(guided.leave_out, draws_again),
         set_out=address(_set_out, draws_again),
         guide=address(guided.guide, draws_again),
         sort=address(_sort, ALL_SCHEMES[scheme].sorts),
@@ -697,7 +667,6 @@ def _arrays(
         Batch,
         half=1,
         cloud=2 * (states + 1) * stride,
-        again=states * stride if request.guided else 0,
         origin=states * stride if steps else 0,
         records=(steps + 1) * request.record_rows * int(guided.CHUNK) if steps else 0,
         noises=2 * steps * request.components * spacious if steps else 0,

@@ -149,10 +149,6 @@ def doubled(model: StateSpaceModel) -> StateSpaceModel:
     Both have the same Brownian motions in draws of the same stream: further variates divide the
     increments (the construction of Levy).
 
-    Raises
-    ------
-    ModelError
-        The model has a proposal, which does not draw the noise of more steps.
     """
     transition, own, flows = model.transition, len(model.process_noise), list[Flow]()
     if isinstance(transition, Programs | Untraced):
@@ -177,8 +173,6 @@ def doubled(model: StateSpaceModel) -> StateSpaceModel:
 
     replace(model, transition=twice)  # which calls it
     noise = sum((flow.process_noise for flow in flows), model.process_noise)
-    if model.guided and len(noise) > own:
-        raise ModelError(f"model {model.name} has a proposal, which draws no noise of more steps")
     return replace(model, transition=twice, process_noise=noise) if flows else model
 
 

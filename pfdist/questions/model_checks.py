@@ -31,7 +31,7 @@ from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded, with_untraced
 from pfdist.models.twin import traced
-from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.questions.measured import missing_components, normalised
 from pfdist.results.particle_loss import top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
@@ -185,7 +185,6 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         ("log_likelihood", True, likelihood),
         ("normalised", model.normalised, normalised),
         ("missing components", model.missing_components, missing_components),
-        ("proposal", model.guided, proposal),
     ):
         if is_declared:
             within = Within(_LONGEST)

@@ -261,7 +261,7 @@ def _chosen(built: Built, asked: float | None) -> str:
 
     evaluator, plain = built.evaluator.self_consistent, built.comparing
     is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
-    if not is_possible or evaluator.model.guided:
+    if not is_possible:
         return PLAIN
     choices = _choices_of(built, plain.particles)
     if asked is not None and "" in choices:

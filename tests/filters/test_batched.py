@@ -12,7 +12,6 @@ import pytest
 
 from oracles.batched import batched
 from oracles.clocked import times_of
-from oracles.guided import growth, sharp_walk
 from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, load_model
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
@@ -38,8 +37,6 @@ KINDS = [
     pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
     pytest.param(load_model("pharmacokinetics"), Estimation(100), id="clock"),
     pytest.param(load_model("lotka_volterra"), Estimation(100), id="loops"),
-    pytest.param(growth, Estimation(100, "systematic"), id="guided"),
-    pytest.param(sharp_walk(3), Estimation(100, "stratified"), id="guided, 3 components"),
 ]
 
 

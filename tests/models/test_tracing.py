@@ -60,7 +60,7 @@ def test_each_model_that_ships_is_traced_with_symbols_alone(name):
     for part in with_clock(load_model(name), 30).parts:
         model, (n, m, q) = part.model, part.model.components
         sizes = {"x": n, "y": m, "z": q, "estimate": q, "t": 0, "p": 0}
-        sizes |= {"v": len(model.measurement_noise), "u": len(model.proposal_variates)}
+        sizes["v"] = len(model.measurement_noise)
         for key, function in model.formulas.items():
             sizes["w"] = len(model.initial_noise if key == "initial" else model.process_noise)
             arguments = {each: sizes[each] for each in ARGUMENTS[key]}
