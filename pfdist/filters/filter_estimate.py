@@ -100,7 +100,7 @@ def explained(model: StateSpaceModel, cloud: Cloud, y: Array) -> Explained:
     """
     own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
     with np.errstate(all="ignore"):
-        log_weight = np.zeros(1) + log_likelihood(model, cloud, y)
+        log_weight = log_likelihood(model, cloud, y)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)

@@ -1,6 +1,5 @@
 """The formulas of simulations and filters, traced and compiled for given instants."""
 
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +25,6 @@ from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula, Traced, trace
 from pfdist.models.twin import formula_of, traced
 
-_LOG_OF_ROOT = math.log(2.0 * math.pi) / 2.0
 _MOST_DERIVED = 5_000  # operations of a program: a larger one takes minutes to compile
 # Linearisations: with sharp ranges and bearings, errors were 3 times too large after one, 1 % after
 # two, and as after six after three.

@@ -27,7 +27,6 @@ from pfdist.models.parameters import (
     trial_parameters,
 )
 from pfdist.models.programs import Programs
-from pfdist.models.seeing import in_python
 
 _MOST_KEPT = 1000  # results that are derived from a model, such as traced formulas
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
@@ -205,13 +204,7 @@ class StateSpaceModel:
         for name in own_formulas(self):
             formula = getattr(self, name)
             if isinstance(formula, Programs):
-                formula = formula.with_parameters(self.parameters)
-            else:
-                try:
-                    formula = in_python(formula)
-                except ModelError as error:
-                    raise ModelError(f"model {self.name}: {name} {error}") from error
-            object.__setattr__(self, name, formula)
+                object.__setattr__(self, name, formula.with_parameters(self.parameters))
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
         for kind in _NAMES:
             self.named(kind)

@@ -21,7 +21,6 @@ from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
 from pfdist.models.programs import Programs, Untraced
 from pfdist.models.repeating import repeated
-from pfdist.models.seeing import in_python
 from pfdist.models.tracing import Covariate
 
 Values = tuple[Any, ...]
@@ -231,10 +230,9 @@ def ode(
     >>> f"{decay((1.0,), 0, (), None)[0]:.4f}"
     '0.3679'
     """
-    rates = in_python(rhs)
 
     def derivative(x: Values, t: Any, p: Any) -> Values:
-        return components(rates(x, t, p), len(x), "rhs")
+        return components(rhs(x, t, p), len(x), "rhs")
 
     def heun(x: Values, begin: Any, h: Any, _: Values, p: Any) -> Values:
         first = derivative(x, begin, p)
@@ -310,12 +308,11 @@ def sde(
     Kloeden, Platen, "Numerical solution of stochastic differential equations", 1992, sections 10.2
     and 11.1.
     """
-    rates, spread = in_python(drift), in_python(diffusion)
 
     def change(x: Values, t: Any, h: Any, dw: Values, p: Any) -> Values:
         """The sum of drift and noise in a step, with rates at x."""
-        steady = components(rates(x, t, p), len(x), "drift")
-        return _plus(_noise_of(spread(x, t, p), len(x), dw), h, steady)
+        steady = components(drift(x, t, p), len(x), "drift")
+        return _plus(_noise_of(diffusion(x, t, p), len(x), dw), h, steady)
 
     def euler(x: Values, begin: Any, h: Any, dw: Values, p: Any) -> Values:
         return _plus(x, 1.0, change(x, begin, h, dw, p))
