@@ -406,17 +406,10 @@ def test_a_prior_of_particles_is_where_the_first_path_begins() -> None:
         assert (abs(standard_errors(difference)) < 4.5).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"engine": "numpy"}, "filter.engine = 'compiled', got 'numpy'"),
-        ({"engine": "batched"}, "filter.engine = 'compiled', got 'batched'"),
-        ({"estimations": (guided(20, dtype="float32"),)}, "filter.dtype = 'float64', got"),
-    ],
-)
-def test_other_engines_refuse_it(change: dict[str, Any], says: str) -> None:
-    with pytest.raises(ModelError, match=says):
-        Evaluator(**({"model": MIXED, "horizon": 5, "estimations": (guided(20),)} | change))
+@pytest.mark.parametrize("engine", ["numpy", "batched"])
+def test_other_engines_refuse_it(engine: str) -> None:
+    with pytest.raises(ModelError, match=f"filter.engine = 'compiled', got '{engine}'"):
+        Evaluator(MIXED, 5, estimations=(guided(20),), engine=engine)
 
 
 def test_a_model_without_normal_noise_is_refused() -> None:
