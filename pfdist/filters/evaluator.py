@@ -28,7 +28,6 @@ from pfdist.filters.scenarios import Numbers, scenarios_of_draws, stretches
 from pfdist.filters.settings import check_filter, check_fits
 from pfdist.filters.simulation import simulate
 from pfdist.filters.work import (
-    FLOAT64,
     GUIDED,
     PLAIN,
     Estimation,
@@ -344,21 +343,11 @@ class Evaluator:
         for each in self.of_scenarios:
             each.check(estimation)
         engine = self.computed_by.name
-        if estimation.dtype != FLOAT64 and engine != COMPILED.name:
+        if estimation.proposal == GUIDED and engine != COMPILED.name:
             raise ModelError(
-                f"filter.dtype = {estimation.dtype!r} needs the engine {COMPILED.name!r}, got "
-                f"{engine!r}: filter.dtype = {FLOAT64!r} is for every engine"
+                f"filter.proposal = {GUIDED!r} needs filter.engine = {COMPILED.name!r}, got "
+                f"{engine!r}: {PLAIN!r} is for every engine"
             )
-        if estimation.proposal == GUIDED:
-            for name, got, needed in (
-                ("engine", engine, COMPILED.name),
-                ("dtype", estimation.dtype, FLOAT64),
-            ):
-                if got != needed:
-                    raise ModelError(
-                        f"filter.proposal = {GUIDED!r} needs filter.{name} = {needed!r}, got "
-                        f"{got!r}: {PLAIN!r} is for every {name}"
-                    )
         if not self.exact:
             check_filter(self.believed, self.model, estimation)
 

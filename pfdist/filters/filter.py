@@ -225,12 +225,8 @@ class Filter:
             self._filter = self._ahead = predicted
             self._now = self._estimate(mean[-1], variance[-1])
             return self._now
-        # A proposal makes the step to t with the measurement, so the filter goes on from before t.
-        before = self._filter if self._filter.t < t and self.model.guided else predicted
-        moved, mean, variance = before.at(t, measurement)
-        belief, log_density, surprise = self._explained(
-            before, predicted, measurement, mean, variance
-        )
+        moved, mean, variance = predicted.at(t, measurement)
+        belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
         now = estimate_of(
             t, mean[-1], variance[-1], self.model.is_angle, belief, surprise, self._collapsed
         )
@@ -318,14 +314,14 @@ class Filter:
         return estimate_of(prior.t, mean, variance, is_angle, belief, collapsed=collapsed)
 
     def _explained(
-        self, before: OneFilter, predicted: OneFilter, y: Array, mean: Array, variance: Array
+        self, predicted: OneFilter, y: Array, mean: Array, variance: Array
     ) -> tuple[Belief, float, float]:
         """The belief after a measurement, the measurement's log-density, and its surprise."""
         prior = _prior(predicted)
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
             return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
-        weighted = explained(before, prior.t, y)
+        weighted = explained(self.model, prior, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)

@@ -42,7 +42,7 @@ class _Declaration(Arguments):
 class BatchedModel(StateSpaceModel):
     """A model whose functions take and give arrays of particles.
 
-    The functions are those of `StateSpaceModel`. x, w, v, y, u and z are arrays (components, S) of
+    The functions are those of `StateSpaceModel`. x, w, v, y and z are arrays (components, S) of
     float64 for S particles of several draws, t is one integer, and p has numbers. They give arrays
     (components, S) of float64 or tuples of rows; `log_likelihood` gives (S,). They may call any
     library, and must change nothing, their arguments included.

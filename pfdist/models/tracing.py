@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+from numba import errors
 from numpy.typing import NDArray
 
 from pfdist.common.stopping import check
@@ -305,6 +306,11 @@ def trace(formula: Formula, instants: range) -> Traced:
         except BaseException as error:  # a formula may raise any exception
             if is_interrupt(error):
                 raise
+            if isinstance(error, errors.NumbaError):
+                raise ModelError(
+                    f"model {formula.model}: {formula.name} must call functions of Python, got one "
+                    f"that numba.njit compiled; write f.py_func instead of f{place_of(error)}"
+                ) from error
             if mode == MODES[-1]:
                 raise _explained(formula, error) from error
     raise AssertionError

@@ -17,8 +17,6 @@ from pfdist.models.checks import ARGUMENTS
 from pfdist.models.programs import Programs, Untraced
 from pfdist.models.tracing import Formula, Traced, trace
 
-_STEPS = ("transition", "proposal", "proposal_log_density")  # from an instant to the next
-
 
 def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
     """A formula of a model, traced at instants.
@@ -47,18 +45,18 @@ def traced(model: StateSpaceModel, name: str, instants: range) -> Traced:
 def instants_of(name: str, instants: range) -> range:
     """The instants at which a formula is traced, given instants of the system.
 
-    Formulas of steps leave out the last, unless it is the only one; `initial` is traced at 0.
+    `transition` leaves out the last, unless it is the only one; `initial` is traced at 0.
     """
     if name == "initial":
         return range(1)
-    return (instants[:-1] or instants) if name in _STEPS else instants
+    return (instants[:-1] or instants) if name == "transition" else instants
 
 
 def formula_of(model: StateSpaceModel, name: str) -> Formula:
     """A model's formula, with the numbers of components of its arguments."""
     sizes = dict(zip("xyz", model.components, strict=True))
     sizes |= {"w": len(model.process_noise), "v": len(model.measurement_noise), "t": 0, "p": 0}
-    sizes |= {"u": len(model.proposal_variates), "estimate": sizes["z"]}
+    sizes["estimate"] = sizes["z"]
     if name == "initial":
         sizes["w"] = len(model.initial_noise)
     arguments = {argument: sizes[argument] for argument in ARGUMENTS[name]}
@@ -70,7 +68,7 @@ def results_of(model: StateSpaceModel, name: str) -> int:
     """The number of components that a formula gives; 1 for a number."""
     states, measurements, quantities = model.components
     counts = {"initial": states, "transition": states, "measurement": measurements}
-    counts |= {"quantity_of_interest": quantities, "proposal": len(model.process_noise)}
+    counts["quantity_of_interest"] = quantities
     return counts.get(name, 1)
 
 

@@ -44,6 +44,7 @@ def _data_of(model: StateSpaceModel) -> dict[str, Any]:
     """A recorded model as data for JSON."""
     data = {name: _plain(getattr(model, name)) for name in PLAIN}
     return data | {
+        "proposal_noise": [],  # which versions before had, so that keys of models are as they were
         "parameters": _plain(model.parameters),
         "formulas": {name: _formula(model, name) for name in own_formulas(model)},
         "sensors": {
@@ -151,9 +152,10 @@ def _need(is_right: bool, what: str) -> None:
 
 def _model(data: Mapping[str, Any]) -> StateSpaceModel:
     _need(
-        {*data} == {*PLAIN, "parameters", "formulas", "sensors"},
+        {*data} == {*PLAIN, "proposal_noise", "parameters", "formulas", "sensors"},
         "unexpected or missing keys of a model",
     )
+    _need(data["proposal_noise"] == [], "a model has a proposal, which versions before had")
     fields: dict[str, Any] = {name: data[name] for name in PLAIN}
     name = fields["name"]
     fields["parameter_ranges"] = {

@@ -21,7 +21,7 @@ from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
 from pfdist.filters.one_filter import formatted_instant
-from pfdist.filters.work import FLOAT64, GUIDED, PLAIN, Estimation, Work
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, Work
 from pfdist.kernels.lowering import MOST_TOGETHER, has_fused_multiply_add
 from pfdist.models import StateSpaceModel
 from pfdist.models.batched import BatchedModel
@@ -31,7 +31,7 @@ from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
 from pfdist.models.recorded import declarations, recorded, with_untraced
 from pfdist.models.twin import traced
-from pfdist.questions.measured import missing_components, normalised, proposal
+from pfdist.questions.measured import missing_components, normalised
 from pfdist.results.particle_loss import top_percent_share
 from pfdist.runner.contract import few_draws, looked
 from pfdist.runner.likelihood import Within, likelihood
@@ -51,7 +51,7 @@ _DRAWS = 1000
 _LONGEST = 20.0  # seconds of a check, about; a slow model has fewer draws, states or particles
 _RARE = 0.5  # of all changes of an error, in 1 % of the draws
 _SAME = 1e-6  # relative difference of errors by two engines
-_LITTLE = 0.2  # % of the expected MSE by which float32 states may change it
+_LITTLE = 0.2  # % of the expected MSE that is little
 _MOST_STEPS = 1_000_000  # of draws; a tenth for particles of a draw
 
 
@@ -185,7 +185,6 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         ("log_likelihood", True, likelihood),
         ("normalised", model.normalised, normalised),
         ("missing components", model.missing_components, missing_components),
-        ("proposal", model.guided, proposal),
     ):
         if is_declared:
             within = Within(_LONGEST)
@@ -234,21 +233,6 @@ def _effective_sizes(evaluator: Evaluator, work: Work) -> tuple[str, str]:
     if least < FEW:
         return "note", f"{text}: so few count that estimates are uncertain"
     return "ok", text
-
-
-def _digits(evaluator: Evaluator, work: Work, mse: Array) -> tuple[str, str]:
-    """State and text: how much the errors of draws differ from those of float64 states."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        with_all = evaluator(replace(work, estimation=replace(work.estimation, dtype=FLOAT64)))
-    usual = with_all.mse[:, 0]
-    change = Estimate.of_mean(mse - usual).times(100 / (usual.mean() or 1.0))
-    text = f"{change.text} % more error than with {FLOAT64}, the same draws and the same noise"
-    if abs(change.value) <= max(_LITTLE, CLEAR_ERRORS * change.standard_error):
-        return "ok", text
-    return "note", (
-        f"{text}: digits are lost, as where states are far from 0 beside what moves them, or "
-        "numbers lie beyond 1e-38 and 1e38"
-    )
 
 
 def _particles(evaluator: Evaluator, work: Work, seconds: float) -> tuple[str, str]:
@@ -380,8 +364,6 @@ def _filtered(
     yield Check(
         "expected MSE", "ok" if is_finite else "wrong", f"{got}{mean.text} with these times"
     )
-    if work.estimation.dtype != FLOAT64 and math.isfinite(mean.value):
-        yield Check(work.estimation.dtype, *_digits(evaluator, work, result.mse[:, 0]))
     yield from substeps(evaluator, work, result.mse[:, 0])
     believed = evaluator.self_consistent
     if not evaluator.exact:

@@ -23,7 +23,7 @@ from pfdist.filters.engines import (
     is_exact,
 )
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
-from pfdist.filters.work import FLOAT32, FLOAT64, GUIDED, PLAIN, Estimation, with_truth
+from pfdist.filters.work import GUIDED, PLAIN, Estimation, with_truth
 from pfdist.kernels.lowering import has_fused_multiply_add
 from pfdist.kernels.variates import generator
 from pfdist.models import PYTHON, StateSpaceModel, installed_models, load_model
@@ -220,7 +220,7 @@ def _with_proposal(job: Job, runs: Sequence[Path], asked: float | None) -> Built
         built = build(with_filter(proposal=known), *runs)
         _choices_of(built, particles)[""] = known
         return built
-    if job.filter.dtype != FLOAT64 or job.filter.engine not in (AUTO, COMPILED.name):
+    if job.filter.engine not in (AUTO, COMPILED.name):
         return build(with_filter(proposal=PLAIN), *runs)
     built = build(with_filter(proposal=PLAIN, particles=particles), *runs)
     chosen = _chosen(built, asked)
@@ -261,7 +261,7 @@ def _chosen(built: Built, asked: float | None) -> str:
 
     evaluator, plain = built.evaluator.self_consistent, built.comparing
     is_possible = evaluator.engine == COMPILED.name and evaluator.has_particle_loss
-    if not is_possible or evaluator.model.guided:
+    if not is_possible:
         return PLAIN
     choices = _choices_of(built, plain.particles)
     if asked is not None and "" in choices:
@@ -495,10 +495,6 @@ def _compiled_or_batched(evaluator: Evaluator) -> str:
     except TraceError as error:
         if evaluator.engine != AUTO:
             raise
-        if any(each.dtype != FLOAT64 for each in evaluator.estimations):
-            raise ModelError(
-                f"filter.dtype = {FLOAT32!r} needs traced formulas: {error}"
-            ) from error
         evaluator = replace(evaluator, engine=BATCHED.name)
         evaluator.compile(*evaluator.estimations)
         text = (

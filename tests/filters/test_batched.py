@@ -12,14 +12,13 @@ import pytest
 
 from oracles.batched import batched
 from oracles.clocked import times_of
-from oracles.guided import growth, sharp_walk
 from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, load_model
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
 from pfdist.filters.particle_filter import filter_checked_draws, filter_checked_sets, sum_errors
 from pfdist.filters.simulation import simulate
-from pfdist.filters.work import FLOAT32, Estimation, with_truth
+from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models.by_value import by_value, made
 from pfdist.models.recorded import differences, recorded, untraced, with_functions
@@ -38,8 +37,6 @@ KINDS = [
     pytest.param(load_model("xray_tumour"), Estimation(100), id="sensors"),
     pytest.param(load_model("pharmacokinetics"), Estimation(100), id="clock"),
     pytest.param(load_model("lotka_volterra"), Estimation(100), id="loops"),
-    pytest.param(growth, Estimation(100, "systematic"), id="guided"),
-    pytest.param(sharp_walk(3), Estimation(100, "stratified"), id="guided, 3 components"),
 ]
 
 
@@ -362,13 +359,6 @@ def test_the_filters_model_must_declare_other_functions_as_another_version():
         recorded_evaluator(model_with(0.5), model_with(-0.5), horizon=HORIZON)
     other = recorded_evaluator(model_with(0.5), model_with(-0.5, "2"), horizon=HORIZON)
     assert other.believed != other.model
-
-
-def test_states_of_float32_need_traced_formulas():
-    model = batched(UNGM)
-    given = simulate(model, HORIZON, range(5), 3), (TIMES,), (HORIZON,), STREAM
-    with pytest.raises(ModelError, match="'float32' needs traced formulas"):
-        filter_checked_sets(model, *given, Estimation(10, dtype=FLOAT32))
 
 
 def test_a_filter_of_one_system_calls_a_batched_model():

@@ -59,7 +59,6 @@ HELPER = "C = {0}\ndef f(x): return {0} * x\ndef g(x): return h(x)\ndef h(x): re
         ("P = collections.namedtuple('P', 'a b')\nC = P(1.0, {})", "C.b * x[0]"),
         ("def g(x, k={}): return k * x", "g(x[0])"),
         ("def g(x, *, k={}): return k * x", "g(x[0])"),
-        ("@numba.njit\ndef g(x): return {} * x", "g(x[0])"),
         ("def make(k): return lambda x: k * x\ng = make({})", "g(x[0])"),
         ("from helper import f", "f(x[0])"),
         ("import helper", "helper.g(x[0])"),

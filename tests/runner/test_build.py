@@ -167,7 +167,7 @@ def test_a_job_may_insist_on_compiling(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_cluster: None) -> None:
     def kept() -> dict[str, int]:
-        files = Path(cached._folder("float64")).rglob("*.nbc")
+        files = Path(cached._folder()).rglob("*.nbc")
         return {file.name: file.stat().st_ino for file in files}
 
     job = job_with(tmp_path, *OWN)
