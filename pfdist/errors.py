@@ -155,15 +155,7 @@ class ModelError(PfdistError):
 
 
 class TraceError(ModelError):
-    """A formula of a model cannot be traced.
-
-    Attributes
-    ----------
-    advice : str
-        Advice on what to write instead; empty if there is none.
-    """
-
-    advice = ""
+    """A formula of a model cannot be traced."""
 
 
 class MeasurementTimesError(PfdistError):

@@ -42,7 +42,7 @@ from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.by_value import by_value, made
 from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import Parameter, check_lengths
-from pfdist.models.recorded import check_same_functions, recorded, untraced
+from pfdist.models.recorded import check_same_functions, declared, recorded
 from pfdist.models.written import key_of_model
 
 
@@ -90,7 +90,7 @@ class Evaluator:
             self.check(estimation)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel as the models' programs; formulas that cannot be traced travel by value."""
+        """Travel as the models' programs; functions of a batched model travel by value."""
         names = {each.name for each in fields(self)} - {"model", "filter_model"}
         return _arrived, (self._content, {name: getattr(self, name) for name in names})
 
@@ -322,8 +322,8 @@ class Evaluator:
         if self.engine == NUMPY.name or not estimations:
             return
         if self.computed_by.compiled:
-            for formula in (untraced(self.model) | untraced(self.believed)).values():
-                raise formula.why.with_traceback(None)  # else it grows each time
+            for formula in (declared(self.model) | declared(self.believed)).values():
+                raise formula.why
         prior = None if isinstance(self.prior, Gaussian) else self.prior
         draws = simulate(self.model, self.horizon, range(0), 0, prior)
         for estimation in estimations:

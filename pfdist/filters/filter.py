@@ -1,6 +1,5 @@
 """A filter for real measurements, one after another."""
 
-import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,19 +13,15 @@ from pfdist.common.section import Whole, checked
 from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
-    EngineWarning,
     MeasurementsError,
     ModelError,
     PfdistWarning,
-    TraceError,
     shown,
 )
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.engines import (
     AUTO,
-    BATCHED,
-    BATCHED_TIMES_SLOWER,
     COMPILED,
     ENGINES,
     EngineName,
@@ -52,7 +47,7 @@ from pfdist.filters.user_prior import as_prior
 from pfdist.filters.work import Estimation
 from pfdist.kernels.schemes import threshold_of
 from pfdist.models import StateSpaceModel, load_model
-from pfdist.models.recorded import untraced, with_untraced
+from pfdist.models.recorded import declared
 
 Array = NDArray[np.float64]
 
@@ -83,7 +78,7 @@ class Filter:
         "always", or "below 0.5" to resample only if the effective sample size falls below this
         share of the particles.
     engine : {"auto", "compiled", "batched", "numpy", "kalman"}
-        "auto" is the compiled engine, or the batched one for a model that cannot be traced.
+        "auto" is the compiled engine, or the batched one for a batched model.
         "kalman" is exact, for models that declare themselves linear-Gaussian.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The distribution of x(s), instead of the model's `initial`; the filter then starts at s. An
@@ -280,27 +275,11 @@ class Filter:
         """The filter at its first instant, compiled, with mean and variance of z."""
         name = COMPILED.name if engine == AUTO else engine
         if engine == COMPILED.name:
-            for formula in untraced(self.model).values():
+            for formula in declared(self.model).values():
                 raise formula.why
         if name == "kalman":
             matrices_of(self.model, 0)
         first = OneFilter(self.model, settings, self.stream, draw, name)
-        try:
-            with contextlib.suppress(MeasurementsError):  # it will be raised when it is at hand
-                if name == COMPILED.name and first.t < self.horizon:
-                    first.at(first.t + 1)  # the transition can be traced, too
-            return first.at(first.t)
-        except TraceError as error:
-            if engine != AUTO:
-                raise
-            warnings.warn(
-                f"{error}: it is called on arrays, about {BATCHED_TIMES_SLOWER} times slower "
-                f"(engine={BATCHED.name!r} silences this)",
-                EngineWarning,
-                stacklevel=3,
-            )
-        model = with_untraced(self.model, range(first.t, first.t + 2))
-        first = OneFilter(model, settings, self.stream, draw, BATCHED.name)
         return first.at(first.t)
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:

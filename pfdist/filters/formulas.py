@@ -20,7 +20,7 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error, squared_error
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Array, groups_of
-from pfdist.models.programs import Declared, Untraced
+from pfdist.models.programs import Declared
 from pfdist.models.symbols import RefusedError
 from pfdist.models.tracing import MODES, Formula, Traced, trace
 from pfdist.models.twin import formula_of, traced
@@ -220,9 +220,9 @@ def _simulation_blocks(model: StateSpaceModel, instants: range) -> Compiled:
 
 
 def _own(model: StateSpaceModel, name: str, instants: range) -> Source | Callback:
-    """A formula of the model itself, traced, or called back if that is not possible."""
+    """A formula of the model itself, traced, or called back if the model is batched."""
     formula = formula_of(model, name)
-    if isinstance(model.formulas[name], Untraced):
+    if isinstance(model.formulas[name], Declared):
         return _called(model, formula)
     layout = _layout(formula)
     return Source(traced(model, name, instants), layout, model.parameters, formula.results)
@@ -238,14 +238,14 @@ def _source(
 ) -> Source | Callback | None:
     """A formula that is made from those of a model, traced; None without instants.
 
-    It is called back if it needs formulas that cannot be traced.
+    It is called back if it needs functions of a batched model.
     """
     if not instants:
         return None
     given = {**arguments, "p": 0}
     formula = Formula(function, name, given, model.parameters, model.name, results)
     needed = ("quantity_of_interest", "error") if name == "errors" else (name,)
-    if any(isinstance(model.formulas.get(each), Untraced) for each in needed):
+    if any(isinstance(model.formulas.get(each), Declared) for each in needed):
         return _called(model, formula)
     return Source(trace(formula, instants), _layout(formula), model.parameters, results)
 

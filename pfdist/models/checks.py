@@ -1,7 +1,7 @@
 """Checks of a new model: of its fields, and of its formulas.
 
-Each formula is recorded once, at t = 0, or else called on arrays of two particles. This gives the
-numbers of components, and finds mistakes such as a missing comma or `return`.
+Each formula is recorded once, at t = 0; a function of a batched model is called on arrays of two
+particles. This gives the numbers of components, and finds mistakes such as a missing `return`.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ from pfdist.models.mistakes import (
 from pfdist.models.parameters import Parameter, named_parameters, values_of_parameter
 from pfdist.models.program import evaluate
 from pfdist.models.symbols import RefusedError
-from pfdist.models.tracing import MODES, Formula
+from pfdist.models.tracing import MODES, Formula, untraceable
 
 NoiseKind = Literal["normal", "uniform", "centred"]
 
@@ -221,10 +221,13 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
     formula = getattr(model, name)
     if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
         return example
-    recorded, refused = _by_program(model, name, arguments)
-    if recorded is not None:
-        return recorded
-    try:
+    takes_arrays, error = hasattr(formula, "identity"), None  # it is of a batched model
+    if not takes_arrays:
+        recorded, error = _by_program(model, name, arguments)
+        if error is None:
+            return recorded
+    refused = error if isinstance(error, RefusedError) else None
+    try:  # on arrays, to say what is wrong
         value = formula(*arguments)
     except ModelError:  # of a function of a batched model
         raise
@@ -241,12 +244,14 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
     if wrong:
         place = place_of_function(formula)
         raise ModelError(f"model {model.name}: {name} must give {wrong}{place}")
+    if error is not None:
+        raise untraceable(model.name, name, error, 0) from error
     return value
 
 
 def _by_program(
     model: Any, name: str, arguments: tuple[Any, ...]
-) -> tuple[Any, RefusedError | None]:
+) -> tuple[Any, BaseException | None]:
     """The value of a formula by its program at t = 0; None, and why it cannot be recorded."""
     groups = dict(zip(ARGUMENTS[name], arguments, strict=True))
     parameters = {
@@ -262,7 +267,7 @@ def _by_program(
         return value
 
     sizes = {key: len(each) if type(each) is tuple else 0 for key, each in groups.items()}
-    refused = None
+    refused: BaseException | None = None
     formula = Formula(of_right_kind, name, sizes | {"p": 0}, parameters, model.name)
     for mode in MODES:
         try:
@@ -271,7 +276,7 @@ def _by_program(
         except BaseException as error:  # a formula may raise any exception
             if is_interrupt(error):
                 raise
-            refused = error if isinstance(error, RefusedError) else None
+            refused = error
         else:
             return (values[0] if name in ONE_NUMBER else values), None
     return None, refused

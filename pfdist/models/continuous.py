@@ -19,7 +19,7 @@ from pfdist.models.base import StateSpaceModel
 from pfdist.models.mistakes import place_of_function
 from pfdist.models.parameters import CLOCK
 from pfdist.models.program import MOST_STEPS
-from pfdist.models.programs import Programs, Untraced
+from pfdist.models.programs import Declared, Programs
 from pfdist.models.repeating import repeated
 from pfdist.models.tracing import Covariate
 
@@ -150,7 +150,7 @@ def doubled(model: StateSpaceModel) -> StateSpaceModel:
 
     """
     transition, own, flows = model.transition, len(model.process_noise), list[Flow]()
-    if isinstance(transition, Programs | Untraced):
+    if isinstance(transition, Programs | Declared):
         return model
 
     def twice(x: Any, t: Any, w: Any, p: Any) -> Any:

@@ -14,9 +14,9 @@ from pfdist.common.formatted_times import formatted_seconds
 from pfdist.common.measurement_times import Times, regular
 from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded
-from pfdist.errors import JobError, ModelError, TraceError
+from pfdist.errors import JobError, ModelError
 from pfdist.filters.draws import Draws
-from pfdist.filters.engines import BATCHED, BATCHED_TIMES_SLOWER, ENGINES, WITHOUT_FMA
+from pfdist.filters.engines import BATCHED, ENGINES, WITHOUT_FMA
 from pfdist.filters.evaluator import Evaluator
 from pfdist.filters.filter_estimate import FEW
 from pfdist.filters.kalman import matrices_of
@@ -29,7 +29,7 @@ from pfdist.models.checks import own_formulas
 from pfdist.models.continuous import doubled
 from pfdist.models.parameters import check_lengths
 from pfdist.models.program import Program, merged
-from pfdist.models.recorded import declarations, recorded, with_untraced
+from pfdist.models.recorded import declarations, recorded
 from pfdist.models.twin import traced
 from pfdist.questions.measured import missing_components, normalised
 from pfdist.results.particle_loss import top_percent_share
@@ -119,21 +119,11 @@ def check_loaded(
 
 
 def _compiled(evaluator: Evaluator, estimation: Estimation) -> tuple[Evaluator, Check]:
-    """The evaluator, which calls formulas that cannot be traced, and the check."""
-    try:
-        evaluator.compile(estimation)
-    except TraceError as error:
-        slower = f"{error}: it runs about {BATCHED_TIMES_SLOWER} times slower"
-        instants, believed = range(evaluator.horizon + 1), evaluator.filter_model
-        called = replace(
-            evaluator,
-            engine=BATCHED.name,
-            model=with_untraced(evaluator.model, instants),
-            filter_model=believed and with_untraced(believed, instants),
-        )
-        if declarations(called.model, called.believed):
-            return called, Check("compile", "ok", "functions are called on arrays of particles")
-        return called, Check("compile", "note", slower)
+    """The evaluator, which calls the functions of a batched model, and the check."""
+    if declarations(evaluator.model, evaluator.believed):
+        called = replace(evaluator, engine=BATCHED.name)
+        return called, Check("compile", "ok", "functions are called on arrays of particles")
+    evaluator.compile(estimation)
     text = f"every formula is traced and compiled{_in_pieces(evaluator.model, evaluator.horizon)}"
     slower = "" if has_fused_multiply_add() else f"; {WITHOUT_FMA}"
     return evaluator, Check("compile", "note" if slower else "ok", text + slower)

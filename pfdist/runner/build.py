@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from pfdist.common.clock import Time
 from pfdist.common.component_names import Component
 from pfdist.common.measurement_times import Times
-from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, TraceError, shown
+from pfdist.errors import EngineWarning, JobError, ModelError, StoreError, shown
 from pfdist.filters.engines import (
     AUTO,
     BATCHED,
-    BATCHED_TIMES_SLOWER,
     COMPILED,
     WITHOUT_FMA,
     is_exact,
@@ -485,32 +484,25 @@ def _ships(name: str) -> bool:
 
 
 def _compiled_or_batched(evaluator: Evaluator) -> str:
-    """Name of the engine: the batched one if a formula cannot be traced, and the job allows it.
+    """Name of the engine: for "auto" the compiled one, or the batched one for a batched model.
 
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
-    try:
-        # For every engine, so that a wrong model is refused at once.
-        evaluator.compile(*evaluator.estimations)
-    except TraceError as error:
-        if evaluator.engine != AUTO:
-            raise
-        evaluator = replace(evaluator, engine=BATCHED.name)
-        evaluator.compile(*evaluator.estimations)
-        text = (
-            f"{error}: it is called on arrays, about {BATCHED_TIMES_SLOWER} times slower, and "
-            f'workers get the code (filter.engine = "{BATCHED.name}" silences this)'
-        )
+    if evaluator.engine == AUTO:
+        evaluator = replace(evaluator, engine=COMPILED.name)
         for name, declared in declarations(evaluator.model, evaluator.believed).items():
-            text = (
+            evaluator = replace(evaluator, engine=BATCHED.name)
+            warnings.warn(
                 f"model {name} is declared as {declared}: pfdist cannot see further, a run needs "
                 "its code, which workers get by value, and the same bytes are promised for one "
-                "machine and one set of versions"
+                "machine and one set of versions",
+                EngineWarning,
+                stacklevel=4,
             )
-        warnings.warn(text, EngineWarning, stacklevel=4)
+    evaluator.compile(*evaluator.estimations)  # for every engine, so that mistakes end it at once
     if not has_fused_multiply_add():
         warnings.warn(WITHOUT_FMA, EngineWarning, stacklevel=4)
-    return COMPILED.name if evaluator.engine == AUTO else evaluator.engine
+    return evaluator.engine
 
 
 MOST_WORKERS = 1000  # on one machine; each is a thread, or a process of Ray

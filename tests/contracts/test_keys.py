@@ -42,7 +42,6 @@ UNITS = {
     "questions/fit.py _evidence": "replicate of a group: part.first",
     "questions/fit.py _Fitting.fitted": "starts of one fit: starts",
     "questions/fit.py _Fitting._likelihood": "repetition: repeat",
-    "questions/measured.py _Step._variates": "state: self.draw self.t",
     "questions/next_time.py next_time": "nothing, it is one system:",
     "questions/planned_run.py filter_of": "system: draw",
     "questions/planner.py Planner.__init__": "system: draw",  # `plan` gives it to the Replanner

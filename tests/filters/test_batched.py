@@ -21,7 +21,7 @@ from pfdist.filters.simulation import simulate
 from pfdist.filters.work import Estimation, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models.by_value import by_value, made
-from pfdist.models.recorded import differences, recorded, untraced, with_functions
+from pfdist.models.recorded import declared, differences, recorded, with_functions
 from pfdist.models.written import models_of, text_of
 
 HORIZON, TIMES, STREAM = 12, (0, 3, 4, 9, 12), 5
@@ -175,25 +175,11 @@ def test_functions_of_arrays_that_can_be_traced_become_formulas():
         version="1",
     )
     formulas = recorded(arrays.as_formulas(), range(HORIZON + 1))
-    assert not untraced(formulas)
+    assert not declared(formulas)
     draws = simulate(arrays, HORIZON, range(30), 3)
     given = draws, sets_of(arrays), (HORIZON,) * 4, STREAM, Estimation(64)
     expected, found = (filter_checked_sets(each, *given)[0] for each in (arrays, formulas))
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-# --- formulas that cannot be traced ---------------------------------------------------------------
-
-
-def test_formulas_that_cannot_be_traced_are_called_and_the_others_compiled():
-    def transition(x, t, w, p):
-        return UNGM.transition((np.asarray(x[0], float),), t, w, p)
-
-    model = recorded(dataclasses.replace(UNGM, transition=transition), range(HORIZON + 1))
-    draws = simulate(UNGM, HORIZON, range(50), 3)
-    given = draws, (TIMES,), (HORIZON,), STREAM, Estimation(100)
-    expected, found = (filter_checked_sets(each, *given)[0] for each in (UNGM, model))
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
 # --- mistakes -------------------------------------------------------------------------------------

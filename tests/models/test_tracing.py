@@ -384,7 +384,7 @@ def test_what_cannot_be_traced_is_named_with_its_line(function):
     if function not in (counts_calls, is_random, gives_text, looks_at_types):
         first = function.__code__.co_firstlineno
         assert any(f"test_tracing.py:{first + k})" in message for k in (1, 2, 3))
-        assert "the engine 'batched'" in message
+        assert "pfdist.BatchedModel" in message
 
 
 def test_a_formula_that_fails_with_numbers_fails_in_numpy_too():
@@ -415,9 +415,12 @@ def test_bits_of_t_are_those_of_a_number():
     assert at == [t & 1 for t in range(14)]
 
 
-def test_an_index_that_arrays_of_particles_have_is_left_to_numpy():
-    with pytest.raises(TraceError, match=r"too many indices.*the engine 'batched'"):
-        traced(lambda x, t, w, p: (np.stack(x)[0, :], x[1]))
+def test_an_index_that_arrays_of_particles_have_is_one_of_a_batched_model():
+    def indexes_arrays(x, t, w, p):
+        return (np.stack(x)[0, :],)
+
+    with pytest.raises(TraceError, match=r"too many indices.*BatchedModel"):
+        dataclasses.replace(load_model("ungm"), transition=indexes_arrays)
 
 
 def test_a_value_kept_from_another_call_is_an_error():
