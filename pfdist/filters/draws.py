@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
-from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
+from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, noise_of
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of, place_of_function
 from pfdist.models.programs import Programs
@@ -155,11 +155,7 @@ def _given(
     """
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
-        index = np.array(draw.index)
-        return tuple(
-            variates(kind, 1, stream, index, t, role, component)[:, 0]
-            for component, kind in enumerate(kinds)
-        )
+        return tuple(w[:, 0] for w in noise_of(kinds, 1, stream, draw.index, t, role))
 
     x, before = (tuple(draw.x[0, max(0, i)][:, None]) for i in (k, k - 1))
     t = draw.instants[k]

@@ -139,13 +139,19 @@ class Filter:
             raise ArgumentError(str(error)) from error
         settings = Estimation(particles, resampling, prior=start, threshold=threshold)
         check_filter(self.model, self.model, settings)
-        self._filter, mean, variance = self._begun(settings, engine, draw)
+        if engine == COMPILED.name:
+            for formula in declared(self.model).values():
+                raise formula.why
+        name = COMPILED.name if engine == AUTO else engine
+        if name == "kalman":
+            matrices_of(self.model, 0)
+        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, name)
+        """The filter before its first instant, from which other filters of the system start."""
+        self._filter, mean, variance = self.unmeasured.at(self.unmeasured.t)
         self._ahead = self._filter
         # A filter with many particles is slow, so it does not follow each measurement. It stays at
         # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
-        self.unmeasured = OneFilter(self.model, settings, self.stream, draw, self._filter.engine)
-        """The filter before its first instant, from which other filters of the system start."""
         self._many = replace(self.unmeasured, settings=many)
         self._unseen_by_many: list[tuple[int, Array]] = []
         self._evidence = 0.0
@@ -269,19 +275,6 @@ class Filter:
         """Predict up to t, from the last prediction if that is on the way."""
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
-    def _begun(
-        self, settings: Estimation, engine: str, draw: int
-    ) -> tuple[OneFilter, Array, Array]:
-        """The filter at its first instant, compiled, with mean and variance of z."""
-        name = COMPILED.name if engine == AUTO else engine
-        if engine == COMPILED.name:
-            for formula in declared(self.model).values():
-                raise formula.why
-        if name == "kalman":
-            matrices_of(self.model, 0)
-        first = OneFilter(self.model, settings, self.stream, draw, name)
-        return first.at(first.t)
-
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
         """The estimate of an instant that is not measured."""
         prior = _prior(self._filter if at is None else at)
@@ -300,12 +293,12 @@ class Filter:
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
             return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
-        weighted = explained(self.model, prior, y)
+        share, log_density = explained(self.model, prior, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         if surprise < SUSPICIOUS:
             surprise = self._confirmed(surprise, prior.t, y)
-        belief = Particles(quantity(self.model, weighted.cloud, mean[-1]), weighted.share)
-        return belief, weighted.log_density, surprise
+        belief = Particles(quantity(self.model, prior, mean[-1]), share)
+        return belief, log_density, surprise
 
     def _confirmed(self, surprise: float, t: int, y: Array) -> float:
         """Surprise of a measurement for the filter with many particles.

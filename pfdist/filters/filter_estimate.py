@@ -82,21 +82,12 @@ Belief = Particles | Normal
 # --- particles ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Explained:
-    """Particles that are weighted by a measurement, but not resampled."""
+def explained(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
+    """Weights of particles after the measurement y(t), (m,), at their instant; their sum is 1.
 
-    cloud: Cloud  # at the instant of the measurement
-    share: Array  # (P,): weights after the measurement, with a sum of 1
-    # The logarithm of the mean weight before it is normalised: log p(y(t) | earlier measurements),
-    # if the model's log-likelihood is normalised.
-    log_density: float
-
-
-def explained(model: StateSpaceModel, cloud: Cloud, y: Array) -> Explained:
-    """Particles that are weighted by the measurement y(t), (m,), at their instant.
-
-    At least one particle must have a finite log-likelihood.
+    The second result is the logarithm of the mean weight before that: log p(y(t) | earlier
+    measurements) if the model's log-likelihood is normalised. At least one particle must have a
+    finite log-likelihood.
     """
     own = np.ones(cloud.particles) if cloud.weight is None else cloud.weight
     with np.errstate(all="ignore"):
@@ -104,7 +95,7 @@ def explained(model: StateSpaceModel, cloud: Cloud, y: Array) -> Explained:
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf) + np.log(own)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)
-    return Explained(cloud, share, log_sum - math.log(own.sum()))
+    return share, log_sum - math.log(own.sum())
 
 
 def quantity(model: StateSpaceModel, cloud: Cloud, mean: Array) -> Array:

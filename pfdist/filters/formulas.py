@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -39,38 +39,31 @@ def filter_blocks(
     The second result has the components of x that are equal to those of z; it is empty if z is
     computed, or an angle. Raises `TraceError` if a formula cannot be traced.
     """
-    kind = _Kind(
-        guided=settings.proposal == GUIDED,
-        by_error=ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error,
-    )
+    is_guided = settings.proposal == GUIDED
+    by_error = ESTIMATORS[settings.estimator].by_error and truth.error is not squared_error
     result: tuple[Compiled, tuple[int, ...], Guiding]
     result, _ = model.kept(  # it holds the truth, so that no other one gets its id
-        ("filter", instants, kind, id(truth)),
-        lambda: (_filter_blocks(model, truth, kind, instants), truth),
+        ("filter", instants, is_guided, by_error, id(truth)),
+        lambda: (_filter_blocks(model, truth, is_guided, by_error, instants), truth),
     )
     return result
-
-
-class _Kind(NamedTuple):
-    """The settings on which the blocks of a filter depend."""
-
-    guided: bool
-    by_error: bool  # whether DEVIATIONS are the truth's own error
 
 
 def _filter_blocks(
     model: StateSpaceModel,
     truth: StateSpaceModel,
-    kind: _Kind,
+    is_guided: bool,
+    by_error: bool,
     instants: range,
 ) -> tuple[Compiled, tuple[int, ...], "Guiding"]:
+    """The blocks; `by_error` says whether DEVIATIONS are the truth's own error."""
     check_lengths(model.parameters, instants.stop)
     check_lengths(truth.parameters, instants.stop)
     states, (own, once) = model.components[0], (_Formulas(model, truth), instants[:1])
     quantities, angles = len(truth.is_angle), sum(truth.is_angle)
     x = {"x": states}
     z, source = "quantity_of_interest", partial(_source, model)
-    deviations = ("errors", own.errors) if kind.by_error else (z, own.deviations)
+    deviations = ("errors", own.errors) if by_error else (z, own.deviations)
     sources = dict[Any, Source | Callback | None](
         {
             rows.INITIAL: _own(model, "initial", instants),
@@ -91,7 +84,7 @@ def _filter_blocks(
     )
     for number, part in enumerate(model.parts):
         sources[rows.SENSORS + number] = _own(part.model, "log_likelihood", instants)
-    guiding = guiding_of(model, instants) if kind.guided else Guiding()
+    guiding = guiding_of(model, instants) if is_guided else Guiding()
     for number, blocks_of_sensor in enumerate(guiding.sources):
         first = rows.SENSORS + len(model.parts) + int(guided_rows.BLOCKS) * number
         sources |= {first + row: each for row, each in blocks_of_sensor.items()}
@@ -252,13 +245,11 @@ def _source(
 
 def _called(model: StateSpaceModel, formula: Formula) -> Callback:
     """A formula that machine code calls back with arrays of particles."""
-    names, p = [*formula.arguments], model.p
-    takes_arrays = isinstance(formula.function, Declared)
+    p = model.p
 
     def function(groups: dict[str, Array], t: int) -> Any:
-        given: dict[str, Any] = {"t": t, "p": p}
-        given |= groups if takes_arrays else {name: tuple(each) for name, each in groups.items()}
-        value = formula.function(*(given[name] for name in names))
+        given: dict[str, Any] = {"t": t, "p": p, **groups}
+        value = formula.function(*(given[name] for name in formula.arguments))
         return value if isinstance(value, tuple) else (value,)
 
     rows = {
@@ -267,8 +258,7 @@ def _called(model: StateSpaceModel, formula: Formula) -> Callback:
         if name not in "tp"
     }
     declared = (each for each in model.formulas.values() if isinstance(each, Declared))
-    together = max((each.together for each in declared), default=0)
-    return Callback(function, rows, formula.results, together)
+    return Callback(function, rows, formula.results, max(each.together for each in declared))
 
 
 def _layout(formula: Formula) -> dict[str, tuple[str, int]]:

@@ -1,8 +1,8 @@
 """Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
 They compute on arrays (draws, particles), with the noise, the weights and the resampling of the
-compiled filter, which other tests check. They are the engine ``numpy``: formulas that cannot be
-traced are called directly, and all others run their programs.
+compiled filter, which other tests check. They are the engine ``numpy``: formulas run their
+programs, and functions of batched models are called directly.
 """
 
 import math
@@ -34,7 +34,7 @@ from pfdist.kernels.variates import (
     TRUTH_INITIAL,
     TRUTH_MEASUREMENT,
     TRUTH_PROCESS,
-    variates,
+    noise_of,
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error
@@ -279,16 +279,6 @@ def _mean_error(draws: Draws, k: int, z: tuple[Any, ...], mean: Array, share: Ar
     means = np.zeros_like(mean)
     means[:, 0] = np.sum(share * np.where(share > 0, _of_cloud(error, share.shape), 0.0), axis=1)
     return means
-
-
-def noise_of(
-    kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
-) -> tuple[Array, ...]:
-    """The variates of each component, (D, particles)."""
-    return tuple(
-        variates(kind, particles, stream, np.array(draws), t, role, component)
-        for component, kind in enumerate(kinds)
-    )
 
 
 def _like(value: Any, shape: tuple[int, ...]) -> Array:

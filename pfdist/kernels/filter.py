@@ -591,7 +591,6 @@ def _keep(instant):
 # --- the arrays that a filter works in ------------------------------------------------------------
 
 _TOGETHER = 2048  # particles of a batch, about: its arrays fit into a cache
-_CALLED = 8192  # the same, if functions of Python are called back, at most
 _MOST_SAVED = 2**22  # numbers of all saved batches and of the noise of paths, about
 
 
@@ -608,9 +607,7 @@ def filter_all(
     if request.rows.size:
         numbers += 2 * (guided.longest_gap(plan) + 1) * request.components * width
     draws = max(1, min(request.draws, _TOGETHER // width, _MOST_SAVED // numbers))
-    if compiled.together == 0:
-        draws = max(1, min(request.draws, _CALLED // width))
-    elif compiled.together is not None:
+    if compiled.together is not None:
         is_alone = not request.x.size  # a system whose truth is not known, see `OneFilter`
         draws = 1 if is_alone else max(1, compiled.together // width)
     batch, saved, _memory = _arrays(request, plan, width, draws)

@@ -384,8 +384,11 @@ def _recorded_at(formula: Formula, mode: str, t: int) -> Program:
         raise
     except BaseException as error:  # a formula may raise any exception
         if mode == MODES[-1] and not is_interrupt(error):
-            first = {name: tuple(each[0] for each in of) for name, of in _groups(formula).items()}
-            fails = not isinstance(error, RefusedError) and not formula.with_numbers(first, t)
+            groups = _groups(formula).items()
+            single = {
+                name: tuple(values[0] for values in compsinglents) for name, compsinglents in groups
+            }
+            fails = not isinstance(error, RefusedError) and not formula.with_numbers(single, t)
             raise untraceable(formula.model, formula.name, error, t, fails=fails) from error
         raise
 

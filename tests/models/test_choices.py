@@ -59,7 +59,5 @@ def test_interpolation_is_numpys_on_any_increasing_grid():
 
 
 def test_a_table_of_another_length_is_an_error_and_no_figure():
-    with pytest.raises(
-        ModelError, match="failed: ValueError: fp and xp are not of the same length"
-    ):
+    with pytest.raises(ModelError, match="failed: ValueError: fp and xp are not of the same"):
         formula(lambda x: np.interp(x, GRID, ONE))(0.3)
