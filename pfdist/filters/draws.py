@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
-from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, noise_of
+from pfdist.kernels.variates import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.models.mistakes import place_of, place_of_function
 from pfdist.models.programs import Programs
@@ -169,3 +169,13 @@ def _given(
         return "initial", (noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
     w = noise(model.process_noise, t - 1, TRUTH_PROCESS)
     return "transition", (before, t - 1, w, model.p)
+
+
+def noise_of(
+    kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
+) -> tuple[NDArray[np.float64], ...]:
+    """The variates of each component, (D, particles)."""
+    return tuple(
+        variates(kind, particles, stream, np.array(draws), t, role, component)
+        for component, kind in enumerate(kinds)
+    )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.common.measurement_times import Times
 from pfdist.filters.cloud import Cloud
-from pfdist.filters.draws import Draws, begun, check_finite
+from pfdist.filters.draws import Draws, begun, check_finite, noise_of
 from pfdist.filters.interface import (
     Filtered,
     checking,
@@ -34,7 +34,6 @@ from pfdist.kernels.variates import (
     TRUTH_INITIAL,
     TRUTH_MEASUREMENT,
     TRUTH_PROCESS,
-    noise_of,
 )
 from pfdist.models import StateSpaceModel
 from pfdist.models.base import angular_error

@@ -353,16 +353,6 @@ def variates(
     return values if np.ndim(draw) else values[0]
 
 
-def noise_of(
-    kinds: Sequence[str], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
-) -> tuple[NDArray[np.float64], ...]:
-    """The variates of each component, (D, particles)."""
-    return tuple(
-        variates(kind, particles, stream, np.array(draws), t, role, component)
-        for component, kind in enumerate(kinds)
-    )
-
-
 def codes_of(*processes: Sequence[str]) -> NDArray[np.int64]:
     """A row of noise codes for each process, for compiled code; -1 for none."""
     codes = np.full((len(processes), max(1, *map(len, processes))), -1, np.int64)

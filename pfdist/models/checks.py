@@ -221,32 +221,27 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
     formula = getattr(model, name)
     if (example := getattr(formula, "example", None)) is not None:  # a run lacks the formula
         return example
-    takes_arrays, error = hasattr(formula, "identity"), None  # it is of a batched model
-    if not takes_arrays:
-        recorded, error = _by_program(model, name, arguments)
-        if error is None:
-            return recorded
-    refused = error if isinstance(error, RefusedError) else None
+    if hasattr(formula, "identity"):  # a function of a batched model, which checks what it gives
+        return formula(*arguments)
+    recorded, error = _by_program(model, name, arguments)
+    if error is None:
+        return recorded
     try:  # on arrays, to say what is wrong
         value = formula(*arguments)
-    except ModelError:  # of a function of a batched model
-        raise
-    except BaseException as error:  # a formula may raise any exception
-        if is_interrupt(error):
+    except BaseException as failure:  # a formula may raise any exception
+        if is_interrupt(failure):
             raise
-        if refused is not None:  # it says what to write instead
-            failed = f"{refused}{place_of(refused)}"
+        if isinstance(error, RefusedError):  # it says what to write instead
+            failed = f"{error}{place_of(error)}"
         else:
-            advice = _advice(model, name, arguments, error)
-            failed = f"{error_line(error)}{advice}{place_of(error)}"
-        raise ModelError(f"model {model.name}: {name} failed: {failed}") from error
+            advice = _advice(model, name, arguments, failure)
+            failed = f"{error_line(failure)}{advice}{place_of(failure)}"
+        raise ModelError(f"model {model.name}: {name} failed: {failed}") from failure
     wrong = _wrong_kind(name, value) or _wrong_shape(value)
     if wrong:
         place = place_of_function(formula)
         raise ModelError(f"model {model.name}: {name} must give {wrong}{place}")
-    if error is not None:
-        raise untraceable(model.name, name, error, 0) from error
-    return value
+    raise untraceable(model.name, name, error, 0) from error
 
 
 def _by_program(
