@@ -20,7 +20,7 @@
         └── TaskError               a task failed in its worker; carries the traceback
 
     PfdistWarning                   results are incomplete, or the model may be wrong
-    └── EngineWarning               NumPy computes a model, or compiled code is not kept
+    └── EngineWarning               a model is batched, or compiled code is not kept
 """
 
 import os
@@ -252,4 +252,4 @@ class PfdistWarning(UserWarning):
 
 
 class EngineWarning(PfdistWarning):
-    """A warning about speed: NumPy computes a model, or compiled code is not kept."""
+    """A warning about how a run computes: a model is batched, or compiled code is not kept."""
