@@ -165,10 +165,10 @@ class StateSpaceModel:
     Raises
     ------
     ModelError
-        A formula does not take its arguments, does not give a tuple of components or cannot be
-        traced (a `TraceError`); a kind of noise is unknown; a parameter lies outside its range; names do not fit the components; a
-        circular component is unknown or in degrees, or the model declares itself linear and
-        Gaussian.
+        A formula does not take its arguments, does not give a tuple of components, or cannot be
+        traced (a `TraceError`); a kind of noise is unknown; a parameter lies outside its range;
+        names do not fit the components; a circular component is unknown or in degrees, or the model
+        declares itself linear and Gaussian.
 
     References
     ----------
