@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import special
 
 from oracles.batched import batched
 from oracles.clocked import times_of
-from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, load_model
+from pfdist import BatchedModel, Filter, Sensor, StateSpaceModel, densities, load_model
 from pfdist.errors import ModelError, TraceError
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.evaluator import Evaluator, recorded_evaluator
@@ -180,6 +181,20 @@ def test_functions_of_arrays_that_can_be_traced_become_formulas():
     given = draws, sets_of(arrays), (HORIZON,) * 4, STREAM, Estimation(64)
     expected, found = (filter_checked_sets(each, *given)[0] for each in (arrays, formulas))
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_formulas_that_call_another_library_are_declared_as_they_are():
+    """x[0] is a row of particles, too, and a tuple of rows is accepted."""
+    fields = {each.name: getattr(UNGM, each.name) for each in dataclasses.fields(UNGM)}
+
+    def drawn(kind, erf, **declared):
+        fields["transition"] = lambda x, t, w, p: (erf(0.5 * x[0]) + w[0],)
+        return simulate(kind(**(fields | declared)), HORIZON, range(20), 3).z
+
+    expected = drawn(StateSpaceModel, densities.erf)
+    np.testing.assert_allclose(drawn(BatchedModel, special.erf, version="1"), expected, rtol=1e-9)
+    with pytest.raises(TraceError, match=r"declare functions of arrays as a .*BatchedModel"):
+        drawn(StateSpaceModel, special.erf)
 
 
 # --- mistakes -------------------------------------------------------------------------------------
